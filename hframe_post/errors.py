@@ -1,0 +1,34 @@
+"""The exceptions that a user can cause: each says where, what and what to do."""
+
+
+class HframeError(Exception):
+    """Anything that stops a conversion; ``str`` of it is one line for the user."""
+
+
+class GcodeError(HframeError):
+    """The input cannot be read as G-code, or must not be."""
+
+    def __init__(self, cause: str, line: int | None = None, text: bytes = b"") -> None:
+        self.cause, self.line, self.text = cause, line, text
+        where = "" if line is None else f"line {line}: "
+        shown = text.strip()[:80].decode("latin-1")
+        super().__init__(where + cause + (f": {shown!r}" if shown else ""))
+
+
+class PrinterError(HframeError):
+    """A printer profile is missing, malformed or out of bounds."""
+
+    def __init__(self, cause: str, key: str = "", source: str = "") -> None:
+        self.cause, self.key, self.source = cause, key, source
+        super().__init__("".join(f"{part}: " for part in (source, key) if part) + cause)
+
+
+class LimitError(HframeError):
+    """The command would leave the bed or outrun a motor."""
+
+    def __init__(self, quantity: str, value: float, bound: float, line: int, advice: str) -> None:
+        self.quantity, self.value, self.bound, self.line = quantity, value, bound, line
+        super().__init__(
+            f"line {line}: {quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
+            + advice
+        )

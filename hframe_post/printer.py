@@ -1,0 +1,280 @@
+"""Printer profiles: TOML → frozen dataclasses, checked whole on load."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tomllib
+from dataclasses import MISSING, Field, dataclass, field, fields
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from hframe_post.errors import PrinterError
+from hframe_post.lpfbs import Window
+from hframe_post.plant import Plant, TransferFunction
+from hframe_post.stream import TS
+
+T = TypeVar("T")
+STRATEGIES = ("racking", "fbs", "none")
+DIALECTS = ("klipper",)
+
+
+def _positive(default: float | None = None) -> Any:
+    """A field that must be above zero."""
+    if default is None:
+        return field(metadata={"above": 0.0})
+    return field(default=default, metadata={"above": 0.0})
+
+
+def _not_negative(default: float | None = None) -> Any:
+    """A field that may be zero."""
+    if default is None:
+        return field(metadata={"least": 0.0})
+    return field(default=default, metadata={"least": 0.0})
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """Where the nozzle may be commanded: (least, greatest) of x and y, mm."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the planner may ask of the path; mm, s. See the shipped profile for each."""
+
+    velocity: float = _positive()
+    acceleration: float = _positive()
+    jerk: float = _positive()
+    square_corner_velocity: float = _not_negative()
+    z_velocity: float = _positive()
+    z_acceleration: float = _positive()
+    extruder_velocity: float = _positive()
+    extruder_acceleration: float = _positive()
+    extruder_corner_velocity: float = _positive(1.0)
+    junction_deviation: float = _positive(math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """What no command may exceed: speed and acceleration of the belts A = x + y, B = x − y."""
+
+    belt_velocity: float = _positive()
+    belt_acceleration: float = _positive()
+
+
+@dataclass(frozen=True, slots=True)
+class Compensation:
+    """Strategy and window of the limited-preview filtered B-splines."""
+
+    L: int = _positive()
+    n_C: int = _positive()
+    n_up: int = _positive()
+    effort: float = _not_negative()
+    strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
+    degree: int = _positive(5)
+    settle_tolerance: float = _positive(0.05)
+
+    @property
+    def window(self) -> Window:
+        """The window for the maths."""
+        return Window(self.L, self.n_C, self.n_up, self.effort, self.degree)
+
+
+@dataclass(frozen=True, slots=True)
+class Restore:
+    """Klipper's own limits, in force outside the stream."""
+
+    velocity: float = _positive()
+    acceleration: float = _positive()
+    square_corner_velocity: float = _not_negative(5.0)
+    minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
+    shaper_freq_x: float = _not_negative(0.0)
+    shaper_freq_y: float = _not_negative(0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Who reads the output. Macros, where named, replace the commands written otherwise."""
+
+    restore: Restore
+    dialect: str = field(default="klipper", metadata={"choices": DIALECTS})
+    begin_macro: str = ""
+    end_macro: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Printer:
+    """A whole profile. ``digest`` identifies its contents."""
+
+    name: str
+    description: str
+    travel: Travel
+    limits: Limits
+    motors: Motors
+    compensation: Compensation
+    firmware: Firmware
+    plant: Plant
+    digest: str
+
+
+def shipped() -> dict[str, str]:
+    """Name → TOML text of the profiles that come with the package."""
+    folder = resources.files(__package__) / "printers"
+    found = (f for f in folder.iterdir() if f.name.endswith(".toml"))
+    return {f.name.removesuffix(".toml"): f.read_text("utf-8") for f in sorted(found, key=str)}
+
+
+def load(name_or_path: str) -> Printer:
+    """The shipped profile of that name, or the one in that file. Raises PrinterError."""
+    profiles = shipped()
+    if name_or_path in profiles:
+        return parse(profiles[name_or_path], name_or_path)
+    path = Path(name_or_path)
+    if not path.is_file():
+        known = ", ".join(profiles)
+        raise PrinterError(f"no such profile or file; shipped are: {known}", source=name_or_path)
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PrinterError(f"cannot be read: {error}", source=name_or_path) from None
+    return parse(text, path.stem, str(path))
+
+
+def parse(text: str, name: str, source: str = "") -> Printer:
+    """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
+    source = source or name
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PrinterError(f"not valid TOML: {error}", source=source) from None
+    try:
+        return _printer(document, name, hashlib.sha256(text.encode()).hexdigest()[:12])
+    except PrinterError as error:
+        raise PrinterError(error.cause, error.key, source) from None
+
+
+def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+    sections = ("description", "travel", "limits", "motors", "compensation", "firmware", "plant")
+    _known_keys(document, sections, "")
+    for section in sections[1:]:
+        if not isinstance(document.get(section), dict):
+            raise PrinterError("the table is missing", section)
+    description = document.get("description", "")
+    if not isinstance(description, str):
+        raise PrinterError("must be text", "description")
+    firmware = dict(document["firmware"])
+    if not isinstance(firmware.get("restore"), dict):
+        raise PrinterError("the table is missing", "firmware.restore")
+    firmware["restore"] = _table(Restore, firmware["restore"], "firmware.restore")
+    compensation = _table(Compensation, document["compensation"], "compensation")
+    try:
+        compensation.window.L_C
+    except ValueError as error:
+        raise PrinterError(str(error), "compensation") from None
+    return Printer(
+        name,
+        description,
+        _table(Travel, document["travel"], "travel"),
+        _table(Limits, document["limits"], "limits"),
+        _table(Motors, document["motors"], "motors"),
+        compensation,
+        _table(Firmware, firmware, "firmware"),
+        _plant(document["plant"]),
+        digest,
+    )
+
+
+def _plant(table: dict[str, Any]) -> Plant:
+    _known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
+    for key in ("Ts", "x_c", "Gxx", "Gyy"):
+        if key not in table:
+            raise PrinterError("the key is missing", f"plant.{key}")
+    if table["Ts"] != TS:
+        raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
+    functions = {
+        key: _transfer_function(table[key], f"plant.{key}")
+        for key in ("Gxx", "Gyy", "Gxtheta")
+        if key in table
+    }
+    for key in ("Gxx", "Gyy"):
+        if abs(functions[key].dc_gain - 1.0) > 1e-4:
+            gain = functions[key].dc_gain
+            raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
+    racking = functions.get("Gxtheta")
+    if racking is not None and abs(racking.dc_gain) > 1e-9:
+        raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
+    x_c = _value(float, table["x_c"], {}, "plant.x_c")
+    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
+
+
+def _transfer_function(table: Any, key: str) -> TransferFunction:
+    if not isinstance(table, dict):
+        raise PrinterError("must be a table of zeros, poles and gain", key)
+    _known_keys(table, ("zeros", "poles", "gain"), key)
+    try:
+        roots = [[complex(*map(float, root)) for root in table[k]] for k in ("zeros", "poles")]
+        return TransferFunction(roots[0], roots[1], float(table["gain"]))  # type: ignore[arg-type]
+    except KeyError as error:
+        raise PrinterError("the key is missing", f"{key}.{error.args[0]}") from None
+    except TypeError:
+        raise PrinterError("roots are pairs [real, imaginary] of numbers", key) from None
+    except ValueError as error:
+        raise PrinterError(str(error), key) from None
+
+
+def _table(kind: type[T], table: dict[str, Any], path: str) -> T:
+    """A dataclass from a TOML table: every key known, typed and within its bounds."""
+    hints = get_type_hints(kind)
+    members: tuple[Field[Any], ...] = fields(kind)  # type: ignore[arg-type]
+    _known_keys(table, tuple(m.name for m in members), path)
+    values = {}
+    for member in members:
+        key = f"{path}.{member.name}"
+        if member.name in table:
+            hint = hints[member.name]
+            values[member.name] = _value(hint, table[member.name], member.metadata, key)
+        elif member.default is MISSING:
+            raise PrinterError("the key is missing", key)
+    return kind(**values)
+
+
+def _value(hint: Any, value: Any, rules: Any, key: str) -> Any:
+    """One value of the type ``hint``, within the rules of its field."""
+    if hint is str:
+        if not isinstance(value, str):
+            raise PrinterError(f"must be text, not {value!r}", key)
+        if value not in rules.get("choices", (value,)):
+            raise PrinterError(f"must be one of {', '.join(rules['choices'])}", key)
+        return value
+    if hint == tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise PrinterError("must be [least, greatest]", key)
+        low, high = (_value(float, v, {}, key) for v in value)
+        if not low < high:
+            raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
+        return low, high
+    if hint not in (int, float):
+        return value
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or (hint is int and value != int(value)):
+        raise PrinterError(f"must be a {'whole ' if hint is int else ''}number", key)
+    if "above" in rules and not value > rules["above"]:
+        raise PrinterError(f"must be above {rules['above']:g}, it is {value:g}", key)
+    if "least" in rules and not value >= rules["least"]:
+        raise PrinterError(f"must be at least {rules['least']:g}, it is {value:g}", key)
+    if "below" in rules and not value < rules["below"]:
+        raise PrinterError(f"must be below {rules['below']:g}, it is {value:g}", key)
+    return hint(value)
+
+
+def _known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:
+    for key in table:
+        if key not in known:
+            near = get_close_matches(key, known, n=1, cutoff=0.0)
+            where = f"{path}.{key}" if path else key
+            raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)

@@ -1,0 +1,335 @@
+"""Runs → samples: Ruckig's jerk-limited profile of every run, on one clock.
+
+Each run is planned along the path length, from speed to speed at zero acceleration, and x,
+y, z and e follow the path: extrusion stays proportional to it. Points of rest fall on whole
+samples. Before and after anything that the machine does at rest there is standstill in
+which the compensated command may settle and lead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
+
+from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.errors import HframeError
+from hframe_post.lookahead import Plan, Planned
+from hframe_post.printer import Limits
+from hframe_post.stream import (
+    TS,
+    E,
+    Event,
+    Handling,
+    Mark,
+    Passthrough,
+    Pause,
+    Position,
+    Rest,
+    Samples,
+    Standing,
+    Z,
+    frozen,
+)
+
+SAMPLES_PER_BLOCK = 1 << 15
+ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
+ALMOST = 0.999  # share of a limit that counts as all of it
+DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """Samples of standstill offered to the command before and after what happens at rest."""
+
+    settle: int
+    lead: int
+
+
+@dataclass(frozen=True, slots=True)
+class Phases:
+    """Constant jerk each: start time, duration, and path length, speed, acceleration, jerk."""
+
+    time: Array
+    duration: Array
+    s: Array
+    v: Array
+    a: Array
+    j: Array
+
+    def path(self, t: Array) -> Array:
+        """Path length at times ``t``, ascending; between phases the last one's end holds."""
+        phase = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, None)
+        dt = np.minimum(t - self.time[phase], self.duration[phase])
+        cubic = self.a[phase] / 2.0 + dt * self.j[phase] / 6.0
+        return self.s[phase] + dt * (self.v[phase] + dt * cubic)
+
+
+def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
+    """Samples of the whole stream. A pause that yields the machine ends its block."""
+    sampler = _Sampler(limits, rests)
+    for item in planned:
+        if isinstance(item, Plan):
+            yield from sampler.run(item)
+        elif isinstance(item, Passthrough) and item.handling is Handling.CARRY:
+            sampler.mark(item.text)
+        else:
+            yield from sampler.pause(item)
+    yield from sampler.flush()
+
+
+class _Sampler:
+    """The clock: next sample, where it stands, and the time since the last rest."""
+
+    def __init__(self, limits: Limits, rests: Rests) -> None:
+        self._limits, self._rests = limits, rests
+        self._profiler = Profiler()
+        self._index = 0  # of the next sample
+        self._moving = False
+        self._rested = True  # the machine stands and nothing has been offered to lead
+        self._section, self._clock = 0, 0.0  # sample of the last rest, s since then
+        self._last: Array | None = None  # x, y, z, e at the last sample
+        self._line = 0
+        self._events: list[Event] = []
+        self._held: list[Samples] = []
+
+    # ------------------------------------------------------------------ motion
+
+    def run(self, plan: Plan) -> Iterator[Samples]:
+        """Samples of the runs of a plan."""
+        self._line = int(plan.line[0])
+        if self._last is None:
+            self._stand(plan.points[0], 1)
+        if self._rested:
+            self._events.append(Rest(self._index, self._rests.lead, settling=False))
+            self._stand(plan.points[0], self._rests.lead)
+            self._rested = False
+        if not self._moving:
+            self._section, self._clock, self._moving = self._index - 1, 0.0, True
+        phases, self._clock = self._phases(plan)
+        stops = plan.speed[-1] == 0.0
+        stop = self._section + (
+            math.ceil(self._clock / TS - ON_TIME) if stops else math.floor(self._clock / TS)
+        )
+        marks = list(plan.marks)
+        for first in range(self._index, stop + 1, SAMPLES_PER_BLOCK):
+            index = np.arange(first, min(first + SAMPLES_PER_BLOCK, stop + 1))
+            s = np.clip(phases.path((index - self._section) * TS), 0.0, plan.s[-1])
+            if stops and index[-1] == stop:
+                s[-1] = plan.s[-1]
+            xyze, move = _follow(plan, s)
+            self._pin(plan, marks, s, xyze)
+            self._emit(xyze, plan.line[move])
+            yield from self.flush()
+        self._events += [Mark(self._index, mark.text) for mark in marks]
+        self._moving = not stops
+
+    def _phases(self, plan: Plan) -> tuple[Phases, float]:
+        """Phases of all runs on the section's clock, points of rest on whole samples."""
+        t, j = self._profiler.profiles(plan, self._limits.jerk)
+        a, v, steps = integrated(t, j, plan.speed[:-1])
+        at_rest = np.flatnonzero(plan.speed[1:] == 0.0)
+        end = self._clock + np.cumsum(t.sum(axis=1))
+        late = np.zeros(len(end))  # standstill after a run, to the next whole sample
+        for run in at_rest:  # few: corners without speed
+            now = (end[run] + late[:run].sum()) / TS
+            late[run] = max(math.ceil(now - ON_TIME) - now, 0.0) * TS
+        start = np.concatenate([[self._clock], end + np.cumsum(late)])
+        s = plan.s[plan.ends[:-1], None] + _before(np.cumsum(steps, axis=1))
+        time = start[:-1, None] + _before(np.cumsum(t, axis=1))
+        keep = t.ravel() > 0.0
+        table = (column.ravel()[keep] for column in (time, t, s, v, a, j))
+        return Phases(*table), float(start[-1])
+
+    def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> None:
+        """Marks go to the first sample at or after their vertex, with the vertex's filament.
+
+        So what is extruded between two marks is exact, not rounded to a sample.
+        """
+        while marks and plan.s[marks[0].index] <= s[-1]:
+            mark = marks.pop(0)
+            row = int(np.searchsorted(s, plan.s[mark.index]))
+            xyze[row, E] = plan.points[mark.index, E]
+            self._events.append(Mark(self._index + row, mark.text))
+
+    # ------------------------------------------------------------------ rest
+
+    def mark(self, text: bytes) -> None:
+        """A carried line at the present sample."""
+        self._events.append(Mark(self._index, text))
+
+    def pause(self, action: Standing | Passthrough) -> Iterator[Samples]:
+        """What the machine does while x and y stand still."""
+        if self._last is None and isinstance(action, Standing):
+            self._stand(np.array(action.start), 1)
+        if not self._rested and self._last is not None:
+            self._events.append(Rest(self._index, self._rests.settle, settling=True))
+            self._stand(self._last, self._rests.settle)
+        self._rested, self._moving = True, False
+        if isinstance(action, Standing):
+            self._line = action.line
+            exact, z_e = self._profiler.standing(action, self._limits)
+            self._events.append(Pause(self._index, len(z_e), action, exact))
+            xyze = np.tile(np.array(action.end), (len(z_e), 1))
+            xyze[:, Z:] = z_e
+            self._emit(xyze, np.full(len(z_e), self._line))
+            return
+        self._line = action.line
+        n = math.ceil(action.seconds / TS - ON_TIME)
+        self._events.append(Pause(self._index, n, action, action.seconds))
+        if self._last is not None:
+            self._stand(self._last, n)
+        if action.handling is Handling.YIELD:
+            yield from self.flush()
+            self._last = None
+
+    def _stand(self, where: Array, samples: int) -> None:
+        self._emit(np.tile(where, (samples, 1)), np.full(samples, self._line))
+
+    # ------------------------------------------------------------------ blocks
+
+    def _emit(self, xyze: Array, line: Integers) -> None:
+        if len(xyze):
+            self._held.append(Samples(self._index, frozen(xyze), line))
+            self._index += len(xyze)
+            self._last = xyze[-1]
+
+    def flush(self) -> Iterator[Samples]:
+        """What is held, as one block with its events."""
+        if not self._held and not self._events:
+            return
+        first = self._index - sum(map(len, self._held))
+        empty = Samples(first, frozen(np.zeros((0, 4))), np.zeros(0, dtype=np.int64))
+        blocks = self._held or [empty]
+        xyze = np.concatenate([b.xyze for b in blocks])
+        line = np.concatenate([b.line for b in blocks])
+        yield Samples(first, frozen(xyze), line, tuple(self._events))
+        self._held, self._events = [], []
+
+
+class Profiler:
+    """The one door to Ruckig."""
+
+    def __init__(self) -> None:
+        self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
+        self._input.current_position = [0.0]
+        self._input.current_acceleration = [0.0]
+        self._input.target_acceleration = [0.0]
+
+    def profiles(self, plan: Plan, jerk: float) -> tuple[Array, Array]:
+        """Durations and jerks of the seven phases of every run, both (r, 7).
+
+        Runs that leave no choice (one speed, or all of the length needed to change it) are
+        written down at once; close to that edge Ruckig's arithmetic fails or overshoots.
+        Raises HframeError where no profile fits.
+        """
+        length = np.diff(plan.s[plan.ends])
+        v0, v1 = plan.speed[:-1], plan.speed[1:]
+        t, j, acceleration = ramps(v0, v1, length, jerk)
+        one_speed = (v0 == v1) & (v0 >= ALMOST * plan.cruise)
+        forced = one_speed | (acceleration >= ALMOST * plan.acceleration)
+        self._input.max_jerk = [jerk]
+        columns = np.stack([v0, v1, length, plan.cruise, plan.acceleration], axis=1)
+        free = np.flatnonzero(~forced)
+        solved = [self._solve(*row) for row in columns[free].tolist()]
+        chosen_t, chosen_j = t.copy(), j.copy()
+        if solved:
+            chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
+        wrong = _misses(chosen_t, chosen_j, v0, length)
+        chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
+        wrong = _misses(chosen_t, chosen_j, v0, length)
+        if wrong.any():
+            line = plan.line[plan.ends[int(np.argmax(wrong))]]
+            raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
+        return chosen_t, chosen_j
+
+    def _solve(
+        self, v0: float, v1: float, length: float, cruise: float, acceleration: float
+    ) -> tuple[list[float], list[float]]:
+        given = self._input
+        given.current_velocity, given.target_velocity = [v0], [v1]
+        given.target_position = [length]
+        given.max_velocity, given.max_acceleration = [cruise], [acceleration]
+        try:
+            self._ruckig.calculate(given, self._trajectory)
+        except RuckigError:
+            return [0.0] * 7, [0.0] * 7
+        profile = self._trajectory.profiles[0][0]
+        return profile.t, profile.j
+
+    def standing(self, move: Standing, limits: Limits) -> tuple[float, Array]:
+        """Exact duration and samples (n, 2) of z and e, as the firmware does one such line.
+
+        The firmware knows no jerk: the profile is a trapezoid.
+        """
+        dz, de = abs(move.end[Z] - move.start[Z]), abs(move.end[E] - move.start[E])
+        length = dz or de
+        cruise = min(move.speed, limits.z_velocity) if dz else move.speed
+        acceleration = limits.z_acceleration if dz else math.inf
+        if de and (not dz or move.end[E] < move.start[E]):
+            cruise = min(cruise, limits.extruder_velocity * length / de)
+            acceleration = min(acceleration, limits.extruder_acceleration * length / de)
+        peak = min(cruise, math.sqrt(length * acceleration))
+        ramp = peak / acceleration
+        exact = length / peak + ramp
+        n = math.ceil(exact / TS - ON_TIME)
+        t = np.minimum(np.arange(1, n + 1) * TS, exact)
+        up, down = np.minimum(t, ramp), np.maximum(t - (exact - ramp), 0.0)
+        s = acceleration * (up * up - down * down) / 2.0 + peak * (t - up)
+        share = (s / length)[:, None]
+        share[-1] = 1.0
+        start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
+        return exact, start + share * (end - start)
+
+
+def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
+    """One change of speed along the whole of each length, with the least acceleration.
+
+    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
+    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
+    """
+    change = v1 - v0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        T = 2.0 * length / (v0 + v1)
+        root = np.sqrt(np.maximum(T * T - 4.0 * np.abs(change) / jerk, 0.0))
+        a = 2.0 * np.abs(change) / (T + root)
+        ramp = a / jerk
+        t = np.zeros((len(v0), 7))
+        t[:, 0] = t[:, 2] = ramp
+        t[:, 1] = np.where(np.isfinite(T), T - 2.0 * ramp, 0.0)
+    j = np.zeros((len(v0), 7))
+    j[:, 0] = np.copysign(jerk, change)
+    j[:, 2] = -j[:, 0]
+    return t, j, a
+
+
+def integrated(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
+    """Acceleration and speed at the start of each phase, and path along it; all (r, 7)."""
+    da = j * t
+    a = _before(np.cumsum(da, axis=1))
+    v = v0[:, None] + _before(np.cumsum(t * (a + da / 2.0), axis=1))
+    return a, v, t * (v + t * (a / 2.0 + da / 6.0))
+
+
+def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
+    """Runs whose profile goes backwards or does not end at their length, (r,)."""
+    _, v, steps = integrated(t, j, v0)
+    return (np.abs(steps.sum(axis=1) - length) > DRIFT) | (v.min(axis=1) < -DRIFT)
+
+
+def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:
+    """x, y, z, e at path lengths ``s`` (n,), and the move that each lies on."""
+    move = np.clip(np.searchsorted(plan.s, s, side="right") - 1, 0, len(plan.line) - 1)
+    start = plan.points[move]
+    share = (s - plan.s[move]) / (plan.s[move + 1] - plan.s[move])
+    return start + share[:, None] * (plan.points[move + 1] - start), move
+
+
+def _before(cumulative: Array) -> Array:
+    """A cumulative sum along the rows as it stands before each term."""
+    shifted = np.zeros_like(cumulative)
+    shifted[:, 1:] = cumulative[:, :-1]
+    return shifted
