@@ -21,6 +21,7 @@ from hframe_post.errors import GcodeError
 from hframe_post.stream import (
     FileLimits,
     Handling,
+    Item,
     Mark,
     ModalState,
     Moves,
@@ -30,8 +31,6 @@ from hframe_post.stream import (
     frozen,
 )
 from hframe_post.words import PLAIN_MOVE, command, numbers, parameters, uncommented
-
-Item = Moves | Standing | Passthrough
 
 MOVES_PER_BLOCK = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number

@@ -24,9 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.gcode import Item
 from hframe_post.printer import Limits
-from hframe_post.stream import E, Handling, Mark, Moves, Passthrough, Standing, Z
+from hframe_post.stream import E, Handling, Item, Mark, Moves, Passthrough, Plan, Planned, Z
 
 BATCH = 4096  # moves planned at once; more only where none of them is final
 LONGEST_QUEUE = 16 * BATCH
@@ -35,28 +34,6 @@ STEEP = 1.0  # rise over run above which a move starts and ends at rest
 BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
 CREEP = 0.01  # mm/s; a junction that allows less is a stop
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Moves whose speeds are final.
-
-    line (n,), points (n + 1, 4), s (n + 1,): path length at the vertices. ends (r + 1,):
-    vertices where runs meet, speed (r + 1,) there. cruise, acceleration (r,): limits of each
-    run. marks: index is a vertex.
-    """
-
-    line: Integers
-    points: Array
-    s: Array
-    ends: Integers
-    speed: Array
-    cruise: Array
-    acceleration: Array
-    marks: tuple[Mark, ...]
-
-
-Planned = Plan | Standing | Passthrough
 
 
 def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:

@@ -82,7 +82,7 @@ def uniform_basis(L: int, degree: int) -> Array:
 
 
 class Lpfbs:
-    """Streams one axis: x_d in, control points and command x_dm out.
+    """The solver of one axis: x_d in, command x_dm out; the past s goes in and out with it.
 
     Raises ValueError where the window cannot be solved or the recursion would diverge:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
@@ -94,17 +94,17 @@ class Lpfbs:
         K_target, K_past, step_target, step_past = _solve(G, window)
         self._K_target, self._K_past = K_target[: window.n_up], K_past[: window.n_up]
         self._step_target, self._step_past = step_target, step_past
-        self._s = np.zeros(len(step_past))
+        self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
         if self.radius >= 1.0:
             raise ValueError(
                 f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
                 f"n_C = {window.n_C}, n_up = {window.n_up}, effort = {window.effort:g}; "
-                "take a longer preview (larger n_C), wider knots (larger L) or more effort weight"
+                "take a longer preview (larger n_C), wider knots (larger L) or more effort"
             )
 
-    def run(self, x_d: Array) -> Array:
-        """Command for whole windows: x_d ((W − 1)·stride + L_C,) → x_dm (W·stride,).
+    def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
+        """Command for whole windows, x_d ((W − 1)·stride + L_C,) → x_dm (W·stride,), and s.
 
         The last L_C − stride samples of x_d are the preview and come again with the next
         call. Both count from where the axis stood at rest when the stream began.
@@ -112,12 +112,12 @@ class Lpfbs:
         w = self.window
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
         X = np.ascontiguousarray(windows)
-        past, self._s = scan(self._step_past, X @ self._step_target.T, self._s)
+        past, s = scan(self._step_past, X @ self._step_target.T, s)
         p = X @ self._K_target.T  # (W, n_up), eq. 30
         p += past @ self._K_past.T
         control = np.concatenate([past[0, -w.degree :], p.ravel()])
         alive = np.lib.stride_tricks.sliding_window_view(control, w.degree + 1)
-        return (np.ascontiguousarray(alive) @ self._basis.T).ravel()
+        return (np.ascontiguousarray(alive) @ self._basis.T).ravel(), s
 
 
 def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:

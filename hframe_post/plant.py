@@ -115,6 +115,12 @@ class TransferFunction:
         return G, O, np.linalg.matrix_power(A, n), R
 
 
+    @cached_property
+    def block(self) -> tuple[Array, Array, Array, Array]:
+        """Lifted form over BLOCK_SAMPLES."""
+        return self.lifted(BLOCK_SAMPLES)
+
+
 @dataclass(frozen=True)
 class Plant:
     """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None where nothing racks.
@@ -130,25 +136,30 @@ class Plant:
 
 
 class LiftedFilter:
-    """Filters a stream block by block with the state carried, exact for any pole.
+    """Filters a stream with the state carried: exact for any pole and any cut.
 
-    ``run`` takes samples (n,) and answers (n,). The stream may be cut anywhere that is a
-    multiple of ``BLOCK_SAMPLES``; only the last cut may be elsewhere.
+    ``run`` takes the next samples (n,) and answers (n,). Cuts at multiples of
+    ``BLOCK_SAMPLES`` also give equal bits, whatever the pieces.
     """
 
     def __init__(self, transfer_function: TransferFunction) -> None:
-        self._G, self._O, self._An, self._R = transfer_function.lifted(BLOCK_SAMPLES)
+        self._G, self._O, self._An, self._R = transfer_function.block
+        self._A = transfer_function.state_space[0]
         self._state = np.zeros(transfer_function.order)
 
     def run(self, u: Array) -> Array:
-        n = len(u)
-        blocks = -(-n // BLOCK_SAMPLES)
-        U = np.zeros((blocks, BLOCK_SAMPLES))
-        U.ravel()[:n] = u
-        states, self._state = scan(self._An, U @ self._R.T, self._state)
+        blocks, rest = divmod(len(u), BLOCK_SAMPLES)
+        U = np.zeros((blocks + (rest > 0), BLOCK_SAMPLES))
+        U.ravel()[: len(u)] = u
+        forced = U @ self._R.T
+        states, self._state = scan(self._An, forced[:blocks], self._state)
+        if rest:  # a part of a block: the same with fewer samples
+            states = np.vstack([states, self._state])
+            before = np.linalg.matrix_power(self._A, rest) @ self._state
+            self._state = before + self._R[:, BLOCK_SAMPLES - rest :] @ u[-rest:]
         Y = U @ self._G.T
         Y += states @ self._O.T
-        return Y.ravel()[:n]
+        return Y.ravel()[: len(u)]
 
 
 def scan(A: Array, W: Array, state: Array) -> tuple[Array, Array]:

@@ -39,8 +39,8 @@ def _not_negative(default: float | None = None) -> Any:
 class Travel:
     """Where the nozzle may be commanded: (least, greatest) of x and y, mm."""
 
-    x: tuple[float, float]
-    y: tuple[float, float]
+    x: tuple[float, float] = field(metadata={"ascending": True})
+    y: tuple[float, float] = field(metadata={"ascending": True})
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +74,16 @@ class Compensation:
     L: int = _positive()
     n_C: int = _positive()
     n_up: int = _positive()
-    effort: float = _not_negative()
+    effort: tuple[float, float] = _not_negative()
     strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
     degree: int = _positive(5)
     settle_tolerance: float = _positive(0.05)
 
     @property
-    def window(self) -> Window:
-        """The window for the maths."""
-        return Window(self.L, self.n_C, self.n_up, self.effort, self.degree)
+    def windows(self) -> tuple[Window, Window]:
+        """The windows of x and y, which differ in effort alone."""
+        x, y = (Window(self.L, self.n_C, self.n_up, e, self.degree) for e in self.effort)
+        return x, y
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +174,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     firmware["restore"] = _table(Restore, firmware["restore"], "firmware.restore")
     compensation = _table(Compensation, document["compensation"], "compensation")
     try:
-        compensation.window.L_C
+        _ = compensation.windows
     except ValueError as error:
         raise PrinterError(str(error), "compensation") from None
     return Printer(
@@ -253,9 +254,9 @@ def _value(hint: Any, value: Any, rules: Any, key: str) -> Any:
         return value
     if hint == tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2:
-            raise PrinterError("must be [least, greatest]", key)
-        low, high = (_value(float, v, {}, key) for v in value)
-        if not low < high:
+            raise PrinterError("must be a list of two numbers", key)
+        low, high = (_value(float, v, rules, key) for v in value)
+        if rules.get("ascending") and not low < high:
             raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
         return low, high
     if hint not in (int, float):

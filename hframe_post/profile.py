@@ -17,7 +17,6 @@ from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import HframeError
-from hframe_post.lookahead import Plan, Planned
 from hframe_post.printer import Limits
 from hframe_post.stream import (
     TS,
@@ -27,8 +26,10 @@ from hframe_post.stream import (
     Mark,
     Passthrough,
     Pause,
-    Position,
+    Plan,
+    Planned,
     Rest,
+    Rests,
     Samples,
     Standing,
     Z,
@@ -39,14 +40,6 @@ SAMPLES_PER_BLOCK = 1 << 15
 ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
 ALMOST = 0.999  # share of a limit that counts as all of it
 DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
-
-
-@dataclass(frozen=True, slots=True)
-class Rests:
-    """Samples of standstill offered to the command before and after what happens at rest."""
-
-    settle: int
-    lead: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +94,6 @@ class _Sampler:
     def run(self, plan: Plan) -> Iterator[Samples]:
         """Samples of the runs of a plan."""
         self._line = int(plan.line[0])
-        if self._last is None:
-            self._stand(plan.points[0], 1)
         if self._rested:
             self._events.append(Rest(self._index, self._rests.lead, settling=False))
             self._stand(plan.points[0], self._rests.lead)

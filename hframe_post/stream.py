@@ -7,11 +7,8 @@ cut into pieces, and arrays are read-only once they have been yielded.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-
-import numpy as np
 
 from hframe_post.arrays import Array, Integers
 
@@ -97,6 +94,39 @@ class Passthrough:
     filament: float = 0.0
 
 
+Item = Moves | Standing | Passthrough
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Moves whose speeds are final.
+
+    line (n,), points (n + 1, 4), s (n + 1,): path length at the vertices. ends (r + 1,):
+    vertices where runs meet, speed (r + 1,) there. cruise, acceleration (r,): limits of each
+    run. marks: index is a vertex.
+    """
+
+    line: Integers
+    points: Array
+    s: Array
+    ends: Integers
+    speed: Array
+    cruise: Array
+    acceleration: Array
+    marks: tuple[Mark, ...]
+
+
+Planned = Plan | Standing | Passthrough
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """Samples of standstill offered to the command before and after what happens at rest."""
+
+    settle: int
+    lead: int  # at least one: the place from which the motion starts
+
+
 @dataclass(frozen=True, slots=True)
 class Rest:
     """``samples`` of standstill from sample ``index`` in which the command may move.
@@ -149,59 +179,15 @@ class Samples:
         """Index of the sample after the last."""
         return self.first + len(self.xyze)
 
+    @property
+    def yields(self) -> bool:
+        """Whether the machine is out of our hands after this block, and may move itself."""
+        last = self.events[-1] if self.events else None
+        action = last.action if isinstance(last, Pause) else None
+        return isinstance(action, Passthrough) and action.handling is Handling.YIELD
+
 
 def frozen(array: Array) -> Array:
     """The array itself, made read-only."""
     array.flags.writeable = False
     return array
-
-
-def shifted(event: Event, by: int) -> Event:
-    """The event, ``by`` samples later."""
-    if isinstance(event, Mark):
-        return Mark(event.index + by, event.text)
-    if isinstance(event, Rest):
-        return Rest(event.index + by, event.samples, event.settling)
-    return Pause(event.index + by, event.samples, event.action, event.exact)
-
-
-def recut(blocks: Iterable[Samples], size: int) -> Iterator[Samples]:
-    """The same samples and events in pieces of ``size``; only the last may be shorter."""
-    held: list[Samples] = []
-    count = 0
-    for block in blocks:
-        held.append(block)
-        count += len(block)
-        while count > size:  # one sample stays, so that events after the last keep their block
-            joined = join(held)
-            yield part(joined, 0, size)
-            held = [part(joined, size, count)]
-            count -= size
-    if held:
-        yield join(held)
-
-
-def join(blocks: list[Samples]) -> Samples:
-    """Contiguous blocks as one."""
-    if len(blocks) == 1:
-        return blocks[0]
-    return Samples(
-        blocks[0].first,
-        frozen(np.concatenate([b.xyze for b in blocks])),
-        np.concatenate([b.line for b in blocks]),
-        tuple(event for b in blocks for event in b.events),
-        {
-            name: frozen(np.concatenate([b.commands[name] for b in blocks]))
-            for name in blocks[0].commands
-        },
-    )
-
-
-def part(block: Samples, start: int, stop: int) -> Samples:
-    """Samples start … stop − 1 of a block; the events of ``stop`` only if the block ends there."""
-    low, high = block.first + start, block.first + stop
-    events = tuple(
-        e for e in block.events if low <= e.index and (e.index < high or high >= block.end)
-    )
-    commands = {name: xy[start:stop] for name, xy in block.commands.items()}
-    return Samples(low, block.xyze[start:stop], block.line[start:stop], events, commands)

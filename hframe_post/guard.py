@@ -1,0 +1,127 @@
+"""No command leaves the bed or outruns a motor: an error, or a clamp that is reported.
+
+Clamping takes the compensation back, smoothly and only around the place, until the belts
+can follow; at the edge of the bed the command is cut off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.errors import LimitError
+from hframe_post.kinematics import belts
+from hframe_post.printer import Motors, Travel
+from hframe_post.recut import stretches, with_neighbours
+from hframe_post.stream import TS, Samples, Z, frozen
+
+REACH = 80  # samples over which a clamp sets in and fades out
+TAKE_MORE = 0.9  # share of the excess-free compensation that a clamp leaves
+LEEWAY = 1.0 + 1e-9  # limits met exactly are met
+
+
+@dataclass
+class Peaks:
+    """What the commands asked of the machine; mm, s."""
+
+    belt_velocity: float = 0.0
+    belt_acceleration: float = 0.0
+    axis_acceleration: Array = field(default_factory=lambda: np.zeros(2))
+    clamped: int = 0  # samples
+    clamped_line: int = 0  # source line of the first of them
+
+
+def guard(
+    blocks: Iterable[Samples], written: str, travel: Travel, motors: Motors, peaks: Peaks
+) -> Iterator[Samples]:
+    """The stream as it is, once its ``written`` command is known to be safe.
+
+    Fills ``peaks`` as it flows. Raises LimitError.
+    """
+    for stretch in stretches(blocks):
+        for block, wide, where in with_neighbours(stretch, 2, 0):
+            if len(block):
+                _check_travel(block, block.commands[written], travel)
+                _check_motors(wide, wide.commands[written], where.start, motors, peaks)
+            yield block
+
+
+def clamp(
+    blocks: Iterable[Samples], written: str, travel: Travel, motors: Motors, peaks: Peaks
+) -> Iterator[Samples]:
+    """The stream with its ``written`` command taken back where it asks too much."""
+    for stretch in stretches(blocks):
+        for block, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
+            path, command = wide.xyze[:, :Z], wide.commands[written]
+            share = _share(path, command, motors)
+            safe = path + share[:, None] * (command - path)
+            safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
+            changed = (safe != command).any(axis=1)[where]
+            safe = np.where(changed[:, None], safe[where], block.commands[written])
+            if changed.any():
+                peaks.clamped_line = peaks.clamped_line or int(block.line[np.argmax(changed)])
+                peaks.clamped += int(changed.sum())
+            commands = {**block.commands, written: frozen(safe)}
+            yield Samples(block.first, block.xyze, block.line, block.events, commands)
+
+
+def _share(path: Array, command: Array, motors: Motors) -> Array:
+    """Share of the compensation that the belts can follow, (n,), smooth over REACH samples."""
+    needed = np.ones(len(path))
+    for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
+        of_path = np.diff(belts(path), n=order, axis=0) / TS**order
+        of_command = np.diff(belts(command), n=order, axis=0) / TS**order
+        over = np.abs(of_command) > limit * LEEWAY
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (np.copysign(limit, of_command) - of_path) / (of_command - of_path)
+        share = np.where(over, np.clip(TAKE_MORE * share, 0.0, 1.0), 1.0).min(axis=1)
+        needed[order:] = np.minimum(needed[order:], share)
+    share = np.ones(len(path))
+    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-REACH, REACH + 1) / (REACH + 1))
+    for k in np.flatnonzero(needed < 1.0):  # few: the places where a limit is exceeded
+        low, high = max(k - REACH, 0), min(k + REACH + 1, len(share))
+        taken = (1.0 - needed[k]) * ramp[low - k + REACH : high - k + REACH]
+        share[low:high] = np.minimum(share[low:high], 1.0 - taken)
+    return share
+
+
+def _check_travel(block: Samples, command: Array, travel: Travel) -> None:
+    for axis, (low, high) in enumerate((travel.x, travel.y)):
+        name = "xy"[axis]
+        position = command[:, axis]
+        for bound, excess in ((low, low - position), (high, position - high)):
+            k = int(np.argmax(excess))
+            if excess[k] > 1e-9:
+                overshoot = abs(position[k] - block.xyze[k, axis])
+                raise LimitError(
+                    f"{name} (mm)", float(position[k]), bound, int(block.line[k]),
+                    f"the compensation adds {overshoot:.3g} mm here: move the part "
+                    "inwards, widen [travel] in the profile, or use --on-limit clamp",
+                )  # fmt: skip
+
+
+def _check_motors(wide: Samples, command: Array, start: int, motors: Motors, peaks: Peaks) -> None:
+    """Speeds and accelerations of the samples from ``start`` on."""
+    axes = np.abs(np.diff(command, n=2, axis=0)[max(start - 2, 0) :]) / TS**2
+    if len(axes):
+        peaks.axis_acceleration = np.maximum(peaks.axis_acceleration, axes.max(axis=0))
+    position = belts(command)
+    for order, name, limit in (
+        (1, "velocity", motors.belt_velocity),
+        (2, "acceleration", motors.belt_acceleration),
+    ):
+        value = np.abs(np.diff(position, n=order, axis=0)[max(start - order, 0) :]) / TS**order
+        if not len(value):
+            continue
+        peak = float(value.max())
+        setattr(peaks, f"belt_{name}", max(getattr(peaks, f"belt_{name}"), peak))
+        if peak > limit * LEEWAY:
+            k = int(np.argmax(value.max(axis=1))) + max(start - order, 0) + order
+            raise LimitError(
+                f"belt {name} (mm/s{'²' * (order - 1)})", peak, limit, int(wide.line[k]),
+                "raise effort in [compensation], lower the print's speed or acceleration, "
+                f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
+            )  # fmt: skip

@@ -1,0 +1,98 @@
+"""The output file: whole or not there at all, and lines that are known only at the end."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import IO
+
+from hframe_post.dense_gcode import Late, Output
+from hframe_post.report import duration as in_words
+
+ROOM = 24  # bytes beyond a late line's present length
+_M73 = re.compile(rb"([PQRSC])\s*(\d+)", re.IGNORECASE)
+
+
+class OutputFile:
+    """A context manager: what is written appears at ``path`` on success, else nothing does.
+
+    path None: standard output, once everything has been written.
+    """
+
+    def __init__(self, path: Path | None, stdout: IO[bytes]) -> None:
+        self._path = path.resolve() if path is not None else None
+        self._stdout = stdout
+        self._late: list[tuple[int, int, Late]] = []
+        self._file: IO[bytes] | None = None
+
+    def __enter__(self) -> OutputFile:
+        folder = self._path.parent if self._path is not None else None
+        self._file = tempfile.NamedTemporaryFile(  # noqa: SIM115
+            dir=folder, prefix=".hframe-post-", suffix=".tmp", delete=False
+        )
+        return self
+
+    def write(self, output: Iterable[Output], duration: Callable[[], float]) -> None:
+        """Writes it all. duration: the print's time (s), asked when the output is used up."""
+        assert self._file is not None
+        for piece in output:
+            if isinstance(piece, Late):
+                size = len(piece.line) + ROOM
+                self._late.append((self._file.tell(), size, piece))
+                self._file.write(b" " * size + b"\n")
+            else:
+                self._file.write(piece)
+        total = duration()
+        for offset, size, late in self._late:
+            self._file.seek(offset)
+            self._file.write(late_line(late, total).ljust(size)[:size])
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        assert self._file is not None
+        name = Path(self._file.name)
+        try:
+            self._file.close()
+            if kind is not None:
+                return
+            if self._path is None:
+                with name.open("rb") as whole:
+                    shutil.copyfileobj(whole, self._stdout)
+                self._stdout.flush()
+            else:
+                _copy_mode(self._path, name)
+                os.replace(name, self._path)
+        finally:
+            name.unlink(missing_ok=True)
+
+
+def late_line(late: Late, total: float) -> bytes:
+    """The line with print times as they are after compensation."""
+    left = max(total - late.elapsed, 0.0)
+    if late.line[:1] == b";":
+        head, mark, _ = late.line.partition(b"=" if b"=" in late.line else b":")
+        told = f" {in_words(total)}" if mark == b"=" else str(math.ceil(total))
+        return head + mark + told.encode()
+    percent = round(100.0 * late.elapsed / total) if total else 100
+
+    def renewed(match: re.Match[bytes]) -> bytes:
+        letter = match[1].upper()
+        value = percent if letter in b"PQ" else math.ceil(left / 60.0)
+        return match[0] if letter == b"C" else letter + str(value).encode()
+
+    head, semicolon, comment = late.line.partition(b";")
+    return _M73.sub(renewed, head) + semicolon + comment
+
+
+def _copy_mode(old: Path, new: Path) -> None:
+    """A replaced file keeps its permissions; a new one gets the usual."""
+    if old.exists():
+        shutil.copymode(old, new)
+    else:
+        mask = os.umask(0)
+        os.umask(mask)
+        new.chmod(0o666 & ~mask)

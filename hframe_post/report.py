@@ -1,0 +1,140 @@
+"""Running figures of a conversion, and what is told of them: text and JSON.
+
+Nothing here grows with the print: sums, peaks and a histogram with fine logarithmic bins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.guard import Peaks
+
+BINS_PER_E = 100  # bins of 1 % for the percentiles
+SMALLEST = 1e-7  # mm; errors below share the first bin
+DECIMALS = 4
+
+STRATEGY_NAMES = {
+    "none": "no compensation",
+    "fbs": "ringing only (fbs)",
+    "racking": "ringing and racking",
+}
+
+
+@dataclass
+class ErrorStatistics:
+    """RMS, percentiles and peak of a stream of errors (mm)."""
+
+    count: int = 0
+    squares: float = 0.0
+    peak: float = 0.0
+    histogram: Array = field(default_factory=lambda: np.zeros(22 * BINS_PER_E))
+
+    def add(self, errors: Array) -> None:
+        """Takes the next errors, (n,), none negative."""
+        if len(errors):
+            self.count += len(errors)
+            self.squares += float(errors @ errors)
+            self.peak = max(self.peak, float(errors.max()))
+            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
+            top = len(self.histogram) - 1
+            self.histogram += np.bincount(
+                np.minimum(bins.astype(np.int64), top), minlength=top + 1
+            )
+
+    @property
+    def rms(self) -> float:
+        """Root mean square, mm."""
+        return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
+
+    def percentile(self, share: float) -> float:
+        """The error (mm) that ``share`` of all stay below, to 1 %."""
+        if not self.count:
+            return 0.0
+        k = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
+        return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
+
+    def micrometres(self) -> dict[str, float]:
+        """RMS, 95th percentile and peak in µm."""
+        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
+        return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
+
+
+@dataclass
+class Report:
+    """What one conversion did. Times in s, lengths in mm."""
+
+    strategy: str
+    moves: int = 0
+    lines_read: int = 0
+    lines_written: int = 0
+    time_before: float = 0.0
+    time_after: float = 0.0
+    filament_before: float = 0.0
+    filament_after: float = 0.0
+    peaks: Peaks = field(default_factory=Peaks)
+    contour: dict[str, ErrorStatistics] = field(default_factory=dict)
+
+    def add_errors(self, errors: dict[str, Array]) -> None:
+        """Takes contour errors by strategy."""
+        for name, values in errors.items():
+            self.contour.setdefault(name, ErrorStatistics()).add(values)
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, ready for ``json.dumps``."""
+        x, y = self.peaks.axis_acceleration.tolist()
+        return {
+            "compensation": self.strategy,
+            "moves": self.moves,
+            "lines_read": self.lines_read,
+            "lines_written": self.lines_written,
+            "print_time_s": {
+                "before": round(self.time_before, 3),
+                "after": round(self.time_after, 3),
+            },
+            "filament_mm": {
+                "before": round(self.filament_before, 5),
+                "after": round(self.filament_after, 5),
+            },
+            "contour_error_um": {n: s.micrometres() for n, s in sorted(self.contour.items())},
+            "peak_belt_speed": round(self.peaks.belt_velocity, 3),
+            "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
+            "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+            "clamped_samples": self.peaks.clamped,
+        }
+
+    def as_text(self) -> str:
+        """A few lines for a person."""
+        change = 100.0 * (self.time_after / self.time_before - 1.0) if self.time_before else 0.0
+        lines = [
+            f"{self.moves} moves, {self.lines_read} lines read, {self.lines_written} written",
+            f"print time  {duration(self.time_before)} → {duration(self.time_after)} "
+            f"({change:+.1f} %)",
+            f"filament    {self.filament_after:.2f} mm, unchanged",
+        ]
+        for name in sorted(self.contour, key=list(STRATEGY_NAMES).index):
+            um = self.contour[name].micrometres()
+            lines.append(
+                f"predicted   {STRATEGY_NAMES[name]}: contour error {um['rms']:.1f} µm RMS, "
+                f"{um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak"
+            )
+        lines.append(
+            f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
+            f"{self.peaks.belt_acceleration:.0f} mm/s²"
+        )
+        if self.peaks.clamped:
+            lines.append(
+                f"CLAMPED     {self.peaks.clamped} ms of motion at the printer's limits, first at "
+                f"line {self.peaks.clamped_line}; less is compensated there"
+            )
+        return "\n".join(lines)
+
+
+def duration(seconds: float) -> str:
+    """``1h 02m 03s``."""
+    minutes, s = divmod(round(seconds), 60)
+    h, m = divmod(minutes, 60)
+    return f"{h}h {m:02d}m {s:02d}s" if h else f"{m}m {s:02d}s"
