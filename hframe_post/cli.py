@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from hframe_post.pipeline import Options
     from hframe_post.printer import Printer
     from hframe_post.report import Report
+
+# One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
+# before numpy is imported, and the matrices are too small to gain from more.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 STRATEGIES = ("racking", "fbs", "none")
 BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar

@@ -20,7 +20,7 @@ from hframe_post.plant import LiftedFilter, Plant
 from hframe_post.recut import join, part, stretches
 from hframe_post.stream import TS, Rests, Samples, X, Y, Z, frozen
 
-WINDOWS_AT_ONCE = 64  # solved in one matrix product
+WINDOWS_AT_ONCE = 256  # solved in one matrix product
 OUTLASTS = 4096  # samples of standstill in which any stable command settles
 
 
@@ -73,7 +73,7 @@ def compensate(
             if solver is not None:
                 yield from solver.feed(block)
             else:  # lines before the first known position
-                commands = {name: block.xyze[:, :Z] for name in strategies}
+                commands = dict.fromkeys(strategies, block.xyze[:, :Z])
                 yield Samples(block.first, block.xyze, block.line, block.events, commands)
         if solver is not None:
             yield from solver.finish()

@@ -45,7 +45,8 @@ def _fits(points: Array, forced: Flags, tolerance: float) -> Flags:
     k = points.shape[1] - 1
     share = (np.arange(1, k) / k)[None, :, None]
     first, last = points[:, :1], points[:, -1:]
-    off = np.abs(points[:, 1:-1] - (first + share * (last - first)))
-    within = np.hypot(off[..., 0], off[..., 1]) <= tolerance
-    within &= off[..., 2:].max(axis=2) <= tolerance
+    off = points[:, 1:-1] - (first + share * (last - first))
+    np.square(off, out=off)
+    within = off[..., 0] + off[..., 1] <= tolerance**2
+    within &= (off[..., 2] <= tolerance**2) & (off[..., 3] <= tolerance**2)
     return within.all(axis=1) & ~forced.any(axis=1)

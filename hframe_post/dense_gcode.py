@@ -160,7 +160,10 @@ class _Writer:
         idle = starts - np.concatenate([[-self._still], ends])[: len(ends)]
         dwells = np.where(idle >= DWELL, idle, 0)
         T = (ends - starts + idle - dwells) * TS
-        insertions = [(int(np.searchsorted(ends, p, side="right")), m) for p, m in zip(after, marks, strict=True)]
+        insertions = [
+            (int(np.searchsorted(ends, p, side="right")), m)
+            for p, m in zip(after, marks, strict=True)
+        ]
         self._still = n - int(ends[-1]) if len(ends) else self._still + n
         if len(ends):
             yield from self._enter()
@@ -173,9 +176,7 @@ class _Writer:
             yield from self._dwell(self._still)
             self._still = 0
 
-    def _rows(
-        self, at: Integers, T: Array, dwell: Flags, last: bool
-    ) -> tuple[bytes, Integers]:
+    def _rows(self, at: Integers, T: Array, dwell: Flags, last: bool) -> tuple[bytes, Integers]:
         """G1 lines to the positions ``at`` (k, 4), and where each ends in their text."""
         delta = np.diff(at, axis=0, prepend=self._at[None])  # type: ignore[index]
         rest = np.concatenate([dwell, [last]])
@@ -190,7 +191,9 @@ class _Writer:
         shown[0, :Z] |= self._feed == 0  # after the machine was yielded: both, to be plain
         faster = np.diff(feed, prepend=self._feed) != 0
         words = [
-            text.word(letter, at[:, axis] if axis != E else delta[:, E], DECIMALS[axis], shown[:, axis])
+            text.word(
+                letter, at[:, axis] if axis != E else delta[:, E], DECIMALS[axis], shown[:, axis]
+            )
             for axis, letter in enumerate((b" X", b" Y", b" Z", b" E"))
         ]
         self._at, self._feed, self._before = at[-1], int(feed[-1]), float(v[-1])

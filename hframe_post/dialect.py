@@ -12,7 +12,13 @@ STAMP = b"; processed by hframe-post"
 
 MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJRP", "G3": "XYZEFIJRP", "G92": "XYZE"}
 MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
-LIMIT_WORDS = {"M201": "XYZEFST", "M203": "XYZEFST", "M204": "PRST", "M205": "XYZEJSTB", "M220": "SBR"}
+LIMIT_WORDS = {
+    "M201": "XYZEFST",
+    "M203": "XYZEFST",
+    "M204": "PRST",
+    "M205": "XYZEJSTB",
+    "M220": "SBR",
+}
 MISREAD = {
     "G5": "splines cannot be followed",
     "G5.1": "splines cannot be followed",

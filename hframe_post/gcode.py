@@ -124,7 +124,7 @@ class _Reader:
         """One straight move to the file's coordinates."""
         old, new = self.position, self._target(x, y, z, e)
         self.moved = True
-        if not (-FARTHEST < min(new) and max(new) < FARTHEST):
+        if not (min(new) > -FARTHEST and max(new) < FARTHEST):
             raise GcodeError("a coordinate is out of all bounds", number, text)
         if not all(self.known) and self._from_unknown(x, y, z):
             self._passthrough(number, text, Handling.YIELD, filament=new[3] - old[3])

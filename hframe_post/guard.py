@@ -21,6 +21,7 @@ from hframe_post.stream import TS, Samples, Z, frozen
 REACH = 80  # samples over which a clamp sets in and fades out
 TAKE_MORE = 0.9  # share of the excess-free compensation that a clamp leaves
 LEEWAY = 1.0 + 1e-9  # limits met exactly are met
+SLACK = 1e-9  # mm, to the same end
 
 
 @dataclass
@@ -42,10 +43,13 @@ def guard(
     Fills ``peaks`` as it flows. Raises LimitError.
     """
     for stretch in stretches(blocks):
-        for block, wide, where in with_neighbours(stretch, 2, 0):
+        before = np.zeros((0, 2))  # the last two commands
+        for block in stretch:
             if len(block):
+                command = np.concatenate([before, block.commands[written]])
                 _check_travel(block, block.commands[written], travel)
-                _check_motors(wide, wide.commands[written], where.start, motors, peaks)
+                _check_motors(block, command, len(before), motors, peaks)
+                before = command[-2:]
             yield block
 
 
@@ -72,8 +76,8 @@ def _share(path: Array, command: Array, motors: Motors) -> Array:
     """Share of the compensation that the belts can follow, (n,), smooth over REACH samples."""
     needed = np.ones(len(path))
     for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
-        of_path = np.diff(belts(path), n=order, axis=0) / TS**order
-        of_command = np.diff(belts(command), n=order, axis=0) / TS**order
+        of_path = np.diff(belts(*path.T), n=order).T / TS**order
+        of_command = np.diff(belts(*command.T), n=order).T / TS**order
         over = np.abs(of_command) > limit * LEEWAY
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (np.copysign(limit, of_command) - of_path) / (of_command - of_path)
@@ -90,38 +94,41 @@ def _share(path: Array, command: Array, motors: Motors) -> Array:
 
 def _check_travel(block: Samples, command: Array, travel: Travel) -> None:
     for axis, (low, high) in enumerate((travel.x, travel.y)):
-        name = "xy"[axis]
         position = command[:, axis]
-        for bound, excess in ((low, low - position), (high, position - high)):
-            k = int(np.argmax(excess))
-            if excess[k] > 1e-9:
-                overshoot = abs(position[k] - block.xyze[k, axis])
+        for k, bound in ((int(position.argmin()), low), (int(position.argmax()), high)):
+            if position[k] < low - SLACK or position[k] > high + SLACK:
+                off = abs(position[k] - block.xyze[k, axis])
                 raise LimitError(
-                    f"{name} (mm)", float(position[k]), bound, int(block.line[k]),
-                    f"the compensation adds {overshoot:.3g} mm here: move the part "
-                    "inwards, widen [travel] in the profile, or use --on-limit clamp",
+                    f"{'xy'[axis]} (mm)", float(position[k]), bound, int(block.line[k]),
+                    f"the compensation adds {off:.3g} mm here: move the part inwards, "
+                    "widen [travel] in the profile if the bed allows it, or use --on-limit clamp",
                 )  # fmt: skip
 
 
-def _check_motors(wide: Samples, command: Array, start: int, motors: Motors, peaks: Peaks) -> None:
-    """Speeds and accelerations of the samples from ``start`` on."""
-    axes = np.abs(np.diff(command, n=2, axis=0)[max(start - 2, 0) :]) / TS**2
-    if len(axes):
-        peaks.axis_acceleration = np.maximum(peaks.axis_acceleration, axes.max(axis=0))
-    position = belts(command)
+def _check_motors(block: Samples, command: Array, known: int, motors: Motors, peaks: Peaks) -> None:
+    """Speed and acceleration of a block's commands, ``known`` ones before it in front."""
+    x, y = command[:, 0], command[:, 1]
+    a, b = belts(x, y)
+    for axis, position in enumerate((x, y)):
+        peak = _greatest(np.diff(position, n=2)) / TS**2
+        peaks.axis_acceleration[axis] = max(peaks.axis_acceleration[axis], peak)
     for order, name, limit in (
         (1, "velocity", motors.belt_velocity),
         (2, "acceleration", motors.belt_acceleration),
     ):
-        value = np.abs(np.diff(position, n=order, axis=0)[max(start - order, 0) :]) / TS**order
-        if not len(value):
-            continue
-        peak = float(value.max())
-        setattr(peaks, f"belt_{name}", max(getattr(peaks, f"belt_{name}"), peak))
-        if peak > limit * LEEWAY:
-            k = int(np.argmax(value.max(axis=1))) + max(start - order, 0) + order
-            raise LimitError(
-                f"belt {name} (mm/s{'²' * (order - 1)})", peak, limit, int(wide.line[k]),
-                "raise effort in [compensation], lower the print's speed or acceleration, "
-                f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
-            )  # fmt: skip
+        for belt in (a, b):
+            value = np.diff(belt, n=order)
+            peak = _greatest(value) / TS**order
+            setattr(peaks, f"belt_{name}", max(getattr(peaks, f"belt_{name}"), peak))
+            if peak > limit * LEEWAY:
+                k = max(int(np.abs(value).argmax()) + order - known, 0)
+                raise LimitError(
+                    f"belt {name} (mm/s{'²' * (order - 1)})", peak, limit, int(block.line[k]),
+                    "raise effort in [compensation], lower the print's speed or acceleration, "
+                    f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
+                )  # fmt: skip
+
+
+def _greatest(values: Array) -> float:
+    """Greatest magnitude."""
+    return float(max(values.max(initial=0.0), -values.min(initial=0.0)))

@@ -7,6 +7,6 @@ import numpy as np
 from hframe_post.arrays import Array
 
 
-def belts(xy: Array) -> Array:
-    """Belt positions (n, 2) of nozzle positions (n, 2), mm."""
-    return np.stack([xy[:, 0] + xy[:, 1], xy[:, 0] - xy[:, 1]], axis=1)
+def belts(x: Array, y: Array) -> Array:
+    """Belt positions A, B, (2, n), at nozzle positions x, y (n,), mm."""
+    return np.stack([x + y, x - y])

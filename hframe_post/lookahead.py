@@ -29,7 +29,9 @@ from hframe_post.stream import E, Handling, Item, Mark, Moves, Passthrough, Plan
 
 BATCH = 4096  # moves planned at once; more only where none of them is final
 LONGEST_QUEUE = 16 * BATCH
-FEASIBLE = 1.0 - 1e-6  # share of acceleration and jerk planned with; the rest keeps Ruckig off its edge
+FEASIBLE = (
+    1.0 - 1e-6
+)  # share of acceleration and jerk planned with; the rest keeps Ruckig off its edge
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
 BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
 CREEP = 0.01  # mm/s; a junction that allows less is a stop

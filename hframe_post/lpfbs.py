@@ -24,8 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.plant import TransferFunction, scan
 from hframe_post.arrays import Array
+from hframe_post.plant import Recursion, TransferFunction
 
 RANK_TOLERANCE = 1e-11  # smallest singular value, relative, of a window that can be solved
 
@@ -93,7 +93,7 @@ class Lpfbs:
         self._basis = uniform_basis(window.L, window.degree)
         K_target, K_past, step_target, step_past = _solve(G, window)
         self._K_target, self._K_past = K_target[: window.n_up], K_past[: window.n_up]
-        self._step_target, self._step_past = step_target, step_past
+        self._step_target, self._recursion = step_target, Recursion(step_past)
         self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
         if self.radius >= 1.0:
@@ -112,7 +112,7 @@ class Lpfbs:
         w = self.window
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
         X = np.ascontiguousarray(windows)
-        past, s = scan(self._step_past, X @ self._step_target.T, s)
+        past, s = self._recursion.run(X @ self._step_target.T, s)
         p = X @ self._K_target.T  # (W, n_up), eq. 30
         p += past @ self._K_past.T
         control = np.concatenate([past[0, -w.degree :], p.ravel()])
@@ -145,9 +145,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
         )
     pinv = (Vt.T / sigma) @ U.T
     K_target = pinv[:, : w.L_C]
-    free = np.block(
-        [[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_all[:, :past]]]
-    )
+    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_all[:, :past]]])
     K_past = -pinv @ free
     step_target, step_past = _step(G, w, N_P, N_C, K_target, K_past)
     return K_target, K_past, step_target, step_past

@@ -32,7 +32,7 @@ class OutputFile:
 
     def __enter__(self) -> OutputFile:
         folder = self._path.parent if self._path is not None else None
-        self._file = tempfile.NamedTemporaryFile(  # noqa: SIM115
+        self._file = tempfile.NamedTemporaryFile(
             dir=folder, prefix=".hframe-post-", suffix=".tmp", delete=False
         )
         return self

@@ -1,7 +1,7 @@
 """The tool in one look: a sliced file in, the same print with compensated commands out.
 
-    lines → gcode → lookahead → profile → compensate → settle → guard → dense_gcode → text
-                                                               ↘ simulate → report
+lines → gcode → lookahead → profile → compensate → settle → guard → dense_gcode → text
+                                                           ↘ simulate → report
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from hframe_post import __version__
+from hframe_post.ahead import ahead
 from hframe_post.compensate import Compensator, compensate
 from hframe_post.dense_gcode import Late, Ledger, Output, write
 from hframe_post.dialect import STAMP
@@ -26,6 +27,7 @@ from hframe_post.settle import LEAD_SHARE, settle
 from hframe_post.simulate import contour_errors
 from hframe_post.stream import TS, E, Item, Moves, Rest, Samples, Standing
 
+JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
 
 
@@ -65,9 +67,9 @@ def convert(
         printer.name.encode(),
         settings_hash(printer, options).encode(),
     )
-    commands = commanded(counted(lines, report), printer, compensator, options, report)
+    commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
     if options.predict:
-        commands = predicted(commands, printer, report)
+        commands = ahead(predicted(commands, printer, report))
     dialect = Dialect(printer.firmware, StreamLimits.of(printer.limits, printer.motors))
     ledger = Ledger()
     output = write(timed(commands, report), options.strategy, dialect, options.tolerance, ledger)
@@ -92,9 +94,7 @@ def commanded(
     limits, chosen = printer.limits, options.strategy
     tolerance = printer.compensation.settle_tolerance
     lever = max(abs(edge - printer.plant.x_c) for edge in printer.travel.x)
-    rests = compensator.rests(
-        limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance
-    )
+    rests = compensator.rests(limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance)
     items = measured(read(lines, printer.firmware.dialect, options.file_limits), report)
     samples = sample(plan(items, limits), limits, rests)
     commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
@@ -120,7 +120,7 @@ def settings_hash(printer: Printer, options: Options) -> str:
 
 def counted(lines: Iterable[bytes], report: Report) -> Iterator[bytes]:
     """The lines as they are, counted."""
-    for report.lines_read, line in enumerate(lines, 1):  # noqa: B007
+    for report.lines_read, line in enumerate(lines, 1):
         yield line
 
 
@@ -140,7 +140,7 @@ def measured(items: Iterable[Item], report: Report) -> Iterator[Item]:
 
 def predicted(commands: Iterable[Samples], printer: Printer, report: Report) -> Iterator[Samples]:
     """The commands as they are; how well the nozzle follows is reported."""
-    for block, errors in contour_errors(commands, printer.plant):
+    for block, errors in contour_errors(commands, printer.plant, JUDGED_EVERY):
         report.add_errors(errors)
         yield block
 

@@ -28,7 +28,8 @@ import numpy as np
 from hframe_post.arrays import Array
 
 REAL_TOLERANCE = 1e-12  # imaginary part below which a root counts as real
-BLOCK_SAMPLES = 128  # lifted blocks: matrix products on one side, the scan on the other
+STEPS_AT_ONCE = 8  # of a recursion, in one matrix product
+BLOCK_SAMPLES = 64  # lifted blocks: matrix products on one side, the scan on the other
 
 
 @dataclass(frozen=True)
@@ -114,11 +115,11 @@ class TransferFunction:
         G = np.where(delay >= 0, self.impulse(n)[np.maximum(delay, 0)], 0.0)
         return G, O, np.linalg.matrix_power(A, n), R
 
-
     @cached_property
-    def block(self) -> tuple[Array, Array, Array, Array]:
-        """Lifted form over BLOCK_SAMPLES."""
-        return self.lifted(BLOCK_SAMPLES)
+    def block(self) -> tuple[Array, Array, Recursion, Array]:
+        """Lifted form over BLOCK_SAMPLES: (G, O, recursion of the state, R)."""
+        G, O, An, R = self.lifted(BLOCK_SAMPLES)
+        return G, O, Recursion(An), R
 
 
 @dataclass(frozen=True)
@@ -143,16 +144,17 @@ class LiftedFilter:
     """
 
     def __init__(self, transfer_function: TransferFunction) -> None:
-        self._G, self._O, self._An, self._R = transfer_function.block
+        self._G, self._O, self._recursion, self._R = transfer_function.block
         self._A = transfer_function.state_space[0]
         self._state = np.zeros(transfer_function.order)
 
     def run(self, u: Array) -> Array:
+        """The output of the next samples."""
         blocks, rest = divmod(len(u), BLOCK_SAMPLES)
         U = np.zeros((blocks + (rest > 0), BLOCK_SAMPLES))
         U.ravel()[: len(u)] = u
         forced = U @ self._R.T
-        states, self._state = scan(self._An, forced[:blocks], self._state)
+        states, self._state = self._recursion.run(forced[:blocks], self._state)
         if rest:  # a part of a block: the same with fewer samples
             states = np.vstack([states, self._state])
             before = np.linalg.matrix_power(self._A, rest) @ self._state
@@ -162,14 +164,39 @@ class LiftedFilter:
         return Y.ravel()[: len(u)]
 
 
-def scan(A: Array, W: Array, state: Array) -> tuple[Array, Array]:
-    """The states of s[k+1] = A s[k] + W[k] before each step, (n, d), and after the last."""
-    states = np.empty_like(W)
-    for k, w in enumerate(W):
-        states[k] = state
-        state = A.dot(state)
-        state += w
-    return states, state
+class Recursion:
+    """The states of s[k+1] = A s[k] + w[k], many steps in one matrix product.
+
+    Within STEPS_AT_ONCE steps the states are a product with the lower block triangle of
+    A^(i−1−k); only such groups follow one another.
+    """
+
+    def __init__(self, A: Array) -> None:
+        n, d = STEPS_AT_ONCE, len(A)
+        self._powers = [np.linalg.matrix_power(A, k) for k in range(n + 1)]
+        self._from_start = np.hstack([power.T for power in self._powers])
+        triangle = np.zeros((n, d, n + 1, d))  # w[k] to s[i]
+        for i in range(1, n + 1):
+            for k in range(i):
+                triangle[k, :, i] = self._powers[i - 1 - k].T
+        self._forced = triangle.reshape(n * d, -1)
+
+    def run(self, W: Array, state: Array) -> tuple[Array, Array]:
+        """States before each of the steps W (n, d), same shape, and the one after the last."""
+        n, d = W.shape
+        groups = -(-n // STEPS_AT_ONCE)
+        padded = np.zeros((groups, STEPS_AT_ONCE * d))
+        padded.reshape(-1, d)[:n] = W
+        states = (padded @ self._forced).reshape(groups, STEPS_AT_ONCE + 1, d)
+        starts = np.empty((groups, d))
+        for group, last in enumerate(states[:, -1]):
+            starts[group] = state
+            state = self._powers[-1].dot(state)
+            state += last
+        states += (starts @ self._from_start).reshape(states.shape)
+        full, part = divmod(n, STEPS_AT_ONCE)
+        after = states[full, part] if part else state
+        return states[:, :-1].reshape(-1, d)[:n], after
 
 
 def _sections(zeros: Array, poles: Array) -> list[tuple[Array, Array]]:

@@ -150,13 +150,33 @@ def parse(text: str, name: str, source: str = "") -> Printer:
     """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
     source = source or name
     try:
-        document = tomllib.loads(text)
+        document = _extended(tomllib.loads(text))
+        digest = hashlib.sha256(repr(document).encode()).hexdigest()[:12]
+        return _printer(document, name, digest)
     except tomllib.TOMLDecodeError as error:
         raise PrinterError(f"not valid TOML: {error}", source=source) from None
-    try:
-        return _printer(document, name, hashlib.sha256(text.encode()).hexdigest()[:12])
     except PrinterError as error:
         raise PrinterError(error.cause, error.key, source) from None
+
+
+def _extended(document: dict[str, Any]) -> dict[str, Any]:
+    """The document on top of the shipped profile that it extends, if any."""
+    if "extends" not in document:
+        return document
+    base, profiles = document["extends"], shipped()
+    if not isinstance(base, str) or base not in profiles:
+        raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", "extends")
+    own = {key: value for key, value in document.items() if key != "extends"}
+    return _merged(_extended(tomllib.loads(profiles[base])), own)
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """``own`` over ``base``, table by table; a transfer function is replaced whole."""
+    merged = dict(base)
+    for key, value in own.items():
+        tables = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if tables and "poles" not in value else value
+    return merged
 
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:

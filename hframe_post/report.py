@@ -41,9 +41,7 @@ class ErrorStatistics:
             self.peak = max(self.peak, float(errors.max()))
             bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
             top = len(self.histogram) - 1
-            self.histogram += np.bincount(
-                np.minimum(bins.astype(np.int64), top), minlength=top + 1
-            )
+            self.histogram += np.bincount(np.minimum(bins.astype(np.int64), top), minlength=top + 1)
 
     @property
     def rms(self) -> float:

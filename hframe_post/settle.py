@@ -10,11 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-import numpy as np
+from typing import TypeVar
 
-from hframe_post.arrays import Array, Flags
+import numpy as np
+from numpy.typing import NDArray
+
+from hframe_post.arrays import Array
 from hframe_post.recut import join, part
 from hframe_post.stream import Event, Mark, Pause, Rest, Samples, Z, frozen
+
+T = TypeVar("T", bound=np.generic)
 
 FADE = 10  # samples over which what is left of the command's deviation goes to zero
 LEAD_SHARE = 0.2  # of the tolerance before motion, whose first millimetres it would spoil
@@ -35,7 +40,7 @@ def settle(blocks: Iterable[Samples], written: str, tolerance: float) -> Iterato
             (
                 event.index - whole.first
                 for event in whole.events
-                if isinstance(event, Rest) and event.index + event.samples > whole.end
+                if not isinstance(event, Mark) and event.index + event.samples > whole.end
             ),
             default=len(whole),
         )
@@ -48,64 +53,77 @@ def settle(blocks: Iterable[Samples], written: str, tolerance: float) -> Iterato
             settled = _settled(whole, first, written, tolerance)
             first = settled.end
             yield settled
-    if held:  # a rest is always followed by its own samples
+    if held:  # a rest is always followed by all of its samples
         yield _settled(join(held), first, written, tolerance)
 
 
 def _settled(block: Samples, first: int, written: str, tolerance: float) -> Samples:
     """One block whose rests are complete, cut and renumbered to begin at ``first``."""
-    path = block.xyze[:, :Z]
-    deviation = np.abs(block.commands[written] - path).max(axis=1, initial=0.0)
-    keep = np.ones(len(block), dtype=bool)
-    fade = np.ones(len(block))
+    pieces: list[tuple[slice, Array | None]] = []  # what stays, and how much of the deviation
+    events: list[Event] = []
+    done = removed = 0
     for event in block.events:
+        at = event.index - block.first
+        index = first + at - removed
+        if isinstance(event, Mark):
+            events.append(Mark(index, event.text))
+            continue
+        pieces.append((slice(done, at), None))
+        done = at + event.samples
         if isinstance(event, Rest):
-            where = slice(event.index - block.first, event.index - block.first + event.samples)
-            keep[where], fade[where] = _cut(deviation[where], event.settling, tolerance)
-        elif isinstance(event, Pause):
-            start = event.index - block.first
-            fade[start : start + event.samples] = 0.0
-    commands = {}
-    for name, xy in block.commands.items():
-        faded = path + fade[:, None] * (xy - path) if name != "none" else path
-        commands[name] = frozen(faded[keep])
+            rest = slice(at, done)
+            off = np.abs(block.commands[written][rest] - block.xyze[rest, :Z])
+            fade = _fade(np.maximum(off[:, 0], off[:, 1]), event.settling, tolerance)
+            left = slice(at, at + len(fade)) if event.settling else slice(done - len(fade), done)
+            pieces.append((left, fade))
+            removed += event.samples - len(fade)
+            events.append(Rest(index, len(fade), event.settling))
+        else:
+            pieces.append((slice(at, done), np.zeros(event.samples)))
+            events.append(Pause(index, event.samples, event.action, event.exact))
+    pieces.append((slice(done, len(block)), None))
     return Samples(
         first,
-        frozen(block.xyze[keep]),
-        block.line[keep],
-        _renumbered(block, keep, first),
-        commands,
+        _kept(block.xyze, pieces),
+        _kept(block.line, pieces),
+        tuple(events),
+        {name: _faded(xy, block.xyze[:, :Z], pieces) for name, xy in block.commands.items()},
     )
 
 
-def _cut(deviation: Array, settling: bool, tolerance: float) -> tuple[Flags, Array]:
-    """Samples of a rest to keep, and what share of the deviation; both (n,)."""
-    n = len(deviation)
+def _fade(deviation: Array, settling: bool, tolerance: float) -> Array:
+    """Share of the deviation that the samples of a rest keep, (k,) for the k that are needed.
+
+    The needed ones are the first of the n of a settling rest, and the last of a leading one.
+    """
     away = deviation if settling else deviation[::-1]  # seen from the motion
-    tolerance *= 1.0 if settling else LEAD_SHARE
-    keep, fade = np.zeros(n, dtype=bool), np.zeros(n)
-    if n and away[0] > NOTHING:
-        beyond = np.flatnonzero(away > tolerance)
-        needed = int(beyond[-1]) + 1 if len(beyond) else 0
-        length = min(needed + FADE, n)
-        ramp = np.arange(1, length - max(length - FADE, 0) + 1)
-        keep[:length], fade[:length] = True, 1.0
-        fade[length - len(ramp) : length] = 0.5 + 0.5 * np.cos(np.pi * ramp / len(ramp))
-    return (keep, fade) if settling else (keep[::-1], fade[::-1])
+    if not len(away) or away[0] <= NOTHING:
+        return np.zeros(0)
+    beyond = np.flatnonzero(away > (tolerance if settling else LEAD_SHARE * tolerance))
+    needed = int(beyond[-1]) + 1 if len(beyond) else 0
+    length = min(needed + FADE, len(away))
+    ramp = np.arange(1, min(FADE, length) + 1) / min(FADE, length)
+    fade = np.ones(length)
+    fade[length - len(ramp) :] = 0.5 + 0.5 * np.cos(np.pi * ramp)
+    return fade if settling else fade[::-1]
 
 
-def _renumbered(block: Samples, keep: Flags, first: int) -> tuple[Event, ...]:
-    """The events at the samples that are left; rests say how much of them is left."""
-    before = first + np.concatenate([[0], np.cumsum(keep)])
-    events: list[Event] = []
-    for event in block.events:
-        at = event.index - block.first
-        index = int(before[at])
-        if isinstance(event, Rest):
-            left = int(before[at + event.samples]) - index
-            events.append(Rest(index, left, event.settling))
-        elif isinstance(event, Pause):
-            events.append(Pause(index, event.samples, event.action, event.exact))
-        else:
-            events.append(Mark(index, event.text))
-    return tuple(events)
+def _kept(column: NDArray[T], pieces: list[tuple[slice, Array | None]]) -> NDArray[T]:
+    """The rows that stay."""
+    kept = np.concatenate([column[rows] for rows, _ in pieces])
+    kept.flags.writeable = False
+    return kept
+
+
+def _faded(command: Array, path: Array, pieces: list[tuple[slice, Array | None]]) -> Array:
+    """A command (n, 2) with its rows cut, and its deviation from the path faded."""
+    return frozen(
+        np.concatenate(
+            [
+                command[rows]
+                if fade is None
+                else path[rows] + fade[:, None] * (command[rows] - path[rows])
+                for rows, fade in pieces
+            ]
+        )
+    )

@@ -11,12 +11,16 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags
+from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.plant import LiftedFilter, Plant
 from hframe_post.recut import stretches, with_neighbours
 from hframe_post.stream import Pause, Rest, Samples, X, Y, Z, frozen
 
 NEAREST = 24  # samples to either side in which the path's nearest point is sought
+COARSE = 3  # samples from one candidate to the next in the first search
+STRAIGHT = 1e-6  # sine of an angle that is none
+SEARCHED = 128  # successive samples searched together
+ROWS_IN_CACHE = 32
 
 
 class Response:
@@ -48,22 +52,27 @@ def predict(blocks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
 
 
 def contour_errors(
-    blocks: Iterable[Samples], plant: Plant
+    blocks: Iterable[Samples], plant: Plant, every: int = 1
 ) -> Iterator[tuple[Samples, dict[str, Array]]]:
     """Each block and, for every strategy, the contour error of its samples in motion, mm.
 
-    Samples at which the machine rests for something else are left out: nothing of the path
-    is traced there.
+    Of the samples ``every`` second, third, … counts. Those at which the machine rests for
+    something else are left out: nothing of the path is traced there.
     """
     for stretch in stretches(blocks):
         originals: deque[Samples] = deque()
         predicted = _predicted(stretch, plant, originals)
         for block, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
-            moving, path = in_motion(block), wide.xyze[:, :Z]
-            yield originals.popleft(), {
-                name: contour_error(path, actual, where.start)[moving]
-                for name, actual in block.commands.items()
-            }
+            first = -block.first % every
+            moving = in_motion(block)[first::every]
+            at = np.arange(where.start + first, where.stop, every)
+            yield (
+                originals.popleft(),
+                {
+                    name: contour_error(wide.xyze[:, :Z], actual[first::every], at)[moving]
+                    for name, actual in block.commands.items()
+                },
+            )
 
 
 def _predicted(
@@ -86,38 +95,106 @@ def in_motion(block: Samples) -> Flags:
     return moving
 
 
-def contour_error(path: Array, actual: Array, start: int) -> Array:
-    """Distance (n,) of ``actual`` (n, 2) to the path (p, 2) whose sample ``start`` is its first.
+def contour_error(path: Array, actual: Array, at: Integers) -> Array:
+    """Distance (n,) of the points ``actual`` (n, 2), equally far apart in time, to the path.
 
-    The path is the polyline through its samples within NEAREST of each: first the nearest
-    sample is found, then the nearer of the two segments that meet there.
+    path (p, 2): the desired samples; at (n,): which of them belongs to each point. The path
+    is the polyline through its samples within NEAREST of that. Where this is one straight
+    line, it is taken as such; elsewhere the nearest sample is found first, then the nearer
+    of the two segments that meet there.
     """
     n, p = len(actual), len(path)
     if not n:
         return np.zeros(0)
-    middle = path[start]
-    near = np.pad((path - middle).astype(np.float32), ((NEAREST, NEAREST), (0, 0)), mode="edge")
-    here = (actual - middle).astype(np.float32)
-    px, py = np.ascontiguousarray(near[:, 0]), np.ascontiguousarray(near[:, 1])
-    ax, ay = np.ascontiguousarray(here[:, 0]), np.ascontiguousarray(here[:, 1])
-    best = np.full(n, np.inf, dtype=np.float32)
-    nearest = np.zeros(n, dtype=np.int16)
-    for shift in range(2 * NEAREST + 1):
-        at = slice(start + shift, start + shift + n)
-        dx, dy = ax - px[at], ay - py[at]
+    px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
+    ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
+    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
+    turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
+    straight = turns[high] == turns[low + 1]  # none strictly between
+    error = _to_segment(ax, ay, px[low], py[low], px[high], py[high])
+    rows = np.logical_or.reduceat(~straight, np.arange(0, n, SEARCHED))
+    which = np.flatnonzero(np.repeat(rows, SEARCHED)[:n])  # neighbours are searched together
+    if len(which):
+        ax, ay = ax[which], ay[which]
+        every = int(at[1] - at[0]) if n > 1 else 1
+        k = _nearest(px, py, ax, ay, at[which], every)
+        x, y = px[k], py[k]
+        before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
+        error[which] = np.minimum(
+            _to_segment(ax, ay, x, y, px[before], py[before]),
+            _to_segment(ax, ay, x, y, px[after], py[after]),
+        )
+    return np.sqrt(error)
+
+
+def _turns(px: Array, py: Array) -> Flags:
+    """Samples (p,) at which the path through p points leaves its direction."""
+    dx, dy = np.diff(px), np.diff(py)
+    cross, dot = dx[:-1] * dy[1:] - dy[:-1] * dx[1:], dx[:-1] * dx[1:] + dy[:-1] * dy[1:]
+    still = (dx == 0.0) & (dy == 0.0)
+    turning = (np.abs(cross) > STRAIGHT * np.abs(dot)) | (dot < 0.0)
+    turns = np.ones(len(px), dtype=bool)
+    turns[1:-1] = turning | (still[:-1] != still[1:])
+    return turns
+
+
+def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: int) -> Integers:
+    """Samples within NEAREST of ``at`` (q,) that are nearest to the points a (q,).
+
+    ``at`` comes in rows of SEARCHED samples, ``every`` apart, the last row perhaps shorter.
+    """
+    q, span = len(at), SEARCHED * every
+    width = span + 2 * NEAREST
+    rows = -(-q // SEARCHED)
+    window = np.clip(at[::SEARCHED, None] - NEAREST + np.arange(width), 0, len(px) - 1)
+    middle_x, middle_y = px[at[0]], py[at[0]]  # small numbers for single precision
+    wx, wy = (px - middle_x).astype(np.float32)[window], (py - middle_y).astype(np.float32)[window]
+    here = np.zeros((2, rows * SEARCHED), dtype=np.float32)
+    here[0, :q], here[1, :q] = ax - middle_x, ay - middle_y
+    here = here.reshape(2, rows, SEARCHED)
+    nearest = np.zeros((rows, SEARCHED), dtype=np.int8)
+    for r in range(0, rows, ROWS_IN_CACHE):
+        some = slice(r, r + ROWS_IN_CACHE)
+        x, y, best = here[0, some], here[1, some], np.full(here[0, some].shape, np.inf, np.float32)
+        dx, dy = np.empty_like(x), np.empty_like(y)
+        for shift in range(0, 2 * NEAREST + 1, COARSE):
+            np.subtract(x, wx[some, shift : shift + span : every], out=dx)
+            np.subtract(y, wy[some, shift : shift + span : every], out=dy)
+            np.multiply(dx, dx, out=dx)
+            np.multiply(dy, dy, out=dy)
+            np.add(dx, dy, out=dx)
+            np.copyto(nearest[some], shift, where=dx < best)
+            np.minimum(best, dx, out=best)
+    coarse = at - NEAREST + nearest.ravel()[:q]
+    return _refined(px, py, ax, ay, (coarse - 1, coarse, coarse + 1, at - 1, at, at + 1))
+
+
+def _refined(
+    px: Array, py: Array, ax: Array, ay: Array, candidates: tuple[Integers, ...]
+) -> Integers:
+    """The nearest of the candidate samples (each (q,)) to each point.
+
+    They are what the coarse search passed over: around its result, and around the sample of
+    the same time, which is right at sharp corners where the nozzle follows well.
+    """
+    nearest, best = candidates[0], np.full(len(ax), np.inf)
+    for candidate in candidates:
+        k = np.clip(candidate, 0, len(px) - 1)
+        dx, dy = px[k] - ax, py[k] - ay
         distance2 = dx * dx + dy * dy
-        closer = distance2 < best
-        np.copyto(nearest, shift, where=closer)
+        nearest = np.where(distance2 < best, k, nearest)
         np.minimum(best, distance2, out=best)
-    k = np.clip(np.arange(start - NEAREST, start - NEAREST + n) + nearest, 0, p - 1)
-    left = _to_segment(path, np.maximum(k - 1, 0), k, actual)
-    return np.minimum(left, _to_segment(path, k, np.minimum(k + 1, p - 1), actual))
+    return nearest
 
 
-def _to_segment(path: Array, i: Array, j: Array, point: Array) -> Array:
-    """Distance (n,) of points (n, 2) to the segments path[i]–path[j]."""
-    along, to = path[j] - path[i], point - path[i]
-    length2 = (along * along).sum(axis=1)
-    share = np.divide((to * along).sum(axis=1), length2, out=np.zeros(len(to)), where=length2 > 0)
-    off = to - np.clip(share, 0.0, 1.0)[:, None] * along
-    return np.sqrt((off * off).sum(axis=1))
+def _to_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array) -> Array:
+    """Squared distance (q,) of points a to the segments from p to q, all (q,)."""
+    dx, dy, ax, ay = qx - px, qy - py, ax - px, ay - py
+    length2 = dx * dx + dy * dy
+    share = np.divide(ax * dx + ay * dy, length2, out=np.zeros(len(ax)), where=length2 > 0.0)
+    np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
+    dx *= share
+    dy *= share
+    ax -= dx
+    ay -= dy
+    return ax * ax + ay * ay

@@ -1,6 +1,8 @@
-"""Rows of numbers as G-code text, many at once."""
+"""Rows of numbers as G-code text, many at once, from tables of digits."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,32 +11,26 @@ from hframe_post.arrays import Flags, Integers
 
 Bytes = NDArray[np.uint8]
 MINUS, POINT, ZERO = b"-.0"
+WHOLE_DIGITS = 5  # before the point; a printer has no use for more
 
 
 def word(letter: bytes, values: Integers, decimals: int, shown: Flags) -> Bytes:
     """`` X-12.5`` for each of n values in units of 10^−decimals: (n, width), 0 where nothing.
 
-    No exponent, no negative zero, no trailing zeros; rows not ``shown`` are all 0.
+    No exponent, no negative zero, no trailing zeros; rows not ``shown`` are all 0. Raises
+    OverflowError for numbers with more than WHOLE_DIGITS before the point.
     """
-    magnitude = np.abs(values)
-    digits = max(len(str(int(magnitude.max(initial=0)))), decimals + 1)
-    whole = digits - decimals
-    text = np.zeros((len(values), len(letter) + 1 + digits + 1), dtype=np.uint8)
-    text[:, : len(letter)] = np.frombuffer(letter, dtype=np.uint8)
-    start = len(letter)
-    text[:, start] = np.where(values < 0, MINUS, 0)
-    rest, tail = magnitude, np.zeros(len(values), dtype=bool)
-    for place in range(digits):  # from the last digit to the first
-        rest, digit = np.divmod(rest, 10)
-        if place < decimals:
-            tail |= digit != 0
-            visible = tail
-        else:
-            visible = (digit != 0) | (rest != 0) if place > decimals else np.ones_like(tail)
-        column = start + 1 + digits - place - (place >= decimals)
-        text[:, column] = np.where(visible, ZERO + digit, 0)
-    if decimals:
-        text[:, start + 1 + whole] = np.where(tail, POINT, 0)
+    n, width = len(values), len(letter)
+    whole, fraction = np.divmod(np.abs(values).astype(np.uint32), np.uint32(10**decimals))
+    top = int(whole.max(initial=0))
+    if top >= 10**WHOLE_DIGITS or np.abs(values).max(initial=0) >= 2**32:
+        raise OverflowError("a number is too long to be written")
+    digits = 3 if top < 1000 else WHOLE_DIGITS
+    text = np.empty((n, width + 1 + digits + 1 + decimals), dtype=np.uint8)
+    text[:, :width] = np.frombuffer(letter, dtype=np.uint8)
+    text[:, width] = np.where(values < 0, MINUS, 0)
+    text[:, width + 1 : width + 1 + digits] = _wholes(digits)[whole]
+    text[:, width + 1 + digits :] = _fractions(decimals)[fraction]
     text[~shown] = 0
     return text
 
@@ -47,3 +43,32 @@ def lines(command: bytes, words: list[Bytes]) -> tuple[bytes, Integers]:
     table = np.concatenate([head, *words, end], axis=1)
     visible = table != 0
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
+
+
+@cache
+def _wholes(digits: int) -> Bytes:
+    """Every whole number of so many digits without leading zeros, (10^digits, digits)."""
+    table, visible = _digits(digits), np.zeros(10**digits, dtype=bool)
+    for place in range(digits - 1):
+        visible |= table[:, place] != ZERO
+        table[~visible, place] = 0
+    return table
+
+
+@cache
+def _fractions(digits: int) -> Bytes:
+    """The point and every fraction without trailing zeros, (10^digits, 1 + digits)."""
+    table = np.full((10**digits, 1 + digits), POINT, dtype=np.uint8)
+    table[:, 1:] = _digits(digits)
+    visible = np.zeros(10**digits, dtype=bool)
+    for place in range(digits, -1, -1):
+        if place:
+            visible |= table[:, place] != ZERO
+        table[~visible, place] = 0
+    return table
+
+
+def _digits(digits: int) -> Bytes:
+    """Every number of so many digits, (10^digits, digits)."""
+    numbers = np.arange(10**digits)[:, None] // 10 ** np.arange(digits - 1, -1, -1)
+    return (ZERO + numbers % 10).astype(np.uint8)

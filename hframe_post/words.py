@@ -11,8 +11,7 @@ from hframe_post.errors import GcodeError
 
 _NUMBER = rb"([-+.\d]+)"
 PLAIN_MOVE = re.compile(  # as slicers write it, words in their order; all else is read slowly
-    rb"G([01])(?: F%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?\s*(?:;.*)?$"
-    % ((_NUMBER,) * 6)
+    rb"G([01])(?: F%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?\s*(?:;.*)?$" % ((_NUMBER,) * 6)
 )
 _COMMENT = re.compile(rb"\([^()]*\)|;.*")
 _COMMAND = re.compile(rb"\s*(?:[Nn]\s*\d+\s*)?([GMTgmt])\s*(\d+)(?:\.(\d+))?(?![\d_])")
