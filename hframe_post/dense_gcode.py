@@ -22,6 +22,7 @@ from hframe_post.stream import TS, E, Handling, Mark, Pause, Samples, Standing, 
 
 CHUNK = 2048 * LONGEST  # samples written at once
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
+CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
 PER_MM = np.array([1e3, 1e3, 1e3, 1e5])  # output units of x, y, z, e
 DECIMALS = (3, 3, 3, 5)
 PER_FEED = 600.0  # F in tenths of mm/min of a speed in mm/s
@@ -181,9 +182,9 @@ class _Writer:
         delta = np.diff(at, axis=0, prepend=self._at[None])  # type: ignore[index]
         rest = np.concatenate([dwell, [last]])
         rest[0] |= self._before == 0.0
-        T = T * (1.0 - np.clip(self._late / T.sum(), -0.01, 0.01))
+        hurried = T * (1.0 - np.clip(self._late / T.sum(), -CATCH_UP, CATCH_UP))
         limits, mm = self._dialect.limits, delta / PER_MM
-        v = klipper.speeds(mm, T, rest, self._before, limits)
+        v = klipper.speeds(mm, hurried, rest, self._before, limits)
         feed = np.maximum(np.rint(v * PER_FEED), 1.0).astype(np.int64)
         taken = klipper.durations(mm, feed / PER_FEED, rest, self._before, limits)
         self._late += float((taken - T).sum())
@@ -237,10 +238,12 @@ class _Writer:
     def _pause(self, pause: Pause) -> Iterator[Output]:
         action = pause.action
         if isinstance(action, Standing):
+            lifts = action.end[Z] != action.start[Z]
             yield from self._enter()
+            yield from self._dwell(0, stop=lifts)
             yield from self._standing(action)
             self._late += pause.exact - pause.samples * TS
-            yield from self._dwell(0)
+            yield from self._dwell(0, stop=lifts)
         elif action.handling is Handling.YIELD:
             if self._inside:
                 yield b"".join(line + b"\n" for line in self._dialect.end(action.state))
@@ -264,12 +267,17 @@ class _Writer:
             e = f" E{klipper.plain(de / PER_MM[E], DECIMALS[E])}" if de else ""
             yield f"G1{z}{e} F{klipper.plain(self._feed / 10.0, 1)}\n".encode()
 
-    def _dwell(self, samples: int) -> Iterator[Output]:
-        """Standstill for so long, less what the machine is late."""
+    def _dwell(self, samples: int, stop: bool = False) -> Iterator[Output]:
+        """Standstill for so long, less what the machine is late.
+
+        stop: even if that is nothing. Without it Klipper would round the corner between a
+        lift and the motion next to it, and be early.
+        """
         seconds = samples * TS - self._late
-        if seconds >= TS / 2.0 and self._inside:
-            yield b"G4 P%s\n" % klipper.plain(seconds * 1e3, 3).encode()
-            self._late = 0.0
+        if self._inside and (stop or seconds >= TS / 2.0):
+            waited = max(round(seconds, 6), 0.0)
+            yield b"G4 P%s\n" % klipper.plain(waited * 1e3, 3).encode()
+            self._late += waited - samples * TS
 
     def _enter(self) -> Iterator[Output]:
         """Takes the machine over, if it is not in our hands."""
