@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import click
-from click_default_group import DefaultGroup
 
 from hframe_post import __version__
 
@@ -29,8 +28,15 @@ BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
 BAR_EVERY = 500  # lines between its steps
 
 
-class _Commands(DefaultGroup):  # type: ignore[misc]
-    """Errors of the package become one line and exit status 1, for every command."""
+class _Commands(click.Group):
+    """What is no command's name belongs to ``convert``; errors become one line and status 1."""
+
+    def resolve_command(
+        self, context: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self.commands:
+            args = ["convert", *args]
+        return super().resolve_command(context, args)
 
     def invoke(self, context: click.Context) -> Any:
         from hframe_post.errors import HframeError
@@ -48,9 +54,8 @@ class _Commands(DefaultGroup):  # type: ignore[misc]
 
 @click.group(
     cls=_Commands,
-    default="convert",
-    default_if_no_args=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "ignore_unknown_options": True},
 )
 @click.version_option(__version__, prog_name="hframe-post")
 def main() -> None:

@@ -49,4 +49,4 @@ def _fits(points: Array, forced: Flags, tolerance: float) -> Flags:
     np.square(off, out=off)
     within = off[..., 0] + off[..., 1] <= tolerance**2
     within &= (off[..., 2] <= tolerance**2) & (off[..., 3] <= tolerance**2)
-    return within.all(axis=1) & ~forced.any(axis=1)
+    return np.asarray(within.all(axis=1) & ~forced.any(axis=1))

@@ -85,7 +85,7 @@ def _share(path: Array, command: Array, motors: Motors) -> Array:
         needed[order:] = np.minimum(needed[order:], share)
     share = np.ones(len(path))
     ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-REACH, REACH + 1) / (REACH + 1))
-    for k in np.flatnonzero(needed < 1.0):  # few: the places where a limit is exceeded
+    for k in np.flatnonzero(needed < 1.0).tolist():  # few: the places where a limit is exceeded
         low, high = max(k - REACH, 0), min(k + REACH + 1, len(share))
         taken = (1.0 - needed[k]) * ramp[low - k + REACH : high - k + REACH]
         share[low:high] = np.minimum(share[low:high], 1.0 - taken)

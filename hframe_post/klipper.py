@@ -60,7 +60,7 @@ def speeds(delta: Array, T: Array, rest: Flags, before: float, limits: StreamLim
         S = a * T + v_s + v_e
         c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
         v = (S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0
-    return v
+    return np.asarray(v)
 
 
 def durations(delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
@@ -69,7 +69,8 @@ def durations(delta: Array, v: Array, rest: Flags, before: float, limits: Stream
     a, top = _segment_limits(delta, d, limits)
     v = np.minimum(v, top)
     v_s, v_e = _ends(v, np.where(rest, 0.0, junctions(delta, d, a, limits)), before)
-    return (d + (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)) / v
+    ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
+    return np.asarray((d + ramps) / v)
 
 
 def _ends(v: Array, caps: Array, before: float) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Complex
 
 REAL_TOLERANCE = 1e-12  # imaginary part below which a root counts as real
 STEPS_AT_ONCE = 8  # of a recursion, in one matrix product
@@ -40,8 +40,8 @@ class TransferFunction:
     Raises ValueError where this does not hold.
     """
 
-    zeros: Array
-    poles: Array
+    zeros: Complex
+    poles: Complex
     gain: float
 
     def __post_init__(self) -> None:
@@ -70,10 +70,11 @@ class TransferFunction:
         """Gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)
 
-    def response(self, omega: Array) -> Array:
+    def response(self, omega: Array) -> Complex:
         """Complex frequency response at ``omega`` (rad/sample), same shape."""
         z = np.exp(1j * omega)[..., None]
-        return self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
+        numerator, denominator = (np.prod(z - roots, axis=-1) for roots in (self.zeros, self.poles))
+        return np.asarray(self.gain * numerator / denominator)
 
     @cached_property
     def state_space(self) -> tuple[Array, Array, Array, float]:
@@ -199,7 +200,7 @@ class Recursion:
         return states[:, :-1].reshape(-1, d)[:n], after
 
 
-def _sections(zeros: Array, poles: Array) -> list[tuple[Array, Array]]:
+def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
     """Second-order sections (num (≤3,), den (≤3,)): each pole pair with its nearest zeros.
 
     Pairs nearest to the unit circle choose first, so that no section has a large gain.
@@ -225,13 +226,16 @@ def _sections(zeros: Array, poles: Array) -> list[tuple[Array, Array]]:
                     continue
             left.remove(nearest)
             chosen.append(nearest)
-        sections.append((np.poly(chosen).real if chosen else np.ones(1), np.poly(group).real))
+        num = np.poly(np.array(chosen)).real if chosen else np.ones(1)
+        sections.append(
+            (np.asarray(num, dtype=float), np.asarray(np.poly(group).real, dtype=float))
+        )
     if left:
         raise ValueError("zeros and poles do not pair into real second-order sections")
     return sections
 
 
-def _real_groups(roots: Array) -> list[Array]:
+def _real_groups(roots: Complex) -> list[Complex]:
     """Roots in groups of two that make real polynomials (a last real one may be alone)."""
     upper = roots[roots.imag > REAL_TOLERANCE]
     real = np.sort(roots[np.abs(roots.imag) <= REAL_TOLERANCE].real)

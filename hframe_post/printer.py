@@ -217,7 +217,7 @@ def _plant(table: dict[str, Any]) -> Plant:
             raise PrinterError("the key is missing", f"plant.{key}")
     if table["Ts"] != TS:
         raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
-    functions = {
+    functions: dict[str, TransferFunction] = {
         key: _transfer_function(table[key], f"plant.{key}")
         for key in ("Gxx", "Gyy", "Gxtheta")
         if key in table

@@ -108,7 +108,8 @@ class _Sampler:
         marks = list(plan.marks)
         for first in range(self._index, stop + 1, SAMPLES_PER_BLOCK):
             index = np.arange(first, min(first + SAMPLES_PER_BLOCK, stop + 1))
-            s = np.clip(phases.path((index - self._section) * TS), 0.0, plan.s[-1])
+            t = TS * (index - self._section).astype(float)
+            s = np.clip(phases.path(t), 0.0, plan.s[-1])
             if stops and index[-1] == stop:
                 s[-1] = plan.s[-1]
             xyze, move = _follow(plan, s)
@@ -308,7 +309,8 @@ def integrated(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
 def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
     """Runs whose profile goes backwards or does not end at their length, (r,)."""
     _, v, steps = integrated(t, j, v0)
-    return (np.abs(steps.sum(axis=1) - length) > DRIFT) | (v.min(axis=1) < -DRIFT)
+    misses = np.abs(steps.sum(axis=1) - length) > DRIFT
+    return np.asarray(misses | (v.min(axis=1) < -DRIFT))
 
 
 def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:

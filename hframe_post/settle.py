@@ -9,7 +9,6 @@ the command stands exactly on it when the machine does something else.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-
 from typing import TypeVar
 
 import numpy as np

@@ -149,9 +149,8 @@ def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: in
     window = np.clip(at[::SEARCHED, None] - NEAREST + np.arange(width), 0, len(px) - 1)
     middle_x, middle_y = px[at[0]], py[at[0]]  # small numbers for single precision
     wx, wy = (px - middle_x).astype(np.float32)[window], (py - middle_y).astype(np.float32)[window]
-    here = np.zeros((2, rows * SEARCHED), dtype=np.float32)
-    here[0, :q], here[1, :q] = ax - middle_x, ay - middle_y
-    here = here.reshape(2, rows, SEARCHED)
+    here = np.zeros((2, rows, SEARCHED), dtype=np.float32)
+    here[0].ravel()[:q], here[1].ravel()[:q] = ax - middle_x, ay - middle_y
     nearest = np.zeros((rows, SEARCHED), dtype=np.int8)
     for r in range(0, rows, ROWS_IN_CACHE):
         some = slice(r, r + ROWS_IN_CACHE)
