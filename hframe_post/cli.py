@@ -158,7 +158,7 @@ def _converted(
             for _ in output:
                 pass
         else:
-            with OutputFile(target, click.get_binary_stream("stdout")) as out:
+            with OutputFile(target, sys.stdout.buffer) as out:
                 out.write(output, lambda: report.time_after)
     return report
 

@@ -86,27 +86,32 @@ class _Axis:
         self._lpfbs, self._s = lpfbs, lpfbs.rest
         self._batch = WINDOWS_AT_ONCE * lpfbs.window.stride
         self._preview = lpfbs.window.L_C - lpfbs.window.stride
-        self._target = np.zeros(0)
+        self._target: list[Array] = []
+        self._count = 0
 
     def feed(self, target: Array) -> Array:
         """The command as far as the preview allows."""
-        self._target = np.concatenate([self._target, target])
-        done = []
-        while len(self._target) >= self._batch + self._preview:
-            seen = self._target[: self._batch + self._preview]
-            x_dm, self._s = self._lpfbs.run(seen, self._s)
+        self._target.append(target)
+        self._count += len(target)
+        if self._count < self._batch + self._preview:
+            return np.zeros(0)
+        whole, done = np.concatenate(self._target), []
+        while len(whole) >= self._batch + self._preview:
+            x_dm, self._s = self._lpfbs.run(whole[: self._batch + self._preview], self._s)
             done.append(x_dm)
-            self._target = self._target[self._batch :]
-        return np.concatenate(done) if done else np.zeros(0)
+            whole = whole[self._batch :]
+        self._target, self._count = [whole], len(whole)
+        return np.concatenate(done)
 
     def finish(self) -> Array:
         """The rest of the command; the target stands still after its end."""
-        n = len(self._target)
+        n = self._count
         if not n:
             return np.zeros(0)
+        target = np.concatenate(self._target)
         stride = self._lpfbs.window.stride
         pad = -n % stride + self._preview
-        x_dm, self._s = self._lpfbs.run(np.pad(self._target, (0, pad), mode="edge"), self._s)
+        x_dm, self._s = self._lpfbs.run(np.pad(target, (0, pad), mode="edge"), self._s)
         return x_dm[:n]
 
 

@@ -161,10 +161,8 @@ class _Writer:
         idle = starts - np.concatenate([[-self._still], ends])[: len(ends)]
         dwells = np.where(idle >= DWELL, idle, 0)
         T = (ends - starts + idle - dwells) * TS
-        insertions = [
-            (int(np.searchsorted(ends, p, side="right")), m)
-            for p, m in zip(after, marks, strict=True)
-        ]
+        rows_before = np.searchsorted(ends, after, side="right").tolist()
+        insertions = list(zip(rows_before, marks, strict=True))
         self._still = n - int(ends[-1]) if len(ends) else self._still + n
         if len(ends):
             yield from self._enter()

@@ -60,7 +60,7 @@ def clamp(
     for stretch in stretches(blocks):
         for block, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
             path, command = wide.xyze[:, :Z], wide.commands[written]
-            share = _share(path, command, motors)
+            share = _share(path, command, travel, motors)
             safe = path + share[:, None] * (command - path)
             safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
             changed = (safe != command).any(axis=1)[where]
@@ -72,17 +72,18 @@ def clamp(
             yield Samples(block.first, block.xyze, block.line, block.events, commands)
 
 
-def _share(path: Array, command: Array, motors: Motors) -> Array:
-    """Share of the compensation that the belts can follow, (n,), smooth over REACH samples."""
+def _share(path: Array, command: Array, travel: Travel, motors: Motors) -> Array:
+    """Share of the compensation that bed and belts allow, (n,), smooth over REACH samples."""
     needed = np.ones(len(path))
+    for axis, (low, high) in enumerate((travel.x, travel.y)):
+        of_path, of_command = path[:, axis], command[:, axis]
+        needed = np.minimum(needed, _allowed(of_path, of_command, low, high, 1.0))
     for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
-        of_path = np.diff(belts(*path.T), n=order).T / TS**order
-        of_command = np.diff(belts(*command.T), n=order).T / TS**order
-        over = np.abs(of_command) > limit * LEEWAY
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (np.copysign(limit, of_command) - of_path) / (of_command - of_path)
-        share = np.where(over, np.clip(TAKE_MORE * share, 0.0, 1.0), 1.0).min(axis=1)
-        needed[order:] = np.minimum(needed[order:], share)
+        path_rate = np.diff(belts(*path.T), n=order) / TS**order
+        command_rate = np.diff(belts(*command.T), n=order) / TS**order
+        for belt in (0, 1):
+            allowed = _allowed(path_rate[belt], command_rate[belt], -limit, limit, TAKE_MORE)
+            needed[order:] = np.minimum(needed[order:], allowed)
     share = np.ones(len(path))
     ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-REACH, REACH + 1) / (REACH + 1))
     for k in np.flatnonzero(needed < 1.0).tolist():  # few: the places where a limit is exceeded
@@ -90,6 +91,15 @@ def _share(path: Array, command: Array, motors: Motors) -> Array:
         taken = (1.0 - needed[k]) * ramp[low - k + REACH : high - k + REACH]
         share[low:high] = np.minimum(share[low:high], 1.0 - taken)
     return share
+
+
+def _allowed(path: Array, command: Array, low: float, high: float, margin: float) -> Array:
+    """Share of command − path (n,) that stays within low … high, times a margin if not all."""
+    over = (command < low - SLACK) | (command > high + SLACK)
+    bound = np.clip(command, low, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (bound - path) / (command - path)
+    return np.where(over, np.clip(margin * share, 0.0, 1.0), 1.0)
 
 
 def _check_travel(block: Samples, command: Array, travel: Travel) -> None:

@@ -155,7 +155,7 @@ def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: fl
 
 def _modes(state: ModalState) -> list[str]:
     """Commands that bring the firmware to the modes and the E that a file believes in."""
-    lines = [f"G1 F{state.feed * 60.0:.1f}"]
+    lines = [f"G1 F{plain(state.feed * 60.0, 1)}"]
     if state.absolute_e:
         lines += ["M82", f"G92 E{plain(state.e, 5)}"]
     if not state.absolute:

@@ -113,7 +113,7 @@ class _Sampler:
             if stops and index[-1] == stop:
                 s[-1] = plan.s[-1]
             xyze, move = _follow(plan, s)
-            self._pin(plan, marks, s, xyze)
+            marks = self._pin(plan, marks, s, xyze)
             self._emit(xyze, plan.line[move])
             yield from self.flush()
         self._events += [Mark(self._index, mark.text) for mark in marks]
@@ -136,16 +136,21 @@ class _Sampler:
         table = (column.ravel()[keep] for column in (time, t, s, v, a, j))
         return Phases(*table), float(start[-1])
 
-    def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> None:
+    def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> list[Mark]:
         """Marks go to the first sample at or after their vertex, with the vertex's filament.
 
-        So what is extruded between two marks is exact, not rounded to a sample.
+        So what is extruded between two marks is exact, not rounded to a sample. Returns the
+        marks that lie beyond these samples.
         """
-        while marks and plan.s[marks[0].index] <= s[-1]:
-            mark = marks.pop(0)
-            row = int(np.searchsorted(s, plan.s[mark.index]))
-            xyze[row, E] = plan.points[mark.index, E]
-            self._events.append(Mark(self._index + row, mark.text))
+        vertices = np.array([mark.index for mark in marks], dtype=np.int64)
+        rows = np.searchsorted(s, plan.s[vertices])
+        here = int(np.searchsorted(rows, len(s)))
+        xyze[rows[:here], E] = plan.points[vertices[:here], E]
+        self._events += [
+            Mark(self._index + row, mark.text)
+            for row, mark in zip(rows[:here].tolist(), marks, strict=False)
+        ]
+        return marks[here:]
 
     # ------------------------------------------------------------------ rest
 

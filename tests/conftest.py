@@ -1,0 +1,48 @@
+"""Shared by all tests: the shipped printer, its compensator, samples, golden files."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hframe_post import printer
+from hframe_post.compensate import Compensator
+from hframe_post.pipeline import prepared
+
+ROOT = Path(__file__).parent.parent
+SAMPLES = ROOT / "sample_gcode"
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")
+
+
+@pytest.fixture(scope="session")
+def paper() -> printer.Printer:
+    return printer.load("paper")
+
+
+@pytest.fixture(scope="session")
+def compensator(paper: printer.Printer) -> Compensator:
+    return prepared(paper)
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
+    """Reads a golden file; with --update-golden it is written from ``now`` first."""
+
+    def read(name: str, now: bytes) -> bytes:
+        path = GOLDEN / name
+        if request.config.getoption("--update-golden"):
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(now)
+        return path.read_bytes()
+
+    return read

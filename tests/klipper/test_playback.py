@@ -1,0 +1,132 @@
+"""Converted samples through the real Klipper host: right place, right time, no warning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post import printer
+from hframe_post.arrays import Array
+from hframe_post.dense_gcode import Late
+from hframe_post.pipeline import Options, commanded, convert, prepared
+from hframe_post.report import Report
+from hframe_post.stream import TS
+
+from ..conftest import SAMPLES
+from .host import Playback, play
+
+MINUTE = 60_000  # samples
+MOVING = 2e-4  # mm a millisecond
+
+
+@dataclass
+class Played:
+    """A sample, its intended command (n, 2), z and e (n, 2), and what Klipper made of it."""
+
+    command: Array
+    z_e: Array
+    playback: Playback
+    report: Report
+    text: bytes
+
+
+def played(name: str, folder: Path, options: Options, last_layer: int | None = None) -> Played:
+    paper = printer.load("paper")
+    lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
+    if last_layer is not None:
+        lines = lines[: lines.index(b";LAYER:%d\n" % last_layer)]
+    report = Report("racking")
+    blocks = list(commanded(iter(lines), paper, prepared(paper), options, Report("racking")))
+    output = convert(iter(lines), paper, options, report)
+    text = b"".join(o.line + b"\n" if isinstance(o, Late) else o for o in output)
+    file = folder / "converted.gcode"
+    file.write_bytes(text)
+    command = np.concatenate([b.commands[options.strategy] for b in blocks])
+    z_e = np.concatenate([b.xyze[:, 2:] for b in blocks])
+    return Played(command, z_e, play(file, workdir=folder), report, text)
+
+
+def offset_between(run: Played, first: int, last: int, guess: float) -> float:
+    """Klipper's time of sample 0 (s), by least squares over samples first … last."""
+    index = np.arange(first, last)
+    for _ in range(6):
+        t = index * TS + guess
+        off = run.playback.position(t)[:, :2] - run.command[first:last]
+        ahead, behind = run.playback.position(t + 5e-5), run.playback.position(t - 5e-5)
+        velocity = (ahead - behind)[:, :2] / 1e-4
+        guess -= float((off * velocity).sum() / (velocity * velocity).sum())
+    return guess
+
+
+def first_offset(run: Played) -> tuple[int, float]:
+    """First sample in motion, and Klipper's time of sample 0 as the first seconds tell."""
+    moving = np.abs(np.diff(run.command, axis=0)).max(axis=1) > MOVING
+    start = int(np.argmax(moving))
+    last = min(start + 6000, len(run.command))
+    index = np.arange(start, last, 7)
+
+    def misfit(offset: float) -> float:
+        off = run.playback.position(index * TS + offset)[:, :2] - run.command[start:last:7]
+        return float(np.abs(off).mean())
+
+    coarse = np.arange(run.playback.start - 1.0, run.playback.start + 15.0, 0.02)
+    guess = float(coarse[np.argmin([misfit(o) for o in coarse])])
+    return start, offset_between(run, start, last, guess)
+
+
+def check(run: Played) -> None:
+    assert run.playback.warnings == ()
+    start, offset = first_offset(run)
+    offsets = []
+    for first in range(start, len(run.command), MINUTE):
+        last = min(first + MINUTE, len(run.command))
+        if last - first < MINUTE // 10:
+            break
+        offset = offset_between(run, first, last, offset)
+        offsets.append(offset)
+        t = np.arange(first, last) * TS + offset
+        off = np.hypot(*(run.playback.position(t)[:, :2] - run.command[first:last]).T)
+        assert np.sqrt((off**2).mean()) < 0.010
+        assert off.max() < 0.030
+    assert np.abs(np.diff(offsets)).max(initial=0.0) < 1e-3  # drift in a minute
+    end = run.playback.end
+    assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
+    assert run.playback.position([end])[0, 2] == pytest.approx(run.z_e[-1, 0], abs=1e-3)
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("file_limits", [True, False])
+def test_cube_is_played_as_intended(tmp_path: Path, file_limits: bool) -> None:
+    check(played("cube.gcode", tmp_path, Options("racking", file_limits=file_limits), 12))
+
+
+@pytest.mark.klipper
+def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
+    options = Options("racking", file_limits=False, tolerance=None)
+    check(played("rectangle.gcode", tmp_path, options))
+
+
+@pytest.mark.klipper
+def test_prism_is_played_as_intended(tmp_path: Path) -> None:
+    check(played("prism.gcode", tmp_path, Options("racking"), 3))
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
+@pytest.mark.parametrize("file_limits", [True, False])
+def test_whole_samples_are_played_as_intended(tmp_path: Path, name: str, file_limits: bool) -> None:
+    check(played(name, tmp_path, Options("racking", file_limits=file_limits)))
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+def test_print_time_is_close_to_klippers_own(tmp_path: Path) -> None:
+    """The prism with Cura's limits, settling included, against the file as sliced."""
+    report = played("prism.gcode", tmp_path, Options("racking")).report
+    limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
+    own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
+    assert report.time_after <= 1.05 * own.print_time
