@@ -29,7 +29,7 @@ def run(
 
 @pytest.fixture
 def part(tmp_path: Path) -> Path:
-    return shutil.copy(RECTANGLE, tmp_path / "part.gcode.pp")
+    return Path(shutil.copy(RECTANGLE, tmp_path / "part.gcode.pp"))
 
 
 def test_converts_to_a_file_and_leaves_the_input(part: Path, tmp_path: Path) -> None:

@@ -164,7 +164,7 @@ def assert_same_stream(now: bytes, then: bytes) -> None:
         if not a.startswith(b"G1"):
             assert a == b
             continue
-        words = [dict((w[:1], float(w[1:])) for w in row.split()[1:]) for row in (a, b)]
+        words = [{w[:1]: float(w[1:]) for w in row.split()[1:]} for row in (a, b)]
         assert words[0].keys() == words[1].keys()
         for letter, value in words[0].items():
             scale = 1e-3 * value if letter == b"F" else 0.002

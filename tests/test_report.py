@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +61,13 @@ def test_late_lines_are_filled_in_at_their_place(tmp_path: Path) -> None:
 def test_failure_leaves_what_was_there(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
     target.write_bytes(b"old")
-    with pytest.raises(RuntimeError), OutputFile(target, io.BytesIO()) as out:
-        out.write([b"new"], lambda: 0.0)
+
+    def failing() -> Iterator[bytes]:
+        yield b"new"
         raise RuntimeError
+
+    with pytest.raises(RuntimeError), OutputFile(target, io.BytesIO()) as out:
+        out.write(failing(), lambda: 0.0)
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]
 

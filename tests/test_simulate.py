@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Integers
 from hframe_post.compensate import Compensator
 from hframe_post.simulate import NEAREST, Response, contour_error, contour_errors
 from hframe_post.stream import Handling, ModalState, Passthrough, Pause, Rest, Samples
@@ -34,7 +34,7 @@ def test_eq_1_and_2_racking_at_the_actual_x(compensator: Compensator) -> None:
     np.testing.assert_allclose(got, np.column_stack([x, y]), atol=1e-8)
 
 
-def brute_force(path: Array, actual: Array, at: Array, reach: int) -> Array:
+def brute_force(path: Array, actual: Array, at: Integers, reach: int) -> Array:
     """Distance of each point to the polyline through the samples within ``reach``."""
     distances = []
     for point, k in zip(actual, at, strict=True):
