@@ -49,7 +49,7 @@ def read(lines: Iterable[bytes], firmware: str, file_limits: bool = True) -> Ite
     reader = _Reader(firmware, file_limits)
     number = 0
     for number, raw in enumerate(lines, 1):
-        text = raw.rstrip(b"\r\n")
+        text = raw.removesuffix(b"\n")
         if number == 1:
             text = _first_line(text)
         match = PLAIN_MOVE.match(text)
@@ -126,7 +126,9 @@ class _Reader:
         self.moved = True
         if not (min(new) > -FARTHEST and max(new) < FARTHEST):
             raise GcodeError("a coordinate is out of all bounds", number, text)
-        if not all(self.known) and self._from_unknown(x, y, z):
+        if not (self.known[0] and self.known[1] and (self.known[2] or z is None)):
+            if self.scale != 1.0:  # the output is in mm
+                raise GcodeError("a move in inches from an unknown position", number, text)
             self._passthrough(number, text, Handling.YIELD, filament=new[3] - old[3])
             self.position = new
             if self.absolute:
@@ -167,12 +169,6 @@ class _Reader:
             pz if z is None else oz + z * scale,
             pe if e is None else oe + e * scale,
         )
-
-    def _from_unknown(self, x: float | None, y: float | None, z: float | None) -> bool:
-        """Whether a move begins where the position is not known."""
-        moves_xy = x is not None or y is not None
-        unknown_xy = moves_xy and not (self.known[0] and self.known[1])
-        return unknown_xy or (z is not None and not self.known[2])
 
     def _set_feed(self, feed: float, number: int, text: bytes) -> None:
         if not 0.0 < feed < math.inf:

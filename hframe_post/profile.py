@@ -175,9 +175,11 @@ class _Sampler:
             self._emit(xyze, np.full(len(z_e), self._line))
             return
         self._line = action.line
-        n = math.ceil(action.seconds / TS - ON_TIME)
-        self._events.append(Pause(self._index, n, action, action.seconds))
-        if self._last is not None:
+        if self._last is None:  # there is nothing to sample where the place is unknown
+            self._events.append(Pause(self._index, 0, action))
+        else:
+            n = math.ceil(action.seconds / TS - ON_TIME)
+            self._events.append(Pause(self._index, n, action, action.seconds))
             self._stand(self._last, n)
         if action.handling is Handling.YIELD:
             yield from self.flush()

@@ -123,6 +123,8 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        if not self.moves:
+            lines.append("NOTHING     was compensated: no move starts at a known position")
         if self.peaks.clamped:
             lines.append(
                 f"CLAMPED     {self.peaks.clamped} ms of motion at the printer's limits, first at "
