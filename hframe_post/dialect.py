@@ -57,6 +57,11 @@ def macro_handling(name: bytes) -> Handling:
     return Handling.REST if name in _MACROS_AT_REST else Handling.YIELD
 
 
+def may_be_zero(name: str, word: str) -> bool:
+    """Whether zero is a meaning and not a mistake: corner speeds and ratios, no limits."""
+    return name == "M205" or word in ("SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")
+
+
 def acceleration(words: dict[str, float], firmware: str, current: float) -> float:
     """Acceleration that M204 asks for, mm/s². Klipper takes S, or P and T together."""
     if "S" in words:

@@ -17,9 +17,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from hframe_post import arcs, dialect
+from hframe_post.asked import Asked
 from hframe_post.errors import GcodeError
 from hframe_post.stream import (
-    FileLimits,
     Handling,
     Item,
     Mark,
@@ -36,7 +36,6 @@ MOVES_PER_BLOCK = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 INCH = 25.4
 DEFAULT_FEED = 25.0  # mm/s, what Klipper moves at before the first F
-UNLIMITED = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 
 
 def read(lines: Iterable[bytes], firmware: str, file_limits: bool = True) -> Iterator[Item]:
@@ -83,8 +82,7 @@ class _Reader:
         self.position: Position = (0.0, 0.0, 0.0, 0.0)  # e counts on through every G92
         self.offset = [0.0, 0.0, 0.0, 0.0]  # the file's coordinate + offset = position
         self.known = [False, False, False]
-        self.acceleration = self.corner = math.inf
-        self.limits = UNLIMITED
+        self.asked = Asked(firmware)
         self.xy_plane = True
         self.start: Position = self.position
         self.rows: list[tuple[float, ...]] = []
@@ -147,7 +145,9 @@ class _Reader:
         """A move in which x or y travels joins the gathered ones."""
         if not self.rows:
             self.start = self.position
-        self.rows.append((number, *new, self.feed * self.factor, self.acceleration, self.corner))
+        self.rows.append(
+            (number, *new, self.feed * self.factor, self.asked.acceleration, self.asked.corner)
+        )
         self.position = new
         if len(self.rows) >= MOVES_PER_BLOCK:
             self._flush()
@@ -239,7 +239,7 @@ class _Reader:
             return
         name = words[0].upper()
         if name == b"SET_VELOCITY_LIMIT":
-            self._velocity_limit(parameters(number, text), number, text)
+            self._limit("SET_VELOCITY_LIMIT", parameters(number, text), number, text)
             return
         handling = dialect.macro_handling(name)
         self._passthrough(number, text, handling)
@@ -296,39 +296,16 @@ class _Reader:
         self.position = (x, y, z, e)
 
     def _limit(self, name: str, words: dict[str, float], number: int, text: bytes) -> None:
+        """M201, M203, M204, M205 and M220; Klipper's SET_VELOCITY_LIMIT has no words."""
         for letter, value in words.items():
-            if value < 0.0 or (value == 0.0 and name != "M205"):
+            if value < 0.0 or (value == 0.0 and not dialect.may_be_zero(name, letter)):
                 raise GcodeError(f"{letter} must be positive", number, text)
         if name == "M220":
             self.factor = words.get("S", 100.0 * self.factor) / 100.0
-        elif not self.file_limits:
-            return
-        elif name == "M204":
-            self.acceleration = dialect.acceleration(words, self.firmware, self.acceleration)
-        elif name == "M205":
-            corner = [words[letter] for letter in "XY" if letter in words]
-            self.corner = min(corner, default=self.corner)
-        else:
-            old = self.limits.velocity if name == "M203" else self.limits.acceleration
-            x, y, z, e = (words.get(a, value) for a, value in zip("XYZE", old, strict=True))
-            self._flush()
-            if name == "M203":
-                self.limits = FileLimits((x, y, z, e), self.limits.acceleration)
-            else:
-                self.limits = FileLimits(self.limits.velocity, (x, y, z, e))
-
-    def _velocity_limit(self, values: dict[str, float], number: int, text: bytes) -> None:
-        """Klipper's SET_VELOCITY_LIMIT."""
-        if any(value < 0.0 for value in values.values()):
-            raise GcodeError("limits must not be negative", number, text)
-        if not self.file_limits:
-            return
-        self.acceleration = values.get("ACCEL", self.acceleration)
-        self.corner = values.get("SQUARE_CORNER_VELOCITY", self.corner)
-        if "VELOCITY" in values:
-            self._flush()
-            v, (_, _, z, e) = values["VELOCITY"], self.limits.velocity
-            self.limits = FileLimits((v, v, z, e), self.limits.acceleration)
+        elif self.file_limits:
+            if self.asked.changes_axes(name, words):
+                self._flush()
+            self.asked.command(name, words)
 
     # ------------------------------------------------------------------ items
 
@@ -360,7 +337,15 @@ class _Reader:
         speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
         line = table[:, 0].astype(np.int64)
         self.out.append(
-            Moves(line, frozen(points), speed, acceleration, corner, self.limits, tuple(self.marks))
+            Moves(
+                line,
+                frozen(points),
+                speed,
+                acceleration,
+                corner,
+                self.asked.limits,
+                tuple(self.marks),
+            )
         )
         self.rows, self.marks = [], []
 
