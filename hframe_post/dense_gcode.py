@@ -82,6 +82,7 @@ class _Writer:
         self._ledger = ledger
         self._inside = False  # the stream's limits and modes are in force
         self._at: Integers | None = None  # x, y, z, e as last written; None: only firmware knows
+        self._offset = (0.0, 0.0, 0.0)  # of G92, while the machine is yielded
         self._feed = 0  # last F, in tenths of mm/min
         self._before = 0.0  # speed of the last segment, mm/s
         self._still = 0  # samples of standstill since the last segment
@@ -243,8 +244,10 @@ class _Writer:
             self._late += pause.exact - pause.samples * TS
             yield from self._dwell(0, stop=lifts)
         elif action.handling is Handling.YIELD:
-            if self._inside:
-                yield b"".join(line + b"\n" for line in self._dialect.end(action.state))
+            if self._inside and self._at is not None:
+                end = self._dialect.end(action.state, self._at / PER_MM)
+                yield b"".join(line + b"\n" for line in end)
+            self._offset = action.state.offset
             self._inside, self._at, self._feed, self._late = False, None, 0, 0.0
             self._ledger.passed += action.filament
             if action.text:
@@ -279,6 +282,7 @@ class _Writer:
 
     def _enter(self) -> Iterator[Output]:
         """Takes the machine over, if it is not in our hands."""
-        if not self._inside:
+        if not self._inside and self._at is not None:
             self._inside = True
-            yield b"".join(line + b"\n" for line in self._dialect.begin())
+            begin = self._dialect.begin(self._offset, self._at / PER_MM)
+            yield b"".join(line + b"\n" for line in begin)

@@ -35,7 +35,7 @@ _CARRIED = frozenset(
 )
 _AT_REST = frozenset({"G4", "M109", "M190", "M191", "M400"})
 _CARRIED_MACROS = frozenset(
-    {b"EXCLUDE_OBJECT_DEFINE", b"EXCLUDE_OBJECT_START", b"EXCLUDE_OBJECT_END", b"EXCLUDE_OBJECT"}
+    {b"EXCLUDE_OBJECT_DEFINE"}  # its START and END yield: what was skipped is caught up on after
     | {b"SET_PRINT_STATS_INFO", b"SET_PRESSURE_ADVANCE", b"SET_FAN_SPEED", b"SET_PIN", b"SET_LED"}
     | {b"SET_HEATER_TEMPERATURE", b"SET_DISPLAY_TEXT", b"SET_GCODE_VARIABLE", b"RESPOND"}
 )

@@ -138,7 +138,8 @@ class _Reader:
             self._travel(number, new)
         elif new != old:
             self._flush()
-            self.out.append(Standing(number, old, new, self.feed * self.factor))
+            top = self.asked.limits.velocity[2 if new[2] != old[2] else 3]
+            self.out.append(Standing(number, old, new, min(self.feed * self.factor, top)))
             self.position = new
 
     def _travel(self, number: int, new: Position) -> None:
@@ -288,10 +289,9 @@ class _Reader:
                 position[axis], self.offset[axis], self.known[axis] = value, 0.0, True
             else:
                 self.offset[axis] = position[axis] - value
-        if unknown:
-            self._passthrough(number, text, Handling.YIELD)
-        elif all(axis == 3 for axis in axes):  # harmless in the stream, whose E is relative
-            self._passthrough(number, text, Handling.CARRY)
+        # that of E alone is harmless in the stream, whose E is relative
+        only_e = all(axis == 3 for axis in axes)
+        self._passthrough(number, text, Handling.CARRY if only_e else Handling.YIELD)
         x, y, z, e = position
         self.position = (x, y, z, e)
 

@@ -31,7 +31,7 @@ class StreamLimits:
 
     @classmethod
     def of(cls, limits: Limits, motors: Motors) -> StreamLimits:
-        """High enough never to shape the stream, low enough not to harm if left behind."""
+        """High enough never to shape the stream, and no higher: they may be left behind."""
         return cls(
             VELOCITY_HEADROOM * motors.belt_velocity,
             ACCEL_HEADROOM * motors.belt_acceleration,
@@ -115,8 +115,11 @@ class Dialect:
     firmware: Firmware
     limits: StreamLimits
 
-    def begin(self) -> list[bytes]:
-        """From the user's limits and modes to the stream's."""
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+        """From the user's limits and modes to the stream's.
+
+        offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine stands.
+        """
         if self.firmware.begin_macro:
             start = [self.firmware.begin_macro]
         else:
@@ -125,11 +128,12 @@ class Dialect:
                 "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
                 _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
             ]
-        return [line.encode() for line in ["M400", *start, "G90", "M83"]]
+        return [line.encode() for line in ["M400", *start, "G90", "M83", *_named(offset, at)]]
 
-    def end(self, state: ModalState) -> list[bytes]:
-        """Back to the user's limits and to the modes that the file believes in."""
+    def end(self, state: ModalState, at: Array) -> list[bytes]:
+        """Back to the user's limits and to the modes and places that the file believes in."""
         restore: Restore = self.firmware.restore
+        names = _named(state.offset, at[:E] - state.offset)
         if self.firmware.end_macro:
             stop = [self.firmware.end_macro]
         else:
@@ -141,16 +145,28 @@ class Dialect:
             ]  # fmt: skip
             if restore.shaper_freq_x or restore.shaper_freq_y:
                 x, y = restore.shaper_freq_x, restore.shaper_freq_y
-                stop.append(f"SET_INPUT_SHAPER SHAPER_FREQ_X={x:g} SHAPER_FREQ_Y={y:g}")
-        return [line.encode() for line in ["M400", *stop, *_modes(state)]]
+                stop.append(
+                    f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
+                )
+        return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
+
+
+def _named(offset: tuple[float, float, float], at: Array) -> list[str]:
+    """G92 that names the place ``at``, of the axes whose name is not the machine's."""
+    words = [f"{a}{plain(p, 3)}" for a, p, o in zip("XYZ", at, offset, strict=False) if o]
+    return [" ".join(["G92", *words])] if words else []
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
     """SET_VELOCITY_LIMIT with everything that it can set."""
-    return (
-        f"SET_VELOCITY_LIMIT VELOCITY={velocity:g} ACCEL={acceleration:.0f} "
-        f"SQUARE_CORNER_VELOCITY={corner:g} MINIMUM_CRUISE_RATIO={cruise_ratio:g}"
-    )
+    values = {
+        "VELOCITY": velocity,
+        "ACCEL": acceleration,
+        "SQUARE_CORNER_VELOCITY": corner,
+        "MINIMUM_CRUISE_RATIO": cruise_ratio,
+    }
+    words = (f"{name}={plain(value, 6)}" for name, value in values.items())
+    return " ".join(["SET_VELOCITY_LIMIT", *words])
 
 
 def _modes(state: ModalState) -> list[str]:
@@ -165,5 +181,7 @@ def _modes(state: ModalState) -> list[str]:
 
 def plain(value: float, decimals: int) -> str:
     """A number without exponent, trailing zeros or negative zero."""
-    text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
+    text = f"{value:.{decimals}f}"
+    if "." in text:
+        text = text.rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

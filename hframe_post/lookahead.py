@@ -1,9 +1,9 @@
-"""Moves → runs with settled speeds: look-ahead over the whole queue at once.
+r"""Moves → runs with settled speeds: look-ahead over the whole queue at once.
 
        cruise     ______________
-                 /              \\            _________
-     speed      /                \\__________/         \\
-               /        run       |   run    |   run   \\
+                 /              \            _________
+     speed      /                \__________/         \
+               /        run       |   run    |   run   \
               0                junction   feed change   0     → path length
 
 Rules:
@@ -32,6 +32,8 @@ LONGEST_QUEUE = 16 * BATCH
 FEASIBLE = (
     1.0 - 1e-6
 )  # share of acceleration and jerk planned with; the rest keeps Ruckig off its edge
+PLATEAU = 256  # moves
+ROUNDING = 1e-15  # of a sum of v² + 2as, relative
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
 BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
 CREEP = 0.01  # mm/s; a junction that allows less is a stop
@@ -213,7 +215,8 @@ def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integ
     v2 = np.minimum.accumulate(np.minimum(braking, caps2) - reach2) + reach2
     v2 = np.clip(v2, 0.0, caps2)
     v2[0] = caps2[0]
-    ends = np.flatnonzero(_limiting(moves, caps, caps2, v2))
+    rounding = ROUNDING * reach2[-1]  # of v2, whatever its size
+    ends = np.flatnonzero(_limiting(moves, caps, v2 >= (1.0 - 1e-6) * caps2 - rounding))
     s = moves.s[ends]
     speed = np.sqrt(v2[ends])
     length, acceleration, j = np.diff(s), a[ends[:-1]], FEASIBLE * jerk
@@ -223,13 +226,18 @@ def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integ
     return ends, speed
 
 
-def _limiting(moves: _Limited, caps: Array, caps2: Array, v2: Array) -> Flags:
-    """Rule 3: the vertices at which a run must end."""
+def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
+    """Rule 3: the vertices at which a run must end, of those whose cap is ``reached``.
+
+    So that a long way at cruise speed becomes final piece by piece, it ends runs too, at
+    every PLATEAU-th vertex.
+    """
     limiting = np.ones(len(caps), dtype=bool)
     cruise, a = moves.cruise, moves.acceleration
     slowed = caps[1:-1] < (1.0 - 2e-4) * np.minimum(cruise[:-1], cruise[1:])
-    bound = slowed & (v2[1:-1] >= (1.0 - 1e-6) * caps2[1:-1])
-    limiting[1:-1] = bound | (cruise[:-1] != cruise[1:]) | (a[:-1] != a[1:])
+    slowed[PLATEAU - 1 :: PLATEAU] = True
+    change = (cruise[:-1] != cruise[1:]) | (a[:-1] != a[1:])
+    limiting[1:-1] = (slowed & reached[1:-1]) | change
     return limiting
 
 

@@ -3,12 +3,12 @@
 ==============  ===========================================================  ==========
 symbol          meaning                                                      source
 ==============  ===========================================================  ==========
-``m, L``        degree; samples between knots                                eq. 28
+``m, L``        degree; samples between knots                                eq. 37
 ``n_C, n_up``   coefficients solved in a window, and those kept of them      App. B
 ``L_C``         samples in a window, n_C·L                                   App. B
-``N_C, N_P``    splines that begin in the window, and before it              eq. 29
+``N_C, N_P``    splines that begin in the window, and before it              eq. 38
 ``N_filtered``  the same through the plant, Ñ                                eq. 8
-``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 30
+``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
 ``effort``      λ, weight on the command's second difference                 —
 ``s``           all that a window knows of the past: (plant state, p_P)      —
 ==============  ===========================================================  ==========
@@ -113,7 +113,7 @@ class Lpfbs:
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
         X = np.ascontiguousarray(windows)
         past, s = self._recursion.run(X @ self._step_target.T, s)
-        p = X @ self._K_target.T  # (W, n_up), eq. 30
+        p = X @ self._K_target.T  # (W, n_up), eq. 39
         p += past @ self._K_past.T
         control = np.concatenate([past[0, -w.degree :], p.ravel()])
         alive = np.lib.stride_tricks.sliding_window_view(control, w.degree + 1)
@@ -124,7 +124,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     """Gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next one.
 
     Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
-    difference: eq. 30 with the past exact and an effort penalty. Shapes (n_C, L_C),
+    difference: eq. 39 with the past exact and an effort penalty. Shapes (n_C, L_C),
     (n_C, d + m + 1), (d + m + 1, L_C), (d + m + 1, d + m + 1).
     """
     past = w.degree + 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hframe_post import __version__
 from hframe_post.ahead import ahead
@@ -112,7 +112,8 @@ def prepared(printer: Printer) -> Compensator:
 
 def settings_hash(printer: Printer, options: Options) -> str:
     """Identifies all that decides the output beside the input."""
-    return hashlib.sha256(repr((printer.digest, options)).encode()).hexdigest()[:12]
+    deciding = (printer.digest, replace(options, predict=()))
+    return hashlib.sha256(repr(deciding).encode()).hexdigest()[:12]
 
 
 # ---------------------------------------------------------------------- the report

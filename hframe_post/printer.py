@@ -11,12 +11,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
+
+from hframe_post.arrays import Complex
 from hframe_post.errors import PrinterError
 from hframe_post.lpfbs import Window
 from hframe_post.plant import Plant, TransferFunction
 from hframe_post.stream import TS
 
 T = TypeVar("T")
+LARGEST = 1e15  # a number beyond is a mistake
 STRATEGIES = ("racking", "fbs", "none")
 DIALECTS = ("klipper",)
 
@@ -175,7 +179,8 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in own.items():
         tables = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if tables and "poles" not in value else value
+        whole = not tables or key in ("Gxx", "Gyy", "Gxtheta")
+        merged[key] = value if whole else _merged(base[key], value)
     return merged
 
 
@@ -237,15 +242,26 @@ def _transfer_function(table: Any, key: str) -> TransferFunction:
     if not isinstance(table, dict):
         raise PrinterError("must be a table of zeros, poles and gain", key)
     _known_keys(table, ("zeros", "poles", "gain"), key)
+    for name in ("zeros", "poles", "gain"):
+        if name not in table:
+            raise PrinterError("the key is missing", f"{key}.{name}")
+    zeros, poles = (_roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
+    gain = _value(float, table["gain"], {}, f"{key}.gain")
     try:
-        roots = [[complex(*map(float, root)) for root in table[k]] for k in ("zeros", "poles")]
-        return TransferFunction(roots[0], roots[1], float(table["gain"]))  # type: ignore[arg-type]
-    except KeyError as error:
-        raise PrinterError("the key is missing", f"{key}.{error.args[0]}") from None
-    except TypeError:
-        raise PrinterError("roots are pairs [real, imaginary] of numbers", key) from None
+        return TransferFunction(zeros, poles, gain)
     except ValueError as error:
         raise PrinterError(str(error), key) from None
+
+
+def _roots(pairs: Any, key: str) -> Complex:
+    """Complex roots from pairs [real, imaginary]."""
+    if not isinstance(pairs, list):
+        raise PrinterError("must be a list of pairs [real, imaginary]", key)
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
+    numbers = [[_value(float, number, {}, key) for number in pair] for pair in pairs]
+    return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
 
 
 def _table(kind: type[T], table: dict[str, Any], path: str) -> T:
@@ -282,7 +298,7 @@ def _value(hint: Any, value: Any, rules: Any, key: str) -> Any:
     if hint not in (int, float):
         return value
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or (hint is int and value != int(value)):
+    if not number or not abs(value) < LARGEST or (hint is int and value != int(value)):
         raise PrinterError(f"must be a {'whole ' if hint is int else ''}number", key)
     if "above" in rules and not value > rules["above"]:
         raise PrinterError(f"must be above {rules['above']:g}, it is {value:g}", key)

@@ -85,6 +85,7 @@ class _Sampler:
         self._rested = True  # the machine stands and nothing has been offered to lead
         self._section, self._clock = 0, 0.0  # sample of the last rest, s since then
         self._last: Array | None = None  # x, y, z, e at the last sample
+        self._pinned: float | None = None  # filament at a mark on the next sample
         self._line = 0
         self._events: list[Event] = []
         self._held: list[Samples] = []
@@ -113,10 +114,16 @@ class _Sampler:
             if stops and index[-1] == stop:
                 s[-1] = plan.s[-1]
             xyze, move = _follow(plan, s)
+            if self._pinned is not None:
+                xyze[0, E], self._pinned = self._pinned, None
             marks = self._pin(plan, marks, s, xyze)
+            if stops and index[-1] == stop:
+                xyze[-1] = plan.points[-1]
             self._emit(xyze, plan.line[move])
             yield from self.flush()
-        self._events += [Mark(self._index, mark.text) for mark in marks]
+        for mark in marks:  # between the last sample of this plan and the first of the next
+            self._events.append(Mark(self._index, mark.text))
+            self._pinned = float(plan.points[mark.index, E])
         self._moving = not stops
 
     def _phases(self, plan: Plan) -> tuple[Phases, float]:
@@ -268,7 +275,7 @@ class Profiler:
         length = dz or de
         cruise = min(move.speed, limits.z_velocity) if dz else move.speed
         acceleration = limits.z_acceleration if dz else math.inf
-        if de and (not dz or move.end[E] < move.start[E]):
+        if de:  # without x and y any extrusion counts as retraction
             cruise = min(cruise, limits.extruder_velocity * length / de)
             acceleration = min(acceleration, limits.extruder_acceleration * length / de)
         peak = min(cruise, math.sqrt(length * acceleration))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Flags, Integers
+from hframe_post.errors import HframeError
 
 Bytes = NDArray[np.uint8]
 MINUS, POINT, ZERO = b"-.0"
@@ -18,13 +19,14 @@ def word(letter: bytes, values: Integers, decimals: int, shown: Flags) -> Bytes:
     """`` X-12.5`` for each of n values in units of 10^−decimals: (n, width), 0 where nothing.
 
     No exponent, no negative zero, no trailing zeros; rows not ``shown`` are all 0. Raises
-    OverflowError for numbers with more than WHOLE_DIGITS before the point.
+    HframeError for numbers with more than WHOLE_DIGITS before the point, or from 2³² on.
     """
     n, width = len(values), len(letter)
+    longest = 10.0 ** (WHOLE_DIGITS + decimals)
+    if np.abs(values.astype(np.float64)).max(initial=0.0) >= min(longest, 2.0**32):
+        raise HframeError("a coordinate, filament length or feed rate is too long to be written")
     whole, fraction = np.divmod(np.abs(values).astype(np.uint32), np.uint32(10**decimals))
     top = int(whole.max(initial=0))
-    if top >= 10**WHOLE_DIGITS or np.abs(values).max(initial=0) >= 2**32:
-        raise OverflowError("a number is too long to be written")
     digits = 3 if top < 1000 else WHOLE_DIGITS
     text = np.empty((n, width + 1 + digits + 1 + decimals), dtype=np.uint8)
     text[:, :width] = np.frombuffer(letter, dtype=np.uint8)

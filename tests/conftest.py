@@ -10,10 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from hframe_post import printer
 from hframe_post.compensate import Compensator
 from hframe_post.pipeline import prepared
+
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_gcode"

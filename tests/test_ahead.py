@@ -64,28 +64,27 @@ def test_nothing_is_done_before_the_first_item_is_asked_for() -> None:
     assert list(items) == made == [0]
 
 
-class Fault(Exception):
+class FaultError(Exception):
     pass
 
 
 def failing(n: int) -> Iterator[int]:
     yield from range(n)
-    raise Fault("after the items")
+    raise FaultError("after the items")
 
 
 @pytest.mark.parametrize("n", [0, 1, DEPTH, 7])
 def test_exception_follows_the_items_before_it(n: int) -> None:
-    found = []
-    with pytest.raises(Fault, match="after the items"):
-        for item in ahead(failing(n)):
-            found.append(item)  # noqa: PERF402
+    found: list[int] = []
+    with pytest.raises(FaultError, match="after the items"):
+        found.extend(ahead(failing(n)))
     assert found == list(range(n))
 
 
 def test_exception_passes_through_several_stages() -> None:
     items = ahead(k + 1 for k in ahead(failing(5)))
-    found = []
-    with pytest.raises(Fault):
+    found: list[int] = []
+    with pytest.raises(FaultError):
         found.extend(items)
     assert found == [1, 2, 3, 4, 5]
 
@@ -133,7 +132,7 @@ def test_fault_of_the_consumer_ends_the_stage() -> None:
     def consume() -> None:
         for item in ahead(endless()):
             if item == 3:
-                raise Fault
+                raise FaultError
 
-    with pytest.raises(Fault):
+    with pytest.raises(FaultError):
         consume()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,7 +41,7 @@ wanders = (st.integers(0, 2**32 - 1), st.integers(1, 100), st.floats(-6.0, -1.0)
 def test_every_sample_is_within_the_tolerance_of_its_chord(seed: int, n: int, power: float) -> None:
     points, forced = wander(seed, n, power)
     kept = [0, *breakpoints(points, forced, TOLERANCE).tolist()]
-    for a, b in zip(kept[:-1], kept[1:], strict=True):
+    for a, b in pairwise(kept):
         assert max(off_chord(points, a, b)) <= TOLERANCE * (1 + 1e-9)
 
 
@@ -59,7 +61,7 @@ def test_forced_points_and_the_last_are_kept(seed: int, n: int, power: float) ->
 def test_segments_are_the_longest_aligned_ones_that_fit(seed: int, n: int, power: float) -> None:
     points, forced = wander(seed, n, power)
     kept = [0, *breakpoints(points, forced, TOLERANCE).tolist()]
-    for a, b in zip(kept[:-1], kept[1:], strict=True):
+    for a, b in pairwise(kept):
         length = b - a
         assert length in (1, 2, 4, 8)
         assert a % length == 0

@@ -269,3 +269,28 @@ def test_samples_convert_whole(paper: printer.Printer, name: str, file_limits: b
 
 def test_sample_folder_is_whole() -> None:
     assert {path.name for path in Path(SAMPLES).iterdir()} >= {"cube.gcode", "prism.gcode"}
+
+
+def test_places_renamed_by_g92_are_the_firmwares_too(paper: printer.Printer) -> None:
+    """A move that the firmware gets as it stands must mean there what it meant in the file."""
+    lines = [
+        b"G1 X100 Y100 Z1 F6000\n", b"G92 X0\n", b"G1 X5\n", b"M600\n", b"G1 X10 Y100\n",
+        b"G1 X20\n",
+    ]  # fmt: skip
+    text = converted(lines, paper)[0].splitlines()
+    before = text[: text.index(b"M600")]
+    assert b"G92 X5" in before  # 105 on the bed
+    after = text[text.index(b"M600") :]
+    assert after[1] == b"G1 X10 Y100"
+    assert b"G92 X110" in after
+    last = [line for line in after if line.startswith(b"G1 X1")][-1]
+    assert float(last.split()[1][1:]) == pytest.approx(120.0, abs=1e-3)
+
+
+def test_skipped_objects_are_caught_up_on_with_the_users_limits(paper: printer.Printer) -> None:
+    lines = [
+        b"G1 X100 Y100 Z1 F6000\n", b"EXCLUDE_OBJECT_START NAME=a\n", b"G1 X120\n", b"G1 X140\n",
+        b"EXCLUDE_OBJECT_END NAME=a\n", b"G1 X160\n", b"G1 X180 Y120\n", b"G1 X190\n",
+    ]  # fmt: skip
+    text = converted(lines, paper)[0].splitlines()
+    assert text[text.index(b"EXCLUDE_OBJECT_END NAME=a") + 1] == b"G1 X160"

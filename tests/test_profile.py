@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post import lookahead, profile
 from hframe_post.arrays import Array
+from hframe_post.errors import HframeError
 from hframe_post.lookahead import plan, reach
 from hframe_post.printer import Limits
 from hframe_post.profile import Profiler, integrated, ramps, sample
@@ -52,6 +54,7 @@ from .test_lookahead import (
 
 RESTS = Rests(settle=7, lead=3)
 DRIFT = 1.5e-6  # mm; what a run may miss its end by
+BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
 
 
 def sampled(items: Iterable[Item], limits: Limits = LIMITS, rests: Rests = RESTS) -> list[Samples]:
@@ -184,15 +187,15 @@ def test_filament_at_marks_is_that_of_their_vertex(monkeypatch: pytest.MonkeyPat
     """Also where the mark lies between the last sample of one plan and the first of the next."""
     monkeypatch.setattr(lookahead, "BATCH", 100)
     n = 3000
-    item = gentle_spiral(n, step=0.07)
-    item = replace(item, marks=tuple(Mark(k, b"%d" % k) for k in range(n + 1)))
-    item = replace(item, speed=np.where(np.arange(n) // 33 % 2, 50.0, 60.0))
+    item = gentle_spiral(n, step=0.03)
+    item = replace(item, marks=tuple(Mark(k, b"%d" % k) for k in range(0, n + 1, 3)))
+    item = replace(item, speed=np.where(np.arange(n) // 34 % 2, 50.0, 60.0))
     assert len(plans([item])) > 20
     blocks = sampled([item])
     xyze, marks = whole(blocks)[0], marks_of(blocks)
-    assert [m.text for m in marks] == [b"%d" % k for k in range(n + 1)]
+    assert [m.text for m in marks] == [m.text for m in item.marks]
     off = [abs(xyze[m.index, E] - item.points[int(m.text), E]) for m in marks]
-    assert max(off) <= 1e-12, f"vertex {int(np.argmax(off))}"
+    assert max(off) <= 1e-12, f"vertex {3 * int(np.argmax(off))}"
 
 
 @settings(max_examples=40, deadline=None)
@@ -204,7 +207,7 @@ def test_marks_are_at_the_first_sample_from_their_vertex_on(seed: int, n: int) -
     blocks = sampled([item], limits)
     marks = marks_of(blocks)
     assert [m.text for m in marks] == [m.text for m in item.marks]
-    assert all(a.index <= b.index for a, b in zip(marks[:-1], marks[1:], strict=True))
+    assert all(a.index <= b.index for a, b in pairwise(marks))
     for mark in marks:
         vertex = item.points[int(mark.text), E]
         assert plain[mark.index] >= vertex - DRIFT
@@ -332,10 +335,11 @@ def trapezoid(length: float, speed: float, acceleration: float) -> float:
 def test_standing_move_takes_a_trapezoids_time(
     dz: float, de: float, asked: float, expected: float
 ) -> None:
-    pause, xyze = standing(ORIGIN, ORIGIN + [0.0, 0.0, dz, de], asked)
+    end = ORIGIN + np.array([0.0, 0.0, dz, de])
+    pause, xyze = standing(ORIGIN, end, asked)
     assert pause.exact == pytest.approx(expected)
     assert pause.samples == math.ceil(expected / TS - 1e-9)
-    np.testing.assert_array_equal(xyze[-1], ORIGIN + [0.0, 0.0, dz, de])
+    np.testing.assert_array_equal(xyze[-1], end)
 
 
 @given(
@@ -497,7 +501,9 @@ def assert_profiles_fit(planned: Plan, jerk: float) -> None:
     np.testing.assert_allclose(end, planned.speed[1:], rtol=1e-5, atol=1e-3)
     share = np.linspace(0.0, 1.0, 12) * t[..., None]
     inside = v[..., None] + share * (a[..., None] + share * j[..., None] / 2.0)
-    assert inside.min() >= -1e-3
+    step = share * (v[..., None] + share * (a[..., None] / 2.0 + share * j[..., None] / 6.0))
+    path = (np.cumsum(steps, axis=1) - steps)[..., None] + step
+    assert np.diff(path.reshape(len(path), -1), axis=1).min() >= -BACK
     top = planned.cruise * (1 + 1e-5) + 1e-3
     assert (inside.max(axis=(1, 2)) <= top).all()
     assert (np.abs(a).max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
@@ -545,5 +551,5 @@ def test_end_that_cannot_be_reached_is_an_error_with_its_line() -> None:
         np.array([0.0, 5.0, 5.1]), np.array([0, 1, 2]), np.array([0.0, 100.0, 0.0]),
         np.array([100.0, 100.0]), np.array([1e4, 1e4]), (),
     )  # fmt: skip
-    with pytest.raises(profile.HframeError, match=r"line 42: no .* fits"):
+    with pytest.raises(HframeError, match=r"line 42: no .* fits"):
         Profiler().profiles(impossible, 5e7)
