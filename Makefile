@@ -17,4 +17,4 @@ slow:
 	$(PYTHON) -m pytest -m slow
 
 bench:
-	$(PYTHON) -m pytest tests/benchmarks --benchmark-enable --benchmark-only -m ''
+	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only
