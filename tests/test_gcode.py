@@ -256,7 +256,7 @@ def test_quirks_that_cannot_be_followed_say_where(name: str, line: int) -> None:
 @given(st.lists(st.binary(max_size=40), max_size=8))
 def test_no_bytes_raise_anything_else(lines: list[bytes]) -> None:
     with contextlib.suppress(GcodeError):
-        list(read([b"G1 X1 Y1 Z1", *lines], "klipper"))
+        assert list(read([b"G1 X1 Y1 Z1", *lines], "klipper"))
 
 
 # ---------------------------------------------------------------------- arcs
