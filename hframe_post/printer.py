@@ -5,38 +5,19 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from dataclasses import MISSING, Field, dataclass, field, fields
-from difflib import get_close_matches
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
-import numpy as np
-
-from hframe_post.arrays import Complex
 from hframe_post.errors import PrinterError
 from hframe_post.lpfbs import Window
 from hframe_post.plant import Plant, TransferFunction
 from hframe_post.stream import TS
+from hframe_post.tables import checked, checked_value, known_keys, not_negative, positive, roots
 
-T = TypeVar("T")
-LARGEST = 1e15  # a number beyond is a mistake
 STRATEGIES = ("racking", "fbs", "none")
 DIALECTS = ("klipper",)
-
-
-def _positive(default: float | None = None) -> Any:
-    """A field that must be above zero."""
-    if default is None:
-        return field(metadata={"above": 0.0})
-    return field(default=default, metadata={"above": 0.0})
-
-
-def _not_negative(default: float | None = None) -> Any:
-    """A field that may be zero."""
-    if default is None:
-        return field(metadata={"least": 0.0})
-    return field(default=default, metadata={"least": 0.0})
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,37 +32,51 @@ class Travel:
 class Limits:
     """What the planner may ask of the path; mm, s. See the shipped profile for each."""
 
-    velocity: float = _positive()
-    acceleration: float = _positive()
-    jerk: float = _positive()
-    square_corner_velocity: float = _not_negative()
-    z_velocity: float = _positive()
-    z_acceleration: float = _positive()
-    extruder_velocity: float = _positive()
-    extruder_acceleration: float = _positive()
-    extruder_corner_velocity: float = _positive(1.0)
-    junction_deviation: float = _positive(math.inf)
+    velocity: float = positive()
+    acceleration: float = positive()
+    jerk: float = positive()
+    square_corner_velocity: float = not_negative()
+    z_velocity: float = positive()
+    z_acceleration: float = positive()
+    extruder_velocity: float = positive()
+    extruder_acceleration: float = positive()
+    extruder_corner_velocity: float = positive(1.0)
+    junction_deviation: float = positive(math.inf)
 
 
 @dataclass(frozen=True, slots=True)
 class Motors:
     """What no command may exceed: speed and acceleration of the belts A = x + y, B = x − y."""
 
-    belt_velocity: float = _positive()
-    belt_acceleration: float = _positive()
+    belt_velocity: float = positive()
+    belt_acceleration: float = positive()
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How the motors step: mm of x-y belt, z and filament per step, and the stepping clock.
+
+    direction_setup (s): from a change of direction to the first step after it.
+    """
+
+    belt: float = positive()
+    z: float = positive()
+    e: float = positive()
+    clock_hz: float = positive()
+    direction_setup: float = not_negative(0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
     """Strategy and window of the limited-preview filtered B-splines."""
 
-    L: int = _positive()
-    n_C: int = _positive()
-    n_up: int = _positive()
-    effort: tuple[float, float] = _not_negative()
+    L: int = positive()
+    n_C: int = positive()
+    n_up: int = positive()
+    effort: tuple[float, float] = not_negative()
     strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
-    degree: int = _positive(5)
-    settle_tolerance: float = _positive(0.05)
+    degree: int = positive(5)
+    settle_tolerance: float = positive(0.05)
 
     @property
     def windows(self) -> tuple[Window, Window]:
@@ -94,12 +89,12 @@ class Compensation:
 class Restore:
     """Klipper's own limits, in force outside the stream."""
 
-    velocity: float = _positive()
-    acceleration: float = _positive()
-    square_corner_velocity: float = _not_negative(5.0)
+    velocity: float = positive()
+    acceleration: float = positive()
+    square_corner_velocity: float = not_negative(5.0)
     minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
-    shaper_freq_x: float = _not_negative(0.0)
-    shaper_freq_y: float = _not_negative(0.0)
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +109,14 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class Printer:
-    """A whole profile. ``digest`` identifies its contents."""
+    """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out."""
 
     name: str
     description: str
     travel: Travel
     limits: Limits
     motors: Motors
+    steps: Steps | None
     compensation: Compensation
     firmware: Firmware
     plant: Plant
@@ -185,9 +181,9 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
-    sections = ("description", "travel", "limits", "motors", "compensation", "firmware", "plant")
-    _known_keys(document, sections, "")
-    for section in sections[1:]:
+    needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
+    known_keys(document, ("description", "steps", *needed), "")
+    for section in (*needed, "steps") if "steps" in document else needed:
         if not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
     description = document.get("description", "")
@@ -196,8 +192,8 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     firmware = dict(document["firmware"])
     if not isinstance(firmware.get("restore"), dict):
         raise PrinterError("the table is missing", "firmware.restore")
-    firmware["restore"] = _table(Restore, firmware["restore"], "firmware.restore")
-    compensation = _table(Compensation, document["compensation"], "compensation")
+    firmware["restore"] = checked(Restore, firmware["restore"], "firmware.restore")
+    compensation = checked(Compensation, document["compensation"], "compensation")
     try:
         _ = compensation.windows
     except ValueError as error:
@@ -205,18 +201,19 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     return Printer(
         name,
         description,
-        _table(Travel, document["travel"], "travel"),
-        _table(Limits, document["limits"], "limits"),
-        _table(Motors, document["motors"], "motors"),
+        checked(Travel, document["travel"], "travel"),
+        checked(Limits, document["limits"], "limits"),
+        checked(Motors, document["motors"], "motors"),
+        checked(Steps, document["steps"], "steps") if "steps" in document else None,
         compensation,
-        _table(Firmware, firmware, "firmware"),
+        checked(Firmware, firmware, "firmware"),
         _plant(document["plant"]),
         digest,
     )
 
 
 def _plant(table: dict[str, Any]) -> Plant:
-    _known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
+    known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
     for key in ("Ts", "x_c", "Gxx", "Gyy"):
         if key not in table:
             raise PrinterError("the key is missing", f"plant.{key}")
@@ -234,84 +231,20 @@ def _plant(table: dict[str, Any]) -> Plant:
     racking = functions.get("Gxtheta")
     if racking is not None and abs(racking.dc_gain) > 1e-9:
         raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
-    x_c = _value(float, table["x_c"], {}, "plant.x_c")
+    x_c = checked_value(float, table["x_c"], {}, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
 
 
 def _transfer_function(table: Any, key: str) -> TransferFunction:
     if not isinstance(table, dict):
         raise PrinterError("must be a table of zeros, poles and gain", key)
-    _known_keys(table, ("zeros", "poles", "gain"), key)
+    known_keys(table, ("zeros", "poles", "gain"), key)
     for name in ("zeros", "poles", "gain"):
         if name not in table:
             raise PrinterError("the key is missing", f"{key}.{name}")
-    zeros, poles = (_roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
-    gain = _value(float, table["gain"], {}, f"{key}.gain")
+    zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
+    gain = checked_value(float, table["gain"], {}, f"{key}.gain")
     try:
         return TransferFunction(zeros, poles, gain)
     except ValueError as error:
         raise PrinterError(str(error), key) from None
-
-
-def _roots(pairs: Any, key: str) -> Complex:
-    """Complex roots from pairs [real, imaginary]."""
-    if not isinstance(pairs, list):
-        raise PrinterError("must be a list of pairs [real, imaginary]", key)
-    for pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
-    numbers = [[_value(float, number, {}, key) for number in pair] for pair in pairs]
-    return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
-
-
-def _table(kind: type[T], table: dict[str, Any], path: str) -> T:
-    """A dataclass from a TOML table: every key known, typed and within its bounds."""
-    hints = get_type_hints(kind)
-    members: tuple[Field[Any], ...] = fields(kind)  # type: ignore[arg-type]
-    _known_keys(table, tuple(m.name for m in members), path)
-    values = {}
-    for member in members:
-        key = f"{path}.{member.name}"
-        if member.name in table:
-            hint = hints[member.name]
-            values[member.name] = _value(hint, table[member.name], member.metadata, key)
-        elif member.default is MISSING:
-            raise PrinterError("the key is missing", key)
-    return kind(**values)
-
-
-def _value(hint: Any, value: Any, rules: Any, key: str) -> Any:
-    """One value of the type ``hint``, within the rules of its field."""
-    if hint is str:
-        if not isinstance(value, str):
-            raise PrinterError(f"must be text, not {value!r}", key)
-        if value not in rules.get("choices", (value,)):
-            raise PrinterError(f"must be one of {', '.join(rules['choices'])}", key)
-        return value
-    if hint == tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise PrinterError("must be a list of two numbers", key)
-        low, high = (_value(float, v, rules, key) for v in value)
-        if rules.get("ascending") and not low < high:
-            raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
-        return low, high
-    if hint not in (int, float):
-        return value
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not abs(value) < LARGEST or (hint is int and value != int(value)):
-        raise PrinterError(f"must be a {'whole ' if hint is int else ''}number", key)
-    if "above" in rules and not value > rules["above"]:
-        raise PrinterError(f"must be above {rules['above']:g}, it is {value:g}", key)
-    if "least" in rules and not value >= rules["least"]:
-        raise PrinterError(f"must be at least {rules['least']:g}, it is {value:g}", key)
-    if "below" in rules and not value < rules["below"]:
-        raise PrinterError(f"must be below {rules['below']:g}, it is {value:g}", key)
-    return hint(value)
-
-
-def _known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:
-    for key in table:
-        if key not in known:
-            near = get_close_matches(key, known, n=1, cutoff=0.0)
-            where = f"{path}.{key}" if path else key
-            raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)

@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper, settings 95d36844e26c
+; processed by hframe-post 0.1.0, printer paper, settings 63b675f2ac3d
 ;FLAVOR:Marlin
 G28
 G90

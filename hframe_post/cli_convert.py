@@ -1,0 +1,105 @@
+"""``hframe-post convert``: from file to file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hframe_post.cli_options import (
+    STRATEGIES,
+    json_option,
+    limits_option,
+    printer_option,
+    progress,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from hframe_post.pipeline import Options
+    from hframe_post.printer import Printer
+    from hframe_post.report import Report
+
+
+@click.command()
+@click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
+    help="Output file; '-' for standard output. Without it the input is replaced.",
+)  # fmt: skip
+@printer_option
+@click.option(
+    "-c", "--compensation", type=click.Choice(STRATEGIES),
+    help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
+)  # fmt: skip
+@limits_option
+@click.option(
+    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
+    help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
+)  # fmt: skip
+@click.option(
+    "--tolerance", type=click.FloatRange(1e-4, 0.1), default=0.002, show_default=True,
+    metavar="MM", help="How far the written command may be off the computed one.",
+)  # fmt: skip
+@click.option("--every-sample", is_flag=True, help="Write a line for every millisecond.")
+@click.option(
+    "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
+    help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
+)  # fmt: skip
+@json_option
+@click.option("-n", "--dry-run", is_flag=True, help="Report, but write no G-code.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
+def convert(
+    source: Path, output: Path | None, printer: str, compensation: str | None, limits: str,
+    on_limit: str, tolerance: float, every_sample: bool, predict: str, json_file: Path | None,
+    dry_run: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Convert a sliced file. '-' reads standard input.
+
+    The nozzle's motion is predicted with the printer's model, and the commands are changed
+    so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
+    an error in the input or the profile (nothing is written then), 2 wrong usage.
+    """
+    from hframe_post.pipeline import Options
+    from hframe_post.printer import load
+
+    profile = load(printer)
+    strategy = compensation or profile.compensation.strategy
+    wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]
+    options = Options(
+        strategy,
+        tuple(dict.fromkeys(wanted)),
+        file_limits=limits == "file",
+        clamp=on_limit == "clamp",
+        tolerance=None if every_sample else tolerance,
+    )
+    to_stdout = str(output) == "-" or (output is None and str(source) == "-")
+    if to_stdout and str(json_file) == "-":
+        raise click.UsageError("G-code and JSON cannot both go to standard output")
+    target = None if to_stdout else output or source
+    report = _converted(source, target, profile, options, dry_run, quiet)
+    write_json(report.as_json(), json_file)
+    if not quiet:
+        click.echo(report.as_text(), err=True)
+
+
+def _converted(
+    source: Path, target: Path | None, printer: Printer, options: Options, dry: bool, quiet: bool
+) -> Report:
+    """Runs the conversion from file to file."""
+    from hframe_post.output import OutputFile
+    from hframe_post.pipeline import convert as conversion
+    from hframe_post.report import Report
+
+    report = Report(options.strategy)
+    with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+        output = conversion(lines, printer, options, report)
+        if dry:
+            for _ in output:
+                pass
+        else:
+            with OutputFile(target, sys.stdout.buffer) as out:
+                out.write(output, lambda: report.time_after)
+    return report
