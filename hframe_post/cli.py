@@ -9,6 +9,7 @@ import click
 
 from hframe_post import __version__
 from hframe_post.cli_convert import convert
+from hframe_post.cli_study import simulate
 
 # One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
 # before numpy is imported, and the matrices are too small to gain from more.
@@ -56,6 +57,7 @@ def main() -> None:
 
 
 main.add_command(convert)
+main.add_command(simulate)
 
 
 @main.group(invoke_without_command=True)

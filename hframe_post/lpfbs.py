@@ -81,6 +81,19 @@ def uniform_basis(L: int, degree: int) -> Array:
     return bsplines(knots, degree, np.arange(L) / L)[:, : degree + 1]
 
 
+def window_splines(w: Window) -> tuple[Array, Array, Array, Array]:
+    """A window's splines and their second differences: N_P, N_C, D N_P, D N_C.
+
+    Shapes (L_C, m + 1) for the past ones, (L_C, n_C) for the current ones: eq. 38.
+    """
+    past = w.degree + 1
+    knots = w.L * np.arange(-past, w.n_C + w.degree + 1, dtype=float)
+    samples = np.arange(-2, w.L_C, dtype=float)
+    N = bsplines(knots, w.degree, samples)  # rows −2 and −1 are for the difference alone
+    D = np.diff(N, n=2, axis=0)
+    return N[2:, :past], N[2:, past:], D[:, :past], D[:, past:]
+
+
 class Lpfbs:
     """The solver of one axis: x_d in, command x_dm out; the past s goes in and out with it.
 
@@ -127,16 +140,11 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     difference: eq. 39 with the past exact and an effort penalty. Shapes (n_C, L_C),
     (n_C, d + m + 1), (d + m + 1, L_C), (d + m + 1, d + m + 1).
     """
-    past = w.degree + 1
-    knots = w.L * np.arange(-past, w.n_C + w.degree + 1, dtype=float)
-    samples = np.arange(-2, w.L_C, dtype=float)
-    N_all = bsplines(knots, w.degree, samples)  # rows −2 and −1 are for the difference alone
-    D_all = np.diff(N_all, n=2, axis=0)
-    N_P, N_C = N_all[2:, :past], N_all[2:, past:]
+    N_P, N_C, D_P, D_C = window_splines(w)
     lifted, O, _, _ = G.lifted(w.L_C)
     N_C_filtered, N_P_filtered = lifted @ N_C, lifted @ N_P
     weight = np.sqrt(w.effort)
-    normal = np.vstack([N_C_filtered, weight * D_all[:, past:]])
+    normal = np.vstack([N_C_filtered, weight * D_C])
     U, sigma, Vt = np.linalg.svd(normal, full_matrices=False)
     if sigma[-1] <= RANK_TOLERANCE * sigma[0]:
         raise ValueError(
@@ -145,7 +153,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
         )
     pinv = (Vt.T / sigma) @ U.T
     K_target = pinv[:, : w.L_C]
-    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_all[:, :past]]])
+    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_P]])
     K_past = -pinv @ free
     step_target, step_past = _step(G, w, N_P, N_C, K_target, K_past)
     return K_target, K_past, step_target, step_past

@@ -24,7 +24,7 @@ from hframe_post.printer import Printer
 from hframe_post.profile import sample
 from hframe_post.report import Report
 from hframe_post.settle import LEAD_SHARE, settle
-from hframe_post.simulate import contour_errors
+from hframe_post.simulate import judge
 from hframe_post.stream import TS, E, Item, Moves, Rest, Samples, Standing
 
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
@@ -141,9 +141,9 @@ def measured(items: Iterable[Item], report: Report) -> Iterator[Item]:
 
 def predicted(commands: Iterable[Samples], printer: Printer, report: Report) -> Iterator[Samples]:
     """The commands as they are; how well the nozzle follows is reported."""
-    for block, errors in contour_errors(commands, printer.plant, JUDGED_EVERY):
-        report.add_errors(errors)
-        yield block
+    for judgement in judge(commands, printer.plant, JUDGED_EVERY):
+        report.add_errors(judgement.contour)
+        yield judgement.block
 
 
 def timed(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:

@@ -1,64 +1,19 @@
-"""Running figures of a conversion, and what is told of them: text and JSON.
-
-Nothing here grows with the print: sums, peaks and a histogram with fine logarithmic bins.
-"""
+"""Running figures of a conversion, and what is told of them: text and JSON."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from hframe_post.arrays import Array
 from hframe_post.guard import Peaks
-
-BINS_PER_E = 100  # bins of 1 % for the percentiles
-SMALLEST = 1e-7  # mm; errors below share the first bin
-DECIMALS = 4
+from hframe_post.tally import ErrorStatistics
 
 STRATEGY_NAMES = {
     "none": "no compensation",
     "fbs": "ringing only (fbs)",
     "racking": "ringing and racking",
 }
-
-
-@dataclass
-class ErrorStatistics:
-    """RMS, percentiles and peak of a stream of errors (mm)."""
-
-    count: int = 0
-    squares: float = 0.0
-    peak: float = 0.0
-    histogram: Array = field(default_factory=lambda: np.zeros(22 * BINS_PER_E))
-
-    def add(self, errors: Array) -> None:
-        """Takes the next errors, (n,), none negative."""
-        if len(errors):
-            self.count += len(errors)
-            self.squares += float(errors @ errors)
-            self.peak = max(self.peak, float(errors.max()))
-            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
-            top = len(self.histogram) - 1
-            self.histogram += np.bincount(np.minimum(bins.astype(np.int64), top), minlength=top + 1)
-
-    @property
-    def rms(self) -> float:
-        """Root mean square, mm."""
-        return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
-
-    def percentile(self, share: float) -> float:
-        """The error (mm) that ``share`` of all stay below, to 1 %."""
-        if not self.count:
-            return 0.0
-        k = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
-        return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
-
-    def micrometres(self) -> dict[str, float]:
-        """RMS, 95th percentile and peak in µm."""
-        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
-        return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
 
 
 @dataclass

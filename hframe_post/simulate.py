@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,10 +52,22 @@ def predict(blocks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
             yield block, {name: r.run(block.commands[name]) for name, r in responses.items()}
 
 
-def contour_errors(
-    blocks: Iterable[Samples], plant: Plant, every: int = 1
-) -> Iterator[tuple[Samples, dict[str, Array]]]:
-    """Each block and, for every strategy, the contour error of its samples in motion, mm.
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """How well each strategy follows one block; k of its samples count.
+
+    at (k,): which samples of the block. contour: strategy → (k,), distance to the path.
+    tracking: strategy → (k, 2), off the desired place at the same time. All mm.
+    """
+
+    block: Samples
+    at: Integers
+    contour: dict[str, Array]
+    tracking: dict[str, Array]
+
+
+def judge(blocks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
+    """One judgement a block, of its samples in motion.
 
     Of the samples ``every`` second, third, … counts. Those at which the machine rests for
     something else are left out: nothing of the path is traced there.
@@ -65,14 +78,13 @@ def contour_errors(
         for block, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
             first = -block.first % every
             moving = in_motion(block)[first::every]
-            at = np.arange(where.start + first, where.stop, every)
-            yield (
-                originals.popleft(),
-                {
-                    name: contour_error(wide.xyze[:, :Z], actual[first::every], at)[moving]
-                    for name, actual in block.commands.items()
-                },
-            )
+            here, path = np.arange(first, len(block), every), wide.xyze[:, :Z]
+            contour, tracking = {}, {}
+            for name, actual in block.commands.items():
+                judged = actual[first::every]
+                contour[name] = contour_error(path, judged, where.start + here)[moving]
+                tracking[name] = (judged - block.xyze[first::every, :Z])[moving]
+            yield Judgement(originals.popleft(), here[moving], contour, tracking)
 
 
 def _predicted(

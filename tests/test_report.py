@@ -11,7 +11,8 @@ import pytest
 
 from hframe_post.dense_gcode import Late
 from hframe_post.output import OutputFile, late_line
-from hframe_post.report import ErrorStatistics, duration
+from hframe_post.report import duration
+from hframe_post.tally import ErrorStatistics
 
 
 def test_statistics_are_those_of_the_whole_stream() -> None:

@@ -8,7 +8,7 @@ from scipy import signal
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.compensate import Compensator
-from hframe_post.simulate import NEAREST, Response, contour_error, contour_errors
+from hframe_post.simulate import NEAREST, Response, contour_error, judge
 from hframe_post.stream import Handling, ModalState, Passthrough, Pause, Rest, Samples
 
 
@@ -91,6 +91,7 @@ def test_standstill_for_something_else_does_not_count(compensator: Compensator) 
     wait = Passthrough(3, b"G4 P20", Handling.REST, state, 0.02)
     events = (Rest(10, 30, True), Pause(40, 20, wait, 0.02))
     block = Samples(0, path, np.zeros(100, np.int64), events, {"none": path[:, :2]})
-    (_, errors), *others = contour_errors([block], compensator.plant)
-    assert not others
-    assert len(errors["none"]) == 100 - 50
+    (judgement,) = judge([block], compensator.plant)
+    assert judgement.block is block
+    assert len(judgement.contour["none"]) == len(judgement.tracking["none"]) == 100 - 50
+    assert judgement.at.tolist() == [*range(10), *range(60, 100)]

@@ -1,0 +1,119 @@
+"""``hframe-post simulate``: what would it do for this part, and how far to trust that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hframe_post.cli_options import (
+    STRATEGIES,
+    json_option,
+    limits_option,
+    printer_option,
+    progress,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from hframe_post.printer import Printer
+
+
+def share(text: str) -> float:
+    """A percentage, ``5%`` or ``0.05``, as a number."""
+    try:
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
+    return value
+
+
+source_argument = click.argument(
+    "source", metavar="[IN.GCODE]", required=False,
+    type=click.Path(path_type=Path, allow_dash=True),
+)  # fmt: skip
+
+path_option = click.option(
+    "--path", type=click.Choice(["rectangle"]),
+    help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
+)  # fmt: skip
+
+
+@contextmanager
+def opened(
+    source: Path | None, path: str | None, printer: Printer, quiet: bool
+) -> Iterator[Iterable[bytes]]:
+    """The lines of the file or of the path."""
+    from hframe_post.paths import rectangle
+
+    if (source is None) == (path is None):
+        raise click.UsageError("give either a file or --path")
+    if source is None:
+        yield rectangle(printer)
+    else:
+        with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+            yield lines
+
+
+@click.command()
+@source_argument
+@path_option
+@printer_option
+@limits_option
+@click.option(
+    "--plant", "plant_file", metavar="NAME|FILE",
+    help="Profile whose [plant] is simulated, where it is not the one compensated for.",
+)  # fmt: skip
+@click.option(
+    "--model-error", "shares", type=share, multiple=True, metavar="PERCENT",
+    help="Also simulate printers whose frequencies, damping and racking gain are off by up to "
+    "so much. May be repeated.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
+    help="How many printers to draw for each model error.",
+)  # fmt: skip
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the draws.")
+@click.option("--steps", is_flag=True, help="Put the motors' steps between command and plant.")
+@click.option("--layers", is_flag=True, help="Show every layer, not the worst.")
+@json_option
+@click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
+def simulate(
+    source: Path | None, path: str | None, printer: str, limits: str, plant_file: str | None,
+    shares: tuple[float, ...], draws: int, seed: int, steps: bool, layers: bool,
+    json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Simulate a print with no compensation, without and with racking compensation.
+
+    Contour error is the distance of the nozzle to the slicer's path; tracking error is how far
+    it is from where it should be at that time. Nothing is written but the summary.
+    """
+    from hframe_post.errors import PrinterError
+    from hframe_post.pipeline import Options
+    from hframe_post.printer import load
+    from hframe_post.simulation_report import SimulationReport
+    from hframe_post.study import Study
+    from hframe_post.study import simulate as simulation
+    from hframe_post.uncertainty import draws as drawn
+
+    profile = load(printer)
+    simulated = load(plant_file) if plant_file else profile
+    if steps and profile.steps is None:
+        raise PrinterError("the table is missing; --steps needs it", "steps", printer)
+    study = Study(
+        simulated.plant,
+        {share: drawn(simulated.plant, share, draws, seed) for share in dict.fromkeys(shares)},
+        profile.steps if steps else None,
+    )
+    options = Options("racking", STRATEGIES, file_limits=limits == "file")
+    report = SimulationReport(options.strategy, plant=simulated.name, quantised=steps)
+    with opened(source, path, profile, quiet) as lines:
+        simulation(lines, profile, options, study, report)
+    write_json(report.as_json(), json_file)
+    if not quiet:
+        click.echo(report.as_text(layers), err=str(json_file) == "-")
