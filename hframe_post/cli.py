@@ -9,7 +9,9 @@ import click
 
 from hframe_post import __version__
 from hframe_post.cli_convert import convert
+from hframe_post.cli_paper import paper
 from hframe_post.cli_study import simulate
+from hframe_post.cli_tune import tune
 
 # One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
 # before numpy is imported, and the matrices are too small to gain from more.
@@ -58,6 +60,8 @@ def main() -> None:
 
 main.add_command(convert)
 main.add_command(simulate)
+main.add_command(paper)
+main.add_command(tune)
 
 
 @main.group(invoke_without_command=True)

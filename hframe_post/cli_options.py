@@ -7,9 +7,12 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from hframe_post.printer import Printer
 
 STRATEGIES = ("racking", "fbs", "none")
 BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
@@ -59,3 +62,41 @@ def progress(file: IO[bytes], source: Path, quiet: bool) -> Iterator[Iterable[by
             bar.update(read)
 
         yield lines()
+
+
+def share(text: str) -> float:
+    """A percentage, ``5%`` or ``0.05``, as a number."""
+    try:
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
+    return value
+
+
+source_argument = click.argument(
+    "source", metavar="[IN.GCODE]", required=False,
+    type=click.Path(path_type=Path, allow_dash=True),
+)  # fmt: skip
+
+path_option = click.option(
+    "--path", type=click.Choice(["rectangle"]),
+    help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
+)  # fmt: skip
+
+
+@contextmanager
+def opened(
+    source: Path | None, path: str | None, printer: Printer, quiet: bool
+) -> Iterator[Iterable[bytes]]:
+    """The lines of the file or of the path."""
+    from hframe_post.paths import rectangle
+
+    if (source is None) == (path is None):
+        raise click.UsageError("give either a file or --path")
+    if source is None:
+        yield rectangle(printer)
+    else:
+        with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+            yield lines

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,51 +10,13 @@ from hframe_post.cli_options import (
     STRATEGIES,
     json_option,
     limits_option,
+    opened,
+    path_option,
     printer_option,
-    progress,
+    share,
+    source_argument,
     write_json,
 )
-
-if TYPE_CHECKING:
-    from hframe_post.printer import Printer
-
-
-def share(text: str) -> float:
-    """A percentage, ``5%`` or ``0.05``, as a number."""
-    try:
-        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1.0:
-        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
-    return value
-
-
-source_argument = click.argument(
-    "source", metavar="[IN.GCODE]", required=False,
-    type=click.Path(path_type=Path, allow_dash=True),
-)  # fmt: skip
-
-path_option = click.option(
-    "--path", type=click.Choice(["rectangle"]),
-    help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
-)  # fmt: skip
-
-
-@contextmanager
-def opened(
-    source: Path | None, path: str | None, printer: Printer, quiet: bool
-) -> Iterator[Iterable[bytes]]:
-    """The lines of the file or of the path."""
-    from hframe_post.paths import rectangle
-
-    if (source is None) == (path is None):
-        raise click.UsageError("give either a file or --path")
-    if source is None:
-        yield rectangle(printer)
-    else:
-        with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
-            yield lines
 
 
 @click.command()

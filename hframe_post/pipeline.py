@@ -25,7 +25,7 @@ from hframe_post.profile import sample
 from hframe_post.report import Report
 from hframe_post.settle import LEAD_SHARE, settle
 from hframe_post.simulate import judge
-from hframe_post.stream import TS, E, Item, Moves, Rest, Samples, Standing
+from hframe_post.stream import TS, E, Item, Moves, Rest, Rests, Samples, Standing
 
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
@@ -93,10 +93,8 @@ def commanded(
     """Safe commands for the motors, one sample a millisecond."""
     limits, chosen = printer.limits, options.strategy
     tolerance = printer.compensation.settle_tolerance
-    lever = max(abs(edge - printer.plant.x_c) for edge in printer.travel.x)
-    rests = compensator.rests(limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance)
     items = measured(read(lines, printer.firmware.dialect, options.file_limits), report)
-    samples = sample(plan(items, limits), limits, rests)
+    samples = sample(plan(items, limits), limits, rests(printer, compensator))
     commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
     checks = (chosen, printer.travel, printer.motors, report.peaks)
     return guard(clamp(commands, *checks) if options.clamp else commands, *checks)
@@ -108,6 +106,13 @@ def prepared(printer: Printer) -> Compensator:
         return Compensator(printer.plant, printer.compensation.windows)
     except ValueError as error:
         raise PrinterError(str(error), "compensation", printer.name) from None
+
+
+def rests(printer: Printer, compensator: Compensator) -> Rests:
+    """Standstill that the fastest stop and start on this bed can need."""
+    limits, tolerance = printer.limits, printer.compensation.settle_tolerance
+    lever = max(abs(edge - printer.plant.x_c) for edge in printer.travel.x)
+    return compensator.rests(limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance)
 
 
 def settings_hash(printer: Printer, options: Options) -> str:
@@ -148,9 +153,9 @@ def predicted(commands: Iterable[Samples], printer: Printer, report: Report) -> 
 
 def timed(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:
     """The commands as they are; print time with and without the rests is reported."""
-    rests = 0
+    resting = 0
     for block in commands:
-        rests += sum(event.samples for event in block.events if isinstance(event, Rest))
+        resting += sum(event.samples for event in block.events if isinstance(event, Rest))
         report.time_after = block.end * TS
-        report.time_before = (block.end - rests) * TS
+        report.time_before = (block.end - resting) * TS
         yield block

@@ -15,15 +15,14 @@ import numpy as np
 from hframe_post.ahead import ahead
 from hframe_post.arrays import Array, Integers
 from hframe_post.features import Labels
-from hframe_post.kinematics import belts
 from hframe_post.pipeline import JUDGED_EVERY, Options, commanded, counted, prepared, timed
 from hframe_post.plant import Plant
 from hframe_post.printer import Printer, Steps
 from hframe_post.quantise import quantise
 from hframe_post.simulate import Judgement, judge
 from hframe_post.simulation_report import Group, SimulationReport, Uncertainty
-from hframe_post.stream import TS, E, Passthrough, Pause, Samples
-from hframe_post.tally import ErrorStatistics, Figures
+from hframe_post.stream import E, Passthrough, Pause, Samples
+from hframe_post.tally import ErrorStatistics, Figures, belt_rates
 
 DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
 
@@ -94,7 +93,7 @@ def _rated(blocks: Iterable[Samples], report: SimulationReport) -> Iterator[Samp
         for name, command in block.commands.items():
             known = before.get(name, command[:1].repeat(2, axis=0))
             if len(command):
-                velocity, acceleration = _rates(np.concatenate([known, command]))
+                velocity, acceleration = belt_rates(np.concatenate([known, command]))
                 for group, which in _groups(layer, feature, labels, report):
                     figures = group.setdefault(name, Figures())
                     figures.add_rates(velocity[which], acceleration[which])
@@ -102,13 +101,6 @@ def _rated(blocks: Iterable[Samples], report: SimulationReport) -> Iterator[Samp
         if block.yields:
             before = {}
         yield block
-
-
-def _rates(command: Array) -> tuple[Array, Array]:
-    """Speed and acceleration (n,) of the faster belt under a command (2 + n, 2)."""
-    position = belts(*command.T)
-    velocity, acceleration = (np.abs(np.diff(position, n=n)).max(axis=0) / TS**n for n in (1, 2))
-    return velocity[1:], acceleration
 
 
 def _groups(

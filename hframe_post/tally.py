@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Array
+from hframe_post.kinematics import belts
+from hframe_post.stream import TS
 
 BINS_PER_E = 100  # bins of 1 % for the percentiles
 BINS = 22 * BINS_PER_E  # up to 0.3 m
@@ -93,3 +95,10 @@ class Figures:
             "peak_belt_speed": round(self.velocity, 3),
             "peak_belt_acceleration": round(self.acceleration, 1),
         }
+
+
+def belt_rates(command: Array) -> tuple[Array, Array]:
+    """Speed and acceleration (n,) of the faster belt under a command (2 + n, 2), mm, s."""
+    position = belts(*command.T)
+    velocity, acceleration = (np.abs(np.diff(position, n=n)).max(axis=0) / TS**n for n in (1, 2))
+    return velocity[1:], acceleration
