@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
@@ -72,3 +73,23 @@ def part(block: Samples, start: int, stop: int) -> Samples:
     )
     commands = {name: xy[start:stop] for name, xy in block.commands.items()}
     return Samples(low, block.xyze[start:stop], block.line[start:stop], events, commands)
+
+
+def branches(blocks: Iterable[Samples], count: int) -> list[Iterator[Samples]]:
+    """The same blocks ``count`` times over; held only until the slowest branch has taken them.
+
+    ``itertools.tee`` lets go of what has been taken by dozens only, and a block is megabytes.
+    """
+    source, queues = iter(blocks), [deque[Samples]() for _ in range(count)]
+
+    def branch(queue: deque[Samples]) -> Iterator[Samples]:
+        while True:
+            if not queue:
+                block = next(source, None)
+                if block is None:
+                    return
+                for other in queues:
+                    other.append(block)
+            yield queue.popleft()
+
+    return [branch(queue) for queue in queues]

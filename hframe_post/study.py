@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import tee
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from hframe_post.pipeline import JUDGED_EVERY, Options, commanded, counted, prep
 from hframe_post.plant import Plant
 from hframe_post.printer import Printer, Steps
 from hframe_post.quantise import quantise
+from hframe_post.recut import branches
 from hframe_post.simulate import Judgement, judge
 from hframe_post.simulation_report import Group, SimulationReport, Uncertainty
 from hframe_post.stream import E, Passthrough, Pause, Samples
@@ -53,8 +53,9 @@ def simulate(
     commands = _rated(_laid(timed(commands, report), report), report)
     if study.steps is not None:
         commands = quantise(commands, study.steps)
-    branches = iter(tee(commands, 1 + sum(map(len, study.drawn.values()))))
-    judged = judge(next(branches), study.plant, JUDGED_EVERY)
+    count = 1 + sum(map(len, study.drawn.values()))
+    streams = iter(branches(commands, count))
+    judged = judge(next(streams), study.plant, JUDGED_EVERY)
     drawn: list[Iterator[None]] = []
     for share, plants in study.drawn.items():
         uncertainty = Uncertainty(share)
@@ -62,7 +63,7 @@ def simulate(
         for plant in plants:
             contour: dict[str, ErrorStatistics] = {}
             uncertainty.printers.append(contour)
-            drawn.append(_drawn(judge(next(branches), plant, DRAWS_JUDGED_EVERY), contour))
+            drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
     labels = Labels()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # block by block, to hold but one
         _add_errors(judgement, labels, report)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import tee, zip_longest
+from itertools import zip_longest
 from statistics import median
 
 import numpy as np
@@ -22,6 +22,7 @@ from hframe_post.pipeline import JUDGED_EVERY, rests
 from hframe_post.plant import Plant
 from hframe_post.printer import Compensation, Motors, Printer
 from hframe_post.profile import sample
+from hframe_post.recut import branches
 from hframe_post.settle import settle
 from hframe_post.simulate import judge
 from hframe_post.stream import Rests, Samples, X, Y
@@ -98,10 +99,11 @@ def tune(
     longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
     items = read(lines, printer.firmware.dialect, file_limits)
     samples = sample(plan(items, printer.limits), printer.limits, longest)
-    branches = tee(samples, max(len(compensators), 1))
     running = [
         _tried(trial, compensator, branch, printer, drawn)
-        for (trial, compensator), branch in zip(compensators, branches, strict=False)
+        for (trial, compensator), branch in zip(
+            compensators, branches(samples, len(compensators)), strict=True
+        )
     ]
     for _ in zip_longest(*running):  # in step: no block is held for a branch far behind
         pass
@@ -128,10 +130,10 @@ def _tried(
     """Fills the trial, a block at a time."""
     commands = compensate(samples, compensator, ("racking",))
     settled = _rated(settle(commands, "racking", printer.compensation.settle_tolerance), trial)
-    branches = tee(settled, 1 + len(drawn))
     trial.drawn = [ErrorStatistics() for _ in drawn]
     plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
-    judged = [judge(*pair, JUDGED_EVERY) for pair in zip(branches, plants, strict=True)]
+    streams = branches(settled, len(plants))
+    judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
     for judgements in zip(*judged, strict=True):
         for judgement, errors in zip(judgements, statistics, strict=True):
             for contour in judgement.contour.values():  # none where nothing moves
