@@ -180,14 +180,14 @@ class Recursion:
         for i in range(1, n + 1):
             for k in range(i):
                 triangle[k, :, i] = self._powers[i - 1 - k].T
-        self._forced = triangle.reshape(n * d, -1)
+        self._forced = triangle.reshape(n * d, (n + 1) * d)
 
     def run(self, W: Array, state: Array) -> tuple[Array, Array]:
         """States before each of the steps W (n, d), same shape, and the one after the last."""
         n, d = W.shape
         groups = -(-n // STEPS_AT_ONCE)
         padded = np.zeros((groups, STEPS_AT_ONCE * d))
-        padded.reshape(-1, d)[:n] = W
+        padded.reshape(groups * STEPS_AT_ONCE, d)[:n] = W
         states = (padded @ self._forced).reshape(groups, STEPS_AT_ONCE + 1, d)
         starts = np.empty((groups, d))
         for group, last in enumerate(states[:, -1]):
@@ -197,7 +197,7 @@ class Recursion:
         states += (starts @ self._from_start).reshape(states.shape)
         full, part = divmod(n, STEPS_AT_ONCE)
         after = states[full, part] if part else state
-        return states[:, :-1].reshape(-1, d)[:n], after
+        return states[:, :-1].reshape(groups * STEPS_AT_ONCE, d)[:n], after
 
 
 def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:

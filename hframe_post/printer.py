@@ -231,6 +231,8 @@ def _plant(table: dict[str, Any]) -> Plant:
     racking = functions.get("Gxtheta")
     if racking is not None and abs(racking.dc_gain) > 1e-9:
         raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
+    if racking is not None and racking.gain == 0.0:
+        racking = None
     x_c = checked_value(float, table["x_c"], {}, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
 

@@ -15,6 +15,7 @@ from hframe_post.arrays import Complex
 from hframe_post.plant import Plant, TransferFunction
 
 AXIS = 1e-12  # imaginary part below which a root is real
+STANDING = 1e-6  # distance from z = 1 of a zero that makes the gain at rest vanish
 
 
 def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
@@ -73,6 +74,6 @@ def _at_rest(G: TransferFunction, gain: float) -> TransferFunction:
 
 
 def _slope(G: TransferFunction) -> float:
-    """Gain at rest of G/(z − 1): θ per velocity."""
-    moving = np.delete(G.zeros, np.argmin(np.abs(G.zeros - 1.0)))
+    """Gain at rest without the zeros at z = 1: θ per velocity."""
+    moving = G.zeros[np.abs(G.zeros - 1.0) > STANDING]
     return float((G.gain * np.prod(1.0 - moving) / np.prod(1.0 - G.poles)).real)
