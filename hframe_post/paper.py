@@ -13,6 +13,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.compensate import Compensator, compensate
+from hframe_post.errors import GcodeError
 from hframe_post.fbs import WholeTrajectory
 from hframe_post.features import Labels
 from hframe_post.gcode import read
@@ -242,7 +243,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
 
     The width is what a calliper feels: from the outermost point of the front wall to that of
     the rear wall within its jaws, nozzle less intended path, on every layer. The planner's
-    limits are the profile's. Raises ValueError where the slice has no outer wall.
+    limits are the profile's. Raises HframeError, also where the part is no prism with walls.
     """
     lines = list(lines)
     printer = replace(printer, plant=replace(printer.plant, x_c=_middle(lines, printer)))
@@ -258,7 +259,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
         for name, rows in error.items():
             rows.append(_width(walls[name], walls["path"]) - wanted)
     if not error["none"]:
-        raise ValueError("the slice has no outer wall (;TYPE:WALL-OUTER or External perimeter)")
+        raise GcodeError("no outer wall in this slice (;TYPE:WALL-OUTER or External perimeter)")
     return Widths(window, {name: np.array(rows) for name, rows in error.items()})
 
 
@@ -301,5 +302,7 @@ def _width(wall: Array, path: Array) -> Array:
     widths = []
     for place in (left + FROM_END, (left + right) / 2.0, right - FROM_END):
         felt = np.abs(wall[:, X] - place) <= JAW / 2.0
+        if not (felt & in_rear).any() or not (felt & ~in_rear).any():
+            raise GcodeError(f"no two walls to measure at x = {place:.1f}: not the paper's prism")
         widths.append(wall[felt & in_rear, Y].max() - wall[felt & ~in_rear, Y].min())
     return np.array(widths)

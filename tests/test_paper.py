@@ -10,6 +10,7 @@ import pytest
 from hframe_post import paper, printer
 from hframe_post.arrays import Array
 from hframe_post.compensate import Compensator, compensate
+from hframe_post.errors import GcodeError
 from hframe_post.fbs import WholeTrajectory, basis, knots
 from hframe_post.lpfbs import Window
 from hframe_post.plant import Plant, TransferFunction
@@ -254,5 +255,5 @@ def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
 
 def test_fig_11_needs_an_outer_wall() -> None:
     lines = (SAMPLES / "rectangle.gcode").read_bytes().replace(b"WALL-OUTER", b"FILL")
-    with pytest.raises(ValueError, match="no outer wall"):
+    with pytest.raises(GcodeError, match="no outer wall"):
         paper.widths(printer.load("paper"), lines.splitlines(keepends=True))

@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from hframe_post import cli
+
 from .conftest import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -37,14 +41,23 @@ def test_test_command_is_what_ci_runs() -> None:
     assert "test command" in (ROOT / ".ci" / "run").read_text()
 
 
-def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\((?!http)([^)#]+)", README):
-        assert (ROOT / target).exists(), target
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def test_commands_of_the_usage_are_options_of_the_tool() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "hframe_post", "convert", "--help"], capture_output=True, check=True
-    )
-    for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", README.partition("## Use")[2]):
-        assert option.encode() in done.stdout, option
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
+    """Each option of each command line, looked up among that command's parameters."""
+    for line in re.findall(r"hframe-post ([^#`\n]*)", page.read_text()):
+        words = line.split()
+        names = [word for word in words if not word.startswith("-")]
+        chosen = cli.main.commands.get(names[0] if names else "", cli.main.commands["convert"])
+        known = {option for parameter in chosen.params for option in parameter.opts}
+        for word in words:
+            if word.startswith("-") and word not in ("-", "--help", "-h"):
+                assert word in known, f"{page.name}: {line}"
