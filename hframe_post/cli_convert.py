@@ -12,6 +12,7 @@ from hframe_post.cli_options import (
     STRATEGIES,
     json_option,
     limits_option,
+    on_limit_option,
     printer_option,
     progress,
     write_json,
@@ -35,10 +36,7 @@ if TYPE_CHECKING:
     help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
 )  # fmt: skip
 @limits_option
-@click.option(
-    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
-    help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
-)  # fmt: skip
+@on_limit_option
 @click.option(
     "--tolerance", type=click.FloatRange(1e-4, 0.1), default=0.002, show_default=True,
     metavar="MM", help="How far the written command may be off the computed one.",

@@ -29,6 +29,11 @@ limits_option = click.option(
     "profile's limits.",
 )  # fmt: skip
 
+on_limit_option = click.option(
+    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
+    help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
+)  # fmt: skip
+
 json_option = click.option(
     "--json", "json_file", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
     metavar="FILE", help="Write the summary as JSON; '-' for standard output.",

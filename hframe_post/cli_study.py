@@ -10,6 +10,7 @@ from hframe_post.cli_options import (
     STRATEGIES,
     json_option,
     limits_option,
+    on_limit_option,
     opened,
     path_option,
     printer_option,
@@ -24,6 +25,7 @@ from hframe_post.cli_options import (
 @path_option
 @printer_option
 @limits_option
+@on_limit_option
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
     help="Profile whose [plant] is simulated, where it is not the one compensated for.",
@@ -43,9 +45,9 @@ from hframe_post.cli_options import (
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def simulate(
-    source: Path | None, path: str | None, printer: str, limits: str, plant_file: str | None,
-    shares: tuple[float, ...], draws: int, seed: int, steps: bool, layers: bool,
-    json_file: Path | None, quiet: bool,
+    source: Path | None, path: str | None, printer: str, limits: str, on_limit: str,
+    plant_file: str | None, shares: tuple[float, ...], draws: int, seed: int, steps: bool,
+    layers: bool, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate a print with no compensation, without and with racking compensation.
 
@@ -69,7 +71,7 @@ def simulate(
         {share: drawn(simulated.plant, share, draws, seed) for share in dict.fromkeys(shares)},
         profile.steps if steps else None,
     )
-    options = Options("racking", STRATEGIES, file_limits=limits == "file")
+    options = Options("racking", STRATEGIES, limits == "file", on_limit == "clamp")
     report = SimulationReport(options.strategy, plant=simulated.name, quantised=steps)
     with opened(source, path, profile, quiet) as lines:
         simulation(lines, profile, options, study, report)

@@ -251,7 +251,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     compensator = prepared(printer)
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
-    options = Options("racking", ("none", "fbs", "racking"), file_limits=False)
+    options = Options("racking", ("none", "fbs", "racking"), False, clamp=True)
     commands = commanded(lines, printer, compensator, options, Report("racking"))
     error: dict[str, list[Array]] = {name: [] for name in options.predict}
     for walls in _outer_walls(predict(commands, printer.plant)).values():

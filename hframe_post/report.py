@@ -78,6 +78,11 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        return "\n".join(lines + self.warnings())
+
+    def warnings(self) -> list[str]:
+        """What a person must not overlook."""
+        lines = []
         if not self.moves:
             lines.append("NOTHING     was compensated: no move starts at a known position")
         if self.peaks.clamped:
@@ -85,7 +90,7 @@ class Report:
                 f"CLAMPED     {self.peaks.clamped} ms of motion at the printer's limits, first at "
                 f"line {self.peaks.clamped_line}; less is compensated there"
             )
-        return "\n".join(lines)
+        return lines
 
 
 def duration(seconds: float) -> str:

@@ -90,7 +90,7 @@ class SimulationReport(Report):
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
-        return "\n".join(lines)
+        return "\n".join(lines + self.warnings())
 
     def _judged(self, groups: dict[str, Group]) -> list[tuple[str, Group]]:
         """Those parts in which anything moves."""
