@@ -70,7 +70,8 @@ def convert(
     commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
     if options.predict:
         commands = ahead(predicted(commands, printer, report))
-    dialect = Dialect(printer.firmware, StreamLimits.of(printer.limits, printer.motors))
+    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
+    dialect = Dialect(printer.firmware, limits)
     ledger = Ledger()
     output = write(timed(commands, report), options.strategy, dialect, options.tolerance, ledger)
     for text in output:
@@ -98,7 +99,7 @@ def commanded(
     items = measured(read(lines, printer.firmware.dialect, options.file_limits), report)
     samples = sample(plan(items, limits), limits, rests)
     commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
-    checks = (chosen, printer.travel, printer.motors, report.peaks)
+    checks = (chosen, printer.travel, printer.motors, printer.kinematics, report.peaks)
     return guard(clamp(commands, *checks) if options.clamp else commands, *checks)
 
 
