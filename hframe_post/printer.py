@@ -63,7 +63,7 @@ class Steps:
     belt: float = positive()
     z: float = positive()
     e: float = positive()
-    clock_hz: float = positive()
+    clock_hz: float = positive(below=1e10)
     direction_setup: float = not_negative(0.0)
 
 

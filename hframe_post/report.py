@@ -5,7 +5,7 @@ Nothing here grows with the print: sums, peaks and a histogram with fine logarit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,16 @@ class ErrorStatistics:
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
 
 
+@dataclass(frozen=True, slots=True)
+class StepReport:
+    """What a step file holds: rows, ticks of its clock, steps by motor."""
+
+    rows: int
+    ticks: int
+    clock_hz: float
+    motors: dict[str, int]
+
+
 @dataclass
 class Report:
     """What one conversion did. Times in s, lengths in mm."""
@@ -75,6 +85,7 @@ class Report:
     filament_after: float = 0.0
     peaks: Peaks = field(default_factory=Peaks)
     contour: dict[str, ErrorStatistics] = field(default_factory=dict)
+    steps: StepReport | None = None
 
     def add_errors(self, errors: dict[str, Array]) -> None:
         """Takes contour errors by strategy."""
@@ -102,6 +113,7 @@ class Report:
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             "clamped_samples": self.peaks.clamped,
+            **({"steps": asdict(self.steps)} if self.steps else {}),
         }
 
     def as_text(self) -> str:
@@ -123,6 +135,12 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        if self.steps:
+            motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
+            lines.append(
+                f"steps       {self.steps.rows} rows, {self.steps.ticks} ticks of "
+                f"{self.steps.clock_hz:g} Hz; {motors}"
+            )
         if not self.moves:
             lines.append("NOTHING     was compensated: no move starts at a known position")
         if self.peaks.clamped:

@@ -15,11 +15,12 @@ T = TypeVar("T")
 LARGEST = 1e15  # a number beyond is a mistake
 
 
-def positive(default: float | None = None) -> Any:
-    """A field that must be above zero."""
+def positive(default: float | None = None, **bounds: float) -> Any:
+    """A field that must be above zero, and within more ``bounds`` (``least``, ``below``)."""
+    rules = {"above": 0.0, **bounds}
     if default is None:
-        return field(metadata={"above": 0.0})
-    return field(default=default, metadata={"above": 0.0})
+        return field(metadata=rules)
+    return field(default=default, metadata=rules)
 
 
 def not_negative(default: float | None = None) -> Any:
