@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from hframe_post.cli_formats import FORMATS, chosen_format, run, write
 from hframe_post.cli_options import (
     STRATEGIES,
     json_option,
@@ -23,12 +23,19 @@ if TYPE_CHECKING:
     from hframe_post.printer import Printer
     from hframe_post.report import Report
 
+TOLERANCE = 0.002  # mm
+
 
 @click.command()
 @click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
     help="Output file; '-' for standard output. Without it the input is replaced.",
+)  # fmt: skip
+@click.option(
+    "--format", "asked_format", type=click.Choice(FORMATS),
+    help="G-code, steps of the motors (a row each, or a row a tick), or samples every "
+    "millisecond. Default: steps for .csv, samples for .npz and .parquet, else gcode.",
 )  # fmt: skip
 @printer_option
 @click.option(
@@ -38,21 +45,21 @@ if TYPE_CHECKING:
 @limits_option
 @on_limit_option
 @click.option(
-    "--tolerance", type=click.FloatRange(1e-4, 0.1), default=0.002, show_default=True,
-    metavar="MM", help="How far the written command may be off the computed one.",
+    "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.002", metavar="MM",
+    help="G-code: how far the written command may be off the computed one.",
 )  # fmt: skip
-@click.option("--every-sample", is_flag=True, help="Write a line for every millisecond.")
+@click.option("--every-sample", is_flag=True, help="G-code: write a line for every millisecond.")
 @click.option(
     "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
 )  # fmt: skip
 @json_option
-@click.option("-n", "--dry-run", is_flag=True, help="Report, but write no G-code.")
+@click.option("-n", "--dry-run", is_flag=True, help="Report, but write nothing.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
-    source: Path, output: Path | None, printer: str, compensation: str | None, limits: str,
-    on_limit: str, tolerance: float, every_sample: bool, predict: str, json_file: Path | None,
-    dry_run: bool, quiet: bool,
+    source: Path, output: Path | None, asked_format: str | None, printer: str,
+    compensation: str | None, limits: str, on_limit: str, tolerance: float | None,
+    every_sample: bool, predict: str, json_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -63,6 +70,15 @@ def convert(
     from hframe_post.pipeline import Options
     from hframe_post.printer import load
 
+    to_stdout = str(output) == "-" or (output is None and str(source) == "-")
+    kind = chosen_format(None if to_stdout else output, asked_format)
+    if to_stdout and str(json_file) == "-":
+        raise click.UsageError("output and JSON cannot both go to standard output")
+    if kind != "gcode":
+        if output is None and not (to_stdout or dry_run):
+            raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
+        if tolerance is not None or every_sample:
+            raise click.UsageError("--tolerance and --every-sample are for G-code")
     profile = load(printer)
     strategy = compensation or profile.compensation.strategy
     wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]
@@ -71,33 +87,26 @@ def convert(
         tuple(dict.fromkeys(wanted)),
         file_limits=limits == "file",
         clamp=on_limit == "clamp",
-        tolerance=None if every_sample else tolerance,
+        tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
     )
-    to_stdout = str(output) == "-" or (output is None and str(source) == "-")
-    if to_stdout and str(json_file) == "-":
-        raise click.UsageError("G-code and JSON cannot both go to standard output")
     target = None if to_stdout else output or source
-    report = _converted(source, target, profile, options, dry_run, quiet)
+    report = _converted(kind, source, target, profile, options, dry_run, quiet)
     write_json(report.as_json(), json_file)
     if not quiet:
         click.echo(report.as_text(), err=True)
 
 
 def _converted(
-    source: Path, target: Path | None, printer: Printer, options: Options, dry: bool, quiet: bool
-) -> Report:
+    kind: str, source: Path, target: Path | None, printer: Printer, options: Options, dry: bool,
+    quiet: bool,
+) -> Report:  # fmt: skip
     """Runs the conversion from file to file."""
-    from hframe_post.output import OutputFile
-    from hframe_post.pipeline import convert as conversion
     from hframe_post.report import Report
 
     report = Report(options.strategy)
     with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
-        output = conversion(lines, printer, options, report)
         if dry:
-            for _ in output:
-                pass
+            run(kind, lines, printer, options, report)
         else:
-            with OutputFile(target, sys.stdout.buffer) as out:
-                out.write(output, lambda: report.time_after)
+            write(kind, lines, target, printer, options, report)
     return report

@@ -1,5 +1,7 @@
 """The exceptions that a user can cause: each says where, what and what to do."""
 
+from pathlib import Path
+
 
 class HframeError(Exception):
     """Anything that stops a conversion; ``str`` of it is one line for the user."""
@@ -21,6 +23,15 @@ class PrinterError(HframeError):
     def __init__(self, cause: str, key: str = "", source: str = "") -> None:
         self.cause, self.key, self.source = cause, key, source
         super().__init__("".join(f"{part}: " for part in (source, key) if part) + cause)
+
+
+class StepFileError(HframeError):
+    """A file that should hold step times does not."""
+
+    def __init__(self, cause: str, path: Path, line: int | None = None) -> None:
+        self.cause, self.path, self.line = cause, path, line
+        where = "" if line is None else f"line {line}: "
+        super().__init__(f"{path}: {where}{cause}")
 
 
 class LimitError(HframeError):

@@ -13,7 +13,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import LimitError
-from hframe_post.kinematics import belts
+from hframe_post.kinematics import Kinematics
 from hframe_post.printer import Motors, Travel
 from hframe_post.recut import stretches, with_neighbours
 from hframe_post.stream import TS, Samples, Z, frozen
@@ -36,7 +36,12 @@ class Peaks:
 
 
 def guard(
-    blocks: Iterable[Samples], written: str, travel: Travel, motors: Motors, peaks: Peaks
+    blocks: Iterable[Samples],
+    written: str,
+    travel: Travel,
+    motors: Motors,
+    kinematics: Kinematics,
+    peaks: Peaks,
 ) -> Iterator[Samples]:
     """The stream as it is, once its ``written`` command is known to be safe.
 
@@ -48,19 +53,26 @@ def guard(
             if len(block):
                 command = np.concatenate([before, block.commands[written]])
                 _check_travel(block, block.commands[written], travel)
-                _check_motors(block, command, len(before), motors, peaks)
+                belts = kinematics.belts(*command.T)
+                _check_motors(block, belts, len(before), motors, peaks)
+                _note_axes(command, peaks)
                 before = command[-2:]
             yield block
 
 
 def clamp(
-    blocks: Iterable[Samples], written: str, travel: Travel, motors: Motors, peaks: Peaks
+    blocks: Iterable[Samples],
+    written: str,
+    travel: Travel,
+    motors: Motors,
+    kinematics: Kinematics,
+    peaks: Peaks,
 ) -> Iterator[Samples]:
     """The stream with its ``written`` command taken back where it asks too much."""
     for stretch in stretches(blocks):
         for block, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
             path, command = wide.xyze[:, :Z], wide.commands[written]
-            share = _share(path, command, travel, motors)
+            share = _share(path, command, travel, motors, kinematics)
             safe = path + share[:, None] * (command - path)
             safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
             changed = (safe != command).any(axis=1)[where]
@@ -72,15 +84,17 @@ def clamp(
             yield Samples(block.first, block.xyze, block.line, block.events, commands)
 
 
-def _share(path: Array, command: Array, travel: Travel, motors: Motors) -> Array:
+def _share(
+    path: Array, command: Array, travel: Travel, motors: Motors, kinematics: Kinematics
+) -> Array:
     """Share of the compensation that bed and belts allow, (n,), smooth over REACH samples."""
     needed = np.ones(len(path))
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         of_path, of_command = path[:, axis], command[:, axis]
         needed = np.minimum(needed, _allowed(of_path, of_command, low, high, 1.0))
     for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
-        path_rate = np.diff(belts(*path.T), n=order) / TS**order
-        command_rate = np.diff(belts(*command.T), n=order) / TS**order
+        path_rate = np.diff(kinematics.belts(*path.T), n=order) / TS**order
+        command_rate = np.diff(kinematics.belts(*command.T), n=order) / TS**order
         for belt in (0, 1):
             allowed = _allowed(path_rate[belt], command_rate[belt], -limit, limit, TAKE_MORE)
             needed[order:] = np.minimum(needed[order:], allowed)
@@ -115,18 +129,19 @@ def _check_travel(block: Samples, command: Array, travel: Travel) -> None:
                 )  # fmt: skip
 
 
-def _check_motors(block: Samples, command: Array, known: int, motors: Motors, peaks: Peaks) -> None:
-    """Speed and acceleration of a block's commands, ``known`` ones before it in front."""
-    x, y = command[:, 0], command[:, 1]
-    a, b = belts(x, y)
-    for axis, position in enumerate((x, y)):
+def _note_axes(command: Array, peaks: Peaks) -> None:
+    for axis, position in enumerate(command.T):
         peak = _greatest(np.diff(position, n=2)) / TS**2
         peaks.axis_acceleration[axis] = max(peaks.axis_acceleration[axis], peak)
+
+
+def _check_motors(block: Samples, belts: Array, known: int, motors: Motors, peaks: Peaks) -> None:
+    """Speed and acceleration of a block's belts (2, n), ``known`` ones before it in front."""
     for order, name, limit in (
         (1, "velocity", motors.belt_velocity),
         (2, "acceleration", motors.belt_acceleration),
     ):
-        for belt in (a, b):
+        for belt in belts:
             value = np.diff(belt, n=order)
             peak = _greatest(value) / TS**order
             setattr(peaks, f"belt_{name}", max(getattr(peaks, f"belt_{name}"), peak))

@@ -1,12 +1,59 @@
-"""x, y ↔ the two belts of an H-frame: A = x + y, B = x − y."""
+"""x, y ↔ the two motors that move the nozzle in the plane.
+
+=========== ========= ========= ====================================
+type        A         B         racks
+=========== ========= ========= ====================================
+hbot        x + y     x − y     yes: one belt pulls the gantry askew
+corexy      x + y     x − y     no: two belts, crossed
+cartesian   x         y         no
+=========== ========= ========= ====================================
+
+``swap`` exchanges A and B; then ``signs`` turn them around.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hframe_post.arrays import Array
 
+ROWS = {
+    "hbot": ((1.0, 1.0), (1.0, -1.0)),
+    "corexy": ((1.0, 1.0), (1.0, -1.0)),
+    "cartesian": ((1.0, 0.0), (0.0, 1.0)),
+}
 
-def belts(x: Array, y: Array) -> Array:
-    """Belt positions A, B, (2, n), at nozzle positions x, y (n,), mm."""
-    return np.stack([x + y, x - y])
+
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """How belts and nozzle hang together; mm of belt per mm of nozzle."""
+
+    type: str = field(default="hbot", metadata={"choices": tuple(ROWS)})
+    swap: bool = False
+    signs: tuple[float, float] = field(default=(1.0, 1.0), metadata={"choices": (-1.0, 1.0)})
+
+    @property
+    def racks(self) -> bool:
+        """Whether pulling in x can twist the gantry."""
+        return self.type == "hbot"
+
+    @property
+    def matrix(self) -> Array:
+        """(2, 2): rows A and B, columns x and y."""
+        rows = ROWS[self.type][::-1] if self.swap else ROWS[self.type]
+        return np.array(
+            [[sign * x, sign * y] for sign, (x, y) in zip(self.signs, rows, strict=True)]
+        )
+
+    def belts(self, x: Array, y: Array) -> Array:
+        """Belt positions A, B, (2, n), at nozzle positions x, y (n,), mm."""
+        (ax, ay), (bx, by) = self.matrix.tolist()
+        return np.stack([ax * x + ay * y, bx * x + by * y])
+
+    @property
+    def reach(self) -> float:
+        """Greatest speed of the nozzle while neither belt moves faster than 1."""
+        corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; the rest mirrors these
+        return float(np.linalg.norm(np.linalg.solve(self.matrix, corners), axis=0).max())

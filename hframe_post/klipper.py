@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Flags
+from hframe_post.kinematics import Kinematics
 from hframe_post.printer import Firmware, Limits, Motors, Restore
 from hframe_post.stream import E, ModalState, Z
 
@@ -30,11 +31,11 @@ class StreamLimits:
     extruder_corner_velocity: float
 
     @classmethod
-    def of(cls, limits: Limits, motors: Motors) -> StreamLimits:
+    def of(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
         """High enough never to shape the stream, and no higher: they may be left behind."""
         return cls(
-            VELOCITY_HEADROOM * motors.belt_velocity,
-            ACCEL_HEADROOM * motors.belt_acceleration,
+            VELOCITY_HEADROOM * kinematics.reach * motors.belt_velocity,
+            ACCEL_HEADROOM * kinematics.reach * motors.belt_acceleration,
             limits.z_velocity,
             limits.z_acceleration,
             limits.extruder_velocity,

@@ -37,26 +37,31 @@ class OutputFile:
         )
         return self
 
+    @property
+    def file(self) -> IO[bytes]:
+        """Where to write."""
+        assert self._file is not None
+        return self._file
+
     def write(self, output: Iterable[Output], duration: Callable[[], float]) -> None:
         """Writes it all. duration: the print's time (s), asked when the output is used up."""
-        assert self._file is not None
+        file = self.file
         for piece in output:
             if isinstance(piece, Late):
                 size = len(piece.line) + ROOM
-                self._late.append((self._file.tell(), size, piece))
-                self._file.write(b" " * size + b"\n")
+                self._late.append((file.tell(), size, piece))
+                file.write(b" " * size + b"\n")
             else:
-                self._file.write(piece)
+                file.write(piece)
         total = duration()
         for offset, size, late in self._late:
-            self._file.seek(offset)
-            self._file.write(late_line(late, total).ljust(size)[:size])
+            file.seek(offset)
+            file.write(late_line(late, total).ljust(size)[:size])
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        assert self._file is not None
-        name = Path(self._file.name)
+        name = Path(self.file.name)
         try:
-            self._file.close()
+            self.file.close()
             if kind is not None:
                 return
             if self._path is None:

@@ -2,6 +2,8 @@
 
 lines → gcode → lookahead → profile → compensate → settle → guard → dense_gcode → text
                                                            ↘ simulate → report
+                                                           ↘ step_timing → step_file
+                                                           ↘ sample_table
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from hframe_post import __version__
 from hframe_post.ahead import ahead
+from hframe_post.arrays import Array
 from hframe_post.compensate import Compensator, compensate
 from hframe_post.dense_gcode import Late, Ledger, Output, write
 from hframe_post.dialect import STAMP
@@ -22,10 +25,25 @@ from hframe_post.klipper import Dialect, StreamLimits
 from hframe_post.lookahead import plan
 from hframe_post.printer import Printer
 from hframe_post.profile import sample
-from hframe_post.report import Report
+from hframe_post.recut import stretches
+from hframe_post.report import Report, StepReport
+from hframe_post.sample_table import tabulate
 from hframe_post.settle import LEAD_SHARE, settle
 from hframe_post.simulate import judge
-from hframe_post.stream import TS, E, Item, Moves, Rest, Rests, Samples, Standing
+from hframe_post.step_file import MOTORS, Header, Lines, Note, written
+from hframe_post.step_timing import Counts, step
+from hframe_post.stream import (
+    TS,
+    E,
+    Item,
+    Moves,
+    Passthrough,
+    Pause,
+    Rest,
+    Rests,
+    Samples,
+    Standing,
+)
 
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
@@ -60,26 +78,78 @@ def convert(
 
     ``report`` is complete once the output has been used up.
     """
-    compensator = prepared(printer)
-    yield b"%s %s, printer %s, settings %s\n" % (
-        STAMP,
-        __version__.encode(),
-        printer.name.encode(),
-        settings_hash(printer, options).encode(),
-    )
-    commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
-    if options.predict:
-        commands = ahead(predicted(commands, printer, report))
-    dialect = Dialect(printer.firmware, StreamLimits.of(printer.limits, printer.motors))
+    commands = _commands(lines, printer, options, report)
+    yield b"%s %s\n" % (STAMP, stamp(printer, options).encode())
+    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
+    dialect = Dialect(printer.firmware, limits)
     ledger = Ledger()
-    output = write(timed(commands, report), options.strategy, dialect, options.tolerance, ledger)
+    output = write(commands, options.strategy, dialect, options.tolerance, ledger)
     for text in output:
         report.lines_written += 1 if isinstance(text, Late) else text.count(b"\n")
         yield text
     report.lines_written += 1  # the stamp
-    report.filament_after = ledger.filament
-    if abs(report.filament_after - report.filament_before) > FILAMENT_TOLERANCE:
-        lost = report.filament_before - report.filament_after
+    _conserved(ledger.filament, report, FILAMENT_TOLERANCE)
+
+
+def convert_to_steps(
+    lines: Iterable[bytes],
+    printer: Printer,
+    options: Options,
+    report: Report,
+    kind: str = "steps",
+    inline: bool = False,
+) -> Iterator[bytes | Note]:
+    """The same as the steps of the motors: text of a step file, and notes for its events.
+
+    kind: ``steps`` or ``step-bits``; inline: notes are lines of the text. Raises PrinterError
+    where the profile does not say how the motors step.
+    """
+    table, kinematics = printer.steps, printer.kinematics
+    if table is None:
+        raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
+    commands = _commands(lines, printer, options, report)
+    lengths = (table.belt, table.belt, table.z, table.e)
+    header = Header(
+        kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz, lengths,
+        kinematics.matrix,
+    )  # fmt: skip
+    counts, count = Counts(), Lines()
+    steps = step(commands, options.strategy, kinematics, table, counts)
+    yield from written(steps, header, inline, count)
+    report.lines_written = count.all
+    motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
+    report.steps = StepReport(count.rows, counts.ticks, table.clock_hz, motors)
+    # a step that is not due yet at the end of a stretch is made in the next one
+    tolerance = FILAMENT_TOLERANCE + counts.starts * table.e
+    _conserved(counts.net[MOTORS.index("E")] * table.e + counts.passed, report, tolerance)
+
+
+def convert_to_samples(
+    lines: Iterable[bytes], printer: Printer, options: Options, report: Report
+) -> Iterator[Array]:
+    """The same as tables of path, command and predicted motion, one row a millisecond."""
+    commands = extruded(_commands(lines, printer, options, report), report)
+    for table in tabulate(commands, options.strategy, printer.plant):
+        report.lines_written += len(table)
+        yield table
+    _conserved(report.filament_after, report, FILAMENT_TOLERANCE)
+
+
+def _commands(
+    lines: Iterable[bytes], printer: Printer, options: Options, report: Report
+) -> Iterator[Samples]:
+    """Safe commands, computed ahead in threads of their own; the report is kept."""
+    compensator = prepared(printer)
+    commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
+    if options.predict:
+        commands = ahead(predicted(commands, printer, report))
+    return timed(commands, report)
+
+
+def _conserved(filament: float, report: Report, tolerance: float) -> None:
+    report.filament_after = filament
+    lost = report.filament_before - filament
+    if abs(lost) > tolerance:
         raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
@@ -96,7 +166,7 @@ def commanded(
     items = measured(read(lines, printer.firmware.dialect, options.file_limits), report)
     samples = sample(plan(items, limits), limits, rests(printer, compensator))
     commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
-    checks = (chosen, printer.travel, printer.motors, report.peaks)
+    checks = (chosen, printer.travel, printer.motors, printer.kinematics, report.peaks)
     return guard(clamp(commands, *checks) if options.clamp else commands, *checks)
 
 
@@ -113,6 +183,11 @@ def rests(printer: Printer, compensator: Compensator) -> Rests:
     limits, tolerance = printer.limits, printer.compensation.settle_tolerance
     lever = max(abs(edge - printer.plant.x_c) for edge in printer.travel.x)
     return compensator.rests(limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance)
+
+
+def stamp(printer: Printer, options: Options) -> str:
+    """Version, printer and settings: what made the output."""
+    return f"{__version__}, printer {printer.name}, settings {settings_hash(printer, options)}"
 
 
 def settings_hash(printer: Printer, options: Options) -> str:
@@ -149,6 +224,21 @@ def predicted(commands: Iterable[Samples], printer: Printer, report: Report) -> 
     for judgement in judge(commands, printer.plant, JUDGED_EVERY):
         report.add_errors(judgement.contour)
         yield judgement.block
+
+
+def extruded(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:
+    """The commands as they are; their filament, and that of lines passed on, is reported."""
+    for stretch in stretches(commands):
+        last: float | None = None
+        for block in stretch:
+            if len(block):
+                start = float(block.xyze[0, E]) if last is None else last
+                last = float(block.xyze[-1, E])
+                report.filament_after += last - start
+            for event in block.events:
+                if isinstance(event, Pause) and isinstance(event.action, Passthrough):
+                    report.filament_after += event.action.filament
+            yield block
 
 
 def timed(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:

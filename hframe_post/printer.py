@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hframe_post.errors import PrinterError
+from hframe_post.kinematics import Kinematics
 from hframe_post.lpfbs import Window
 from hframe_post.plant import Plant, TransferFunction
 from hframe_post.stream import TS
@@ -46,7 +47,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """What no command may exceed: speed and acceleration of the belts A = x + y, B = x − y."""
+    """What no command may exceed: speed and acceleration of the belts A and B."""
 
     belt_velocity: float = positive()
     belt_acceleration: float = positive()
@@ -62,7 +63,7 @@ class Steps:
     belt: float = positive()
     z: float = positive()
     e: float = positive()
-    clock_hz: float = positive()
+    clock_hz: float = positive(below=1e10)
     direction_setup: float = not_negative(0.0)
 
 
@@ -115,6 +116,7 @@ class Printer:
     description: str
     travel: Travel
     limits: Limits
+    kinematics: Kinematics
     motors: Motors
     steps: Steps | None
     compensation: Compensation
@@ -182,8 +184,9 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    known_keys(document, ("description", "steps", *needed), "")
-    for section in (*needed, "steps") if "steps" in document else needed:
+    optional = ("kinematics", "steps")
+    known_keys(document, ("description", *optional, *needed), "")
+    for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
     description = document.get("description", "")
@@ -198,23 +201,29 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         _ = compensation.windows
     except ValueError as error:
         raise PrinterError(str(error), "compensation") from None
+    kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
+    plant = _plant(document["plant"])
+    if plant.Gxtheta is not None and not kinematics.racks:
+        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
+        raise PrinterError(cause, "plant.Gxtheta")
     return Printer(
         name,
         description,
         checked(Travel, document["travel"], "travel"),
         checked(Limits, document["limits"], "limits"),
+        kinematics,
         checked(Motors, document["motors"], "motors"),
         checked(Steps, document["steps"], "steps") if "steps" in document else None,
         compensation,
         checked(Firmware, firmware, "firmware"),
-        _plant(document["plant"]),
+        plant,
         digest,
     )
 
 
 def _plant(table: dict[str, Any]) -> Plant:
     known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
-    for key in ("Ts", "x_c", "Gxx", "Gyy"):
+    for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
         if key not in table:
             raise PrinterError("the key is missing", f"plant.{key}")
     if table["Ts"] != TS:
@@ -233,7 +242,7 @@ def _plant(table: dict[str, Any]) -> Plant:
         raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
     if racking is not None and racking.gain == 0.0:
         racking = None
-    x_c = checked_value(float, table["x_c"], {}, "plant.x_c")
+    x_c = checked_value(float, table.get("x_c", 0.0), {}, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
 
 

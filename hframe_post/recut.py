@@ -1,4 +1,4 @@
-"""Re-cutting of blocks of samples: parts, joins, neighbours, stretches."""
+"""Re-cutting of blocks of samples: parts, joins, batches, neighbours, stretches."""
 
 from __future__ import annotations
 
@@ -26,6 +26,21 @@ def stretches(blocks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
 
     for first in source:
         yield stretch(first)
+
+
+def batches(blocks: Iterable[Samples], n: int) -> Iterator[Samples]:
+    """Contiguous blocks cut anew, ``n`` samples each, the last one what is left."""
+    held: list[Samples] = []
+    for block in blocks:
+        held.append(block)
+        if sum(map(len, held)) < n:
+            continue
+        whole = join(held)
+        cuts = range(0, len(whole) - n + 1, n)
+        yield from (part(whole, k, k + n) for k in cuts)
+        held = [part(whole, cuts[-1] + n, len(whole))]
+    if held:
+        yield join(held)
 
 
 def with_neighbours(

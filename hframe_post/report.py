@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hframe_post.arrays import Array
@@ -14,6 +14,16 @@ STRATEGY_NAMES = {
     "fbs": "ringing only (fbs)",
     "racking": "ringing and racking",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class StepReport:
+    """What a step file holds: rows, ticks of its clock, steps by motor."""
+
+    rows: int
+    ticks: int
+    clock_hz: float
+    motors: dict[str, int]
 
 
 @dataclass
@@ -30,6 +40,7 @@ class Report:
     filament_after: float = 0.0
     peaks: Peaks = field(default_factory=Peaks)
     contour: dict[str, ErrorStatistics] = field(default_factory=dict)
+    steps: StepReport | None = None
 
     def add_errors(self, errors: dict[str, Array]) -> None:
         """Takes contour errors by strategy."""
@@ -57,6 +68,7 @@ class Report:
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             "clamped_samples": self.peaks.clamped,
+            **({"steps": asdict(self.steps)} if self.steps else {}),
         }
 
     def as_text(self) -> str:
@@ -78,6 +90,12 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        if self.steps:
+            motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
+            lines.append(
+                f"steps       {self.steps.rows} rows, {self.steps.ticks} ticks of "
+                f"{self.steps.clock_hz:g} Hz; {motors}"
+            )
         return "\n".join(lines + self.warnings())
 
     def warnings(self) -> list[str]:

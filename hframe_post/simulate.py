@@ -33,13 +33,19 @@ class Response:
         self._Gxtheta = LiftedFilter(plant.Gxtheta) if plant.Gxtheta else None
 
     def run(self, command: Array) -> Array:
-        """Nozzle x, y (n, 2) under the next commands (n, 2): eq. 1 and 2."""
+        """Nozzle x, y (n, 2) under the next commands (n, 2)."""
+        return self.motion(command)[:, :Z]
+
+    def motion(self, command: Array) -> Array:
+        """Nozzle x, y and the gantry's θ, (n, 3), under the next commands (n, 2): eq. 1 and 2."""
         u = command - self._origin
         x = self._Gxx.run(u[:, X]) + self._origin[X]
         y = self._Gyy.run(u[:, Y]) + self._origin[Y]
+        theta = np.zeros(len(u))
         if self._Gxtheta is not None:
-            y += (x - self._x_c) * self._Gxtheta.run(u[:, X])
-        return np.column_stack([x, y])
+            theta = self._Gxtheta.run(u[:, X])
+            y += (x - self._x_c) * theta
+        return np.column_stack([x, y, theta])
 
 
 def predict(blocks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:

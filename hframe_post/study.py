@@ -14,14 +14,23 @@ import numpy as np
 from hframe_post.ahead import ahead
 from hframe_post.arrays import Array, Integers
 from hframe_post.features import Labels
-from hframe_post.pipeline import JUDGED_EVERY, Options, commanded, counted, prepared, timed
+from hframe_post.kinematics import Kinematics
+from hframe_post.pipeline import (
+    JUDGED_EVERY,
+    Options,
+    commanded,
+    counted,
+    extruded,
+    prepared,
+    timed,
+)
 from hframe_post.plant import Plant
 from hframe_post.printer import Printer, Steps
 from hframe_post.quantise import quantise
 from hframe_post.recut import branches
 from hframe_post.simulate import Judgement, judge
 from hframe_post.simulation_report import Group, SimulationReport, Uncertainty
-from hframe_post.stream import E, Passthrough, Pause, Samples
+from hframe_post.stream import Samples
 from hframe_post.tally import ErrorStatistics, Figures, belt_rates
 
 DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
@@ -50,9 +59,9 @@ def simulate(
     """Fills the report; memory does not grow with the print. Raises HframeError."""
     compensator = prepared(printer)
     commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
-    commands = _rated(_laid(timed(commands, report), report), report)
+    commands = _rated(extruded(timed(commands, report), report), printer.kinematics, report)
     if study.steps is not None:
-        commands = quantise(commands, study.steps)
+        commands = quantise(commands, printer.kinematics, study.steps)
     count = 1 + sum(map(len, study.drawn.values()))
     streams = iter(branches(commands, count))
     judged = judge(next(streams), study.plant, JUDGED_EVERY)
@@ -86,7 +95,9 @@ def _add_errors(judgement: Judgement, labels: Labels, report: SimulationReport) 
     report.add_errors(judgement.contour)
 
 
-def _rated(blocks: Iterable[Samples], report: SimulationReport) -> Iterator[Samples]:
+def _rated(
+    blocks: Iterable[Samples], kinematics: Kinematics, report: SimulationReport
+) -> Iterator[Samples]:
     """The blocks as they are; how fast the belts go is reported."""
     labels, before = Labels(), dict[str, Array]()
     for block in blocks:
@@ -94,7 +105,7 @@ def _rated(blocks: Iterable[Samples], report: SimulationReport) -> Iterator[Samp
         for name, command in block.commands.items():
             known = before.get(name, command[:1].repeat(2, axis=0))
             if len(command):
-                velocity, acceleration = belt_rates(np.concatenate([known, command]))
+                velocity, acceleration = belt_rates(np.concatenate([known, command]), kinematics)
                 for group, which in _groups(layer, feature, labels, report):
                     figures = group.setdefault(name, Figures())
                     figures.add_rates(velocity[which], acceleration[which])
@@ -116,19 +127,3 @@ def _groups(
         for number in np.unique(numbers).tolist():
             group = groups.setdefault(names[number], {})
             yield group, np.flatnonzero(numbers == number)
-
-
-def _laid(blocks: Iterable[Samples], report: SimulationReport) -> Iterator[Samples]:
-    """The blocks as they are; the filament of path and passed lines is counted."""
-    last: float | None = None
-    for block in blocks:
-        if len(block):
-            e = block.xyze[:, E]
-            report.filament_after += float(e[-1] - (e[0] if last is None else last))
-            last = float(e[-1])
-        for event in block.events:
-            if isinstance(event, Pause) and isinstance(event.action, Passthrough):
-                report.filament_after += event.action.filament
-        if block.yields:
-            last = None
-        yield block

@@ -15,11 +15,12 @@ T = TypeVar("T")
 LARGEST = 1e15  # a number beyond is a mistake
 
 
-def positive(default: float | None = None) -> Any:
-    """A field that must be above zero."""
+def positive(default: float | None = None, **bounds: float) -> Any:
+    """A field that must be above zero, and within more ``bounds`` (``least``, ``below``)."""
+    rules = {"above": 0.0, **bounds}
     if default is None:
-        return field(metadata={"above": 0.0})
-    return field(default=default, metadata={"above": 0.0})
+        return field(metadata=rules)
+    return field(default=default, metadata=rules)
 
 
 def not_negative(default: float | None = None) -> Any:
@@ -58,11 +59,11 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
 
 def checked_value(hint: Any, value: Any, rules: Any, key: str) -> Any:
     """One value of the type ``hint``, within the rules of its field."""
-    if hint is str:
-        if not isinstance(value, str):
-            raise PrinterError(f"must be text, not {value!r}", key)
-        if value not in rules.get("choices", (value,)):
-            raise PrinterError(f"must be one of {', '.join(rules['choices'])}", key)
+    if hint in (str, bool):
+        if not isinstance(value, hint):
+            kind = "text" if hint is str else "true or false"
+            raise PrinterError(f"must be {kind}, not {value!r}", key)
+        _known_choice(value, rules, key)
         return value
     if hint == tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2:
@@ -82,7 +83,14 @@ def checked_value(hint: Any, value: Any, rules: Any, key: str) -> Any:
         raise PrinterError(f"must be at least {rules['least']:g}, it is {value:g}", key)
     if "below" in rules and not value < rules["below"]:
         raise PrinterError(f"must be below {rules['below']:g}, it is {value:g}", key)
+    _known_choice(value, rules, key)
     return hint(value)
+
+
+def _known_choice(value: Any, rules: Any, key: str) -> None:
+    if value not in rules.get("choices", (value,)):
+        choices = (c if isinstance(c, str) else f"{c:g}" for c in rules["choices"])
+        raise PrinterError(f"must be one of {', '.join(choices)}", key)
 
 
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:

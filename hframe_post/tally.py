@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Array
-from hframe_post.kinematics import belts
+from hframe_post.kinematics import Kinematics
 from hframe_post.stream import TS
 
 BINS_PER_E = 100  # bins of 1 % for the percentiles
@@ -97,8 +97,8 @@ class Figures:
         }
 
 
-def belt_rates(command: Array) -> tuple[Array, Array]:
+def belt_rates(command: Array, kinematics: Kinematics) -> tuple[Array, Array]:
     """Speed and acceleration (n,) of the faster belt under a command (2 + n, 2), mm, s."""
-    position = belts(*command.T)
+    position = kinematics.belts(*command.T)
     velocity, acceleration = (np.abs(np.diff(position, n=n)).max(axis=0) / TS**n for n in (1, 2))
     return velocity[1:], acceleration

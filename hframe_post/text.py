@@ -7,12 +7,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Flags, Integers
+from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import HframeError
 
 Bytes = NDArray[np.uint8]
 MINUS, POINT, ZERO = b"-.0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
+GROUP = 4  # digits looked up at once
+LARGEST = 1e15  # whose digits a float still knows
 
 
 def word(letter: bytes, values: Integers, decimals: int, shown: Flags) -> Bytes:
@@ -45,6 +47,60 @@ def lines(command: bytes, words: list[Bytes]) -> tuple[bytes, Integers]:
     table = np.concatenate([head, *words, end], axis=1)
     visible = table != 0
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
+
+
+def rows(columns: list[Bytes]) -> bytes:
+    """Columns of text (n, width each) side by side; bytes that are 0 are left out."""
+    table = np.concatenate(columns, axis=1)
+    return table.tobytes() if table.all() else table[table != 0].tobytes()
+
+
+def fixed(values: Array, decimals: int) -> Bytes:
+    """Each of n numbers with so many decimals: (n, width), 0 where nothing is to be seen.
+
+    No exponent, no negative zero. Raises HframeError for what has no 15 digits or is no number.
+    """
+    units = np.rint(values * 10.0**decimals)
+    if not (np.abs(units) < LARGEST).all():
+        raise HframeError("a number is too long to be written")
+    before, after = np.divmod(np.abs(units).astype(np.int64), 10**decimals)
+    sign = np.where(units < 0.0, MINUS, 0).astype(np.uint8)
+    return np.concatenate(
+        [sign[:, None], whole(before), column(b".", len(values)), padded(after, decimals)], axis=1
+    )
+
+
+def column(text: bytes, n: int) -> Bytes:
+    """The same text in n rows, (n, len(text))."""
+    return np.tile(np.frombuffer(text, dtype=np.uint8), (n, 1))
+
+
+def whole(values: Integers) -> Bytes:
+    """Each of n whole numbers, none negative: (n, width), 0 in place of leading zeros."""
+    greatest = int(values.max(initial=0))
+    width = len(str(greatest))
+    text = padded(values, width)
+    if int(values.min(initial=greatest)) < 10 ** (width - 1):
+        for place in range(1, width):
+            text[values < 10**place, width - 1 - place] = 0
+    return text
+
+
+def padded(values: Integers, width: int) -> Bytes:
+    """Each of n whole numbers, none negative and all below 10^width: (n, width) with zeros."""
+    text = np.empty((len(values), -(-width // GROUP) * GROUP), dtype=np.uint8)
+    for start in range(text.shape[1] - GROUP, -1, -GROUP):
+        left = values // 10**GROUP if start else np.zeros_like(values)
+        group = text[:, start : start + GROUP].view(np.uint32)
+        group[:, 0] = _groups()[values - left * 10**GROUP]
+        values = left
+    return text[:, text.shape[1] - width :]
+
+
+@cache
+def _groups() -> NDArray[np.uint32]:
+    """Every number of GROUP digits as one word of memory, (10^GROUP,)."""
+    return _digits(GROUP).view(np.uint32)[:, 0]
 
 
 @cache

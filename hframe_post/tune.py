@@ -16,6 +16,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.compensate import Compensator, compensate
 from hframe_post.gcode import read
+from hframe_post.kinematics import Kinematics
 from hframe_post.lookahead import plan
 from hframe_post.lpfbs import Window
 from hframe_post.pipeline import JUDGED_EVERY, rests
@@ -129,7 +130,8 @@ def _tried(
 ) -> Iterator[None]:
     """Fills the trial, a block at a time."""
     commands = compensate(samples, compensator, ("racking",))
-    settled = _rated(settle(commands, "racking", printer.compensation.settle_tolerance), trial)
+    tolerance = printer.compensation.settle_tolerance
+    settled = _rated(settle(commands, "racking", tolerance), trial, printer.kinematics)
     trial.drawn = [ErrorStatistics() for _ in drawn]
     plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
     streams = branches(settled, len(plants))
@@ -141,7 +143,7 @@ def _tried(
         yield
 
 
-def _rated(blocks: Iterable[Samples], trial: Trial) -> Iterator[Samples]:
+def _rated(blocks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
     """The blocks as they are; how hard the belts are driven is noted."""
     before: Array | None = None
     for block in blocks:
@@ -149,7 +151,7 @@ def _rated(blocks: Iterable[Samples], trial: Trial) -> Iterator[Samples]:
         if len(command):
             known = command[:1].repeat(2, axis=0) if before is None else before
             whole = np.concatenate([known, command])
-            velocity, acceleration = belt_rates(whole)
+            velocity, acceleration = belt_rates(whole, kinematics)
             trial.velocity = max(trial.velocity, float(velocity.max()))
             trial.acceleration = max(trial.acceleration, float(acceleration.max()))
             before = whole[-2:]

@@ -14,7 +14,10 @@ from hypothesis import settings
 
 from hframe_post import printer
 from hframe_post.compensate import Compensator
-from hframe_post.pipeline import prepared
+from hframe_post.pipeline import Options, commanded, prepared
+from hframe_post.recut import join
+from hframe_post.report import Report
+from hframe_post.stream import Samples
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
@@ -50,3 +53,16 @@ def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
         return path.read_bytes()
 
     return read
+
+
+@pytest.fixture(scope="session")
+def commands(paper: printer.Printer, compensator: Compensator) -> Callable[[str], Samples]:
+    """The commands of the sample rectangle under a strategy, as one block."""
+
+    def whole(strategy: str) -> Samples:
+        lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+        options, report = Options(strategy), Report(strategy)
+        blocks = commanded(iter(lines), paper, compensator, options, report)
+        return join([block for block in blocks if len(block)])
+
+    return whole

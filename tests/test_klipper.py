@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
+from hframe_post.kinematics import Kinematics
 from hframe_post.klipper import (
     SQUARE_CORNER_VELOCITY,
     Dialect,
@@ -189,7 +190,7 @@ def end(state: ModalState = STATE, restore: Restore = RESTORE, **firmware: str) 
 
 def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
     limits = Limits(300.0, 1e4, 5e7, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
-    stream = StreamLimits.of(limits, Motors(700.0, 5e4))
+    stream = StreamLimits.of(limits, Motors(700.0, 5e4), Kinematics())
     assert stream.velocity == pytest.approx(770.0)
     assert stream.acceleration == pytest.approx(2.5e5)
     assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)

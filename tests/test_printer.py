@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import PrinterError
+from hframe_post.kinematics import Kinematics
 from hframe_post.pipeline import prepared
 from hframe_post.printer import Printer, load, parse, shipped
 from hframe_post.stream import TS
@@ -103,6 +104,20 @@ def test_gantry_without_racking_needs_no_function_for_it() -> None:
     assert parse(text, "mine").plant.Gxtheta is None
 
 
+def test_lever_arm_is_needed_only_where_something_racks() -> None:
+    racking = edited(r"^x_c = [^\n]*\n", "")
+    assert error(racking).key == "plant.x_c"
+    assert "\nx_c" not in shipped()["example-corexy"]
+    assert load("example-corexy").plant.Gxtheta is None
+
+
+def test_kinematics_are_those_of_an_h_frame_unless_stated() -> None:
+    assert load("paper").kinematics == Kinematics("hbot", False, (1.0, 1.0))
+    mine = parse(extending("[kinematics]\nswap = true\nsigns = [1, -1]"), "mine")
+    assert mine.kinematics == Kinematics("hbot", True, (1.0, -1.0))
+    assert load("example-cartesian").kinematics.type == "cartesian"
+
+
 def test_optional_values_have_defaults() -> None:
     text = edited(r"^settle_tolerance[^\n]*\n", "")
     assert parse(text, "mine").compensation.settle_tolerance == 0.05
@@ -175,6 +190,18 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
         ("[firmware.restore]\nminimum_cruise_ratio = 1.0",
          "firmware.restore.minimum_cruise_ratio", "below 1"),
+        ("[kinematics]\ntype = 'delta'", "kinematics.type", "hbot, corexy, cartesian"),
+        ("[kinematics]\nswap = 1", "kinematics.swap", "true or false"),
+        ("[kinematics]\nsigns = [1, 2]", "kinematics.signs", "one of -1, 1"),
+        ("[kinematics]\nsigns = [1]", "kinematics.signs", "list of two"),
+        ("[kinematics]\nsign = [1, 1]", "kinematics.sign", "nearest known is 'signs'"),
+        ("kinematics = 'hbot'", "kinematics", "table is missing"),
+        ("[kinematics]\ntype = 'corexy'", "plant.Gxtheta", "does not rack"),
+        ("[kinematics]\ntype = 'cartesian'", "plant.Gxtheta", "does not rack"),
+        ("[steps]\nbelt = 0", "steps.belt", "above 0"),
+        ("[steps]\nclock_hz = 1e11", "steps.clock_hz", "below 1e+10"),
+        ("[steps]\ndirection_setup = -1e-6", "steps.direction_setup", "at least 0"),
+        ("steps = 3", "steps", "table is missing"),
         ("description = 3", "description", "must be text"),
         ("limits = 3", "limits", "table is missing"),
         ("[plant]\nTs = 0.002", "plant.Ts", "must be 0.001"),

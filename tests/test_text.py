@@ -107,3 +107,34 @@ def test_number_too_long_is_an_error(value: int) -> None:
 
 def test_longest_number_is_none() -> None:
     assert words(" X", [10**8 - 1, 1 - 10**8], 3) == b"G1 X99999.999\nG1 X-99999.999\n"
+
+
+# ---------------------------------------------------------------------- columns of numbers
+
+
+@given(st.lists(st.integers(0, 10**17), min_size=1, max_size=20), st.integers(1, 17))
+def test_whole_numbers_are_pythons_own(values: list[int], digits: int) -> None:
+    values = [value % 10**digits for value in values]
+    column = np.array(values, dtype=np.int64)
+    end = text.column(b"\n", len(values))
+    assert text.rows([text.whole(column), end]) == b"".join(b"%d\n" % value for value in values)
+    zeros = text.rows([text.padded(column, digits), end])
+    assert zeros.decode() == "".join(f"{value:0{digits}d}\n" for value in values)
+
+
+@given(st.lists(st.floats(-1e5, 1e5) | st.floats(-1e-8, 1e-8), min_size=1, max_size=20),
+       st.integers(0, 9))  # fmt: skip
+def test_fixed_numbers_are_pythons_own(values: list[float], decimals: int) -> None:
+    units = [round(float(np.rint(value * 10.0**decimals))) for value in values]
+    column = text.fixed(np.array(values), decimals)
+    rows = text.rows([column, text.column(b"\n", len(values))]).decode().splitlines()
+    for row, unit in zip(rows, units, strict=True):
+        digits = str(abs(unit)).rjust(decimals + 1, "0")
+        whole, fraction = digits[: len(digits) - decimals], digits[len(digits) - decimals :]
+        assert row == ("-" if unit < 0 else "") + whole + "." + fraction
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e15, -1e15])
+def test_number_that_cannot_be_written_is_an_error(value: float) -> None:
+    with pytest.raises(HframeError), np.errstate(invalid="ignore"):
+        text.fixed(np.array([1.0, value]), 6)

@@ -1,0 +1,95 @@
+"""Speed of step files, as ratios to gzip of the same rows in the same run.
+
+make bench
+"""
+
+from __future__ import annotations
+
+import gzip
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from hframe_post import step_timing
+from hframe_post.compensate import Compensator
+from hframe_post.pipeline import Options, commanded
+from hframe_post.printer import Printer
+from hframe_post.report import Report
+from hframe_post.step_file import Header, Lines, written
+from hframe_post.step_timing import Counts, step
+from hframe_post.stream import Samples
+
+from ..conftest import SAMPLES
+from .test_speed import fastest
+
+GZIPPED = 10_000_000  # bytes, as many as the yardstick needs to be steady
+
+
+@pytest.fixture(scope="module")
+def prism(paper: Printer, compensator: Compensator) -> list[Samples]:
+    """The commands of half an hour of print."""
+    options, report = Options("racking"), Report("racking")
+    blocks: list[Samples] = []
+    with (SAMPLES / "prism.gcode").open("rb") as lines:
+        for block in commanded(lines, paper, compensator, options, report):
+            blocks.append(block)
+            if block.end > 1_800_000:
+                break
+    return blocks
+
+
+def writing(prism: list[Samples], paper: Printer, kind: str) -> Callable[[], tuple[bytes, Lines]]:
+    table = paper.steps
+    assert table is not None
+    lengths = (table.belt, table.belt, table.z, table.e)
+    header = Header(kind, "", "", "", table.clock_hz, lengths, paper.kinematics.matrix)
+
+    def run() -> tuple[bytes, Lines]:
+        lines = Lines()
+        items = step(prism, "racking", paper.kinematics, table, Counts())
+        pieces = written(items, header, False, lines)
+        return b"".join(piece for piece in pieces if isinstance(piece, bytes)), lines
+
+    return run
+
+
+def gzip_speed(text: bytes) -> float:
+    """Bytes a second of gzip -9."""
+    some = text[:GZIPPED]
+    start = time.perf_counter()
+    gzip.compress(some, 9)
+    return len(some) / (time.perf_counter() - start)
+
+
+@pytest.mark.parametrize("kind", ["steps", "step-bits"])
+def test_writing_against_gzip(
+    benchmark: BenchmarkFixture, prism: list[Samples], paper: Printer, kind: str
+) -> None:
+    """From samples to text, steps and all."""
+    text, lines = benchmark.pedantic(  # type: ignore[no-untyped-call]
+        writing(prism, paper, kind), rounds=3, warmup_rounds=1
+    )
+    seconds = fastest(benchmark)
+    ratio = len(text) / seconds / gzip_speed(text)
+    benchmark.extra_info["million rows a second"] = lines.rows / seconds / 1e6
+    benchmark.extra_info["MB a second"] = len(text) / seconds / 1e6
+    benchmark.extra_info["times as fast as gzip -9"] = ratio
+    assert ratio > 1.0
+
+
+def test_reading_against_gzip(
+    benchmark: BenchmarkFixture, prism: list[Samples], paper: Printer, tmp_path: Path
+) -> None:
+    text, lines = writing(prism, paper, "steps")()
+    (tmp_path / "a.csv").write_bytes(text)
+    last = benchmark.pedantic(  # type: ignore[no-untyped-call]
+        lambda: [block.xyze[-1] for block in step_timing.read(tmp_path / "a.csv")][-1], rounds=3
+    )
+    assert np.isfinite(last).all()
+    seconds = fastest(benchmark)
+    benchmark.extra_info["million rows a second"] = lines.rows / seconds / 1e6
+    benchmark.extra_info["times as fast as gzip -9"] = len(text) / seconds / gzip_speed(text)
