@@ -11,10 +11,10 @@ lint:
 	lint-imports
 
 test:
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n auto --dist loadfile
 
 slow:
-	$(PYTHON) -m pytest -m slow
+	$(PYTHON) -m pytest -m slow -n auto --dist loadfile
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

@@ -8,7 +8,9 @@ numbers that klippy puts into the motion queue for each move (see ``host.MOVE``)
 import fcntl
 import importlib
 import os
+import re
 import sys
+import time
 from array import array
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,9 @@ from typing import Any
 CLOCK_FREQ = 4_000_000
 """Ticks per second. Intervals wrap at 2^32 ticks, so this lets a motor rest for 1073 s
 (at a usual 50 MHz: 86 s, less than a layer), and 0.25 us is still exact enough."""
+
+DRAIN_S = 120.0
+EMPTY = re.compile(r" ready_bytes=0 upcoming_bytes=0\b")
 
 COMMANDS = (
     "identify offset=%u count=%c",
@@ -141,6 +146,25 @@ def record_moves(owner: Any) -> "array[float]":
     return moves
 
 
+def drain_before_exit(reader: Any) -> None:
+    """Let klippy's class ``reader`` write all that is queued for the controller, then disconnect.
+
+    A thread of its own writes the queue. On a busy machine it lags behind, and what it has not
+    written at the end would be lost: the last steps of a file.
+    """
+    disconnect = reader.disconnect
+
+    def drain(self: Any) -> None:
+        deadline = time.monotonic() + DRAIN_S
+        while self.serialqueue is not None and not EMPTY.search(self.stats(0.0)):
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"klippy's queue is not written: {self.stats(0.0)}")
+            time.sleep(0.01)
+        disconnect(self)
+
+    reader.disconnect = drain
+
+
 def compile_helper() -> None:
     """Have klippy compile its C library now, unless that is done, one process at a time."""
     chelper: Any = importlib.import_module("klippy.chelper")
@@ -159,6 +183,7 @@ def main() -> None:
     gcode.os = WholeFileOs()
     toolhead = record_moves(importlib.import_module("klippy.toolhead").ToolHead)
     extruder = record_moves(importlib.import_module("klippy.kinematics.extruder").PrinterExtruder)
+    drain_before_exit(importlib.import_module("klippy.serialhdl").SerialReader)
     importlib.import_module("klippy.printer").main()
     for name, moves in (("toolhead", toolhead), ("extruder", extruder)):
         (folder / f"{name}.moves").write_bytes(moves.tobytes())
