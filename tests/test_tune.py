@@ -155,7 +155,8 @@ def test_recommendation_stays_within_limits_that_bind(
 
 
 WINDOW = Window(5, 88, 44, 1.0)
-FIGURES = st.tuples(st.floats(1e-3, 1.0), st.floats(1.0, 100.0), st.floats(1.0, 100.0))
+ERROR = st.sampled_from([1.0, 1.05, 1.09, 1.2, 3.0])  # some as good as the best
+FIGURES = st.tuples(ERROR, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
 
 
 @given(st.lists(st.tuples(FIGURES, st.booleans()), max_size=8))
@@ -174,7 +175,7 @@ def test_recommended_is_the_gentlest_of_the_good(
         assert not able
     else:
         least = min(t.contour.rms for t in able)
-        assert best in able
+        assert any(best is trial for trial in able)
         assert best.contour.rms <= ROUGHLY * least
         gentler = [t for t in able if t.acceleration < best.acceleration]
         assert all(t.contour.rms > ROUGHLY * least for t in gentler)
