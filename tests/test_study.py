@@ -52,7 +52,7 @@ def cube() -> SimulationReport:
 PARTS = [
     ("rectangle.gcode", None),
     ("cube.gcode", 3),
-    ("prism.gcode", 2),
+    ("prism.gcode", 1),
 ]
 
 
