@@ -34,6 +34,10 @@ on_limit_option = click.option(
     help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
 )  # fmt: skip
 
+seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.",
+)  # fmt: skip
+
 json_option = click.option(
     "--json", "json_file", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
     metavar="FILE", help="Write the summary as JSON; '-' for standard output.",
@@ -77,6 +81,19 @@ def share(text: str) -> float:
         value = -1.0
     if not 0.0 <= value < 1.0:
         raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
+    return value
+
+
+def weight(text: str) -> float:
+    """A number from 0 to below ``LARGEST``."""
+    from hframe_post.tables import LARGEST
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < LARGEST:
+        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
     return value
 
 

@@ -34,6 +34,10 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     profile = load(printer)
     if profile.plant.Gxtheta is None:
         raise PrinterError("the printer does not rack: nothing to reproduce", "plant", printer)
+    lines: list[bytes] = []
+    if prism is not None:  # say at once that it is missing
+        with prism.open("rb") as file:
+            lines = file.readlines()
     if folder is not None:
         figures.canvas(1, 1, (1.0, 1.0))  # say at once that matplotlib is missing
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,8 +62,6 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
         else {}
     )
     if prism is not None:
-        with prism.open("rb") as file:
-            lines = file.readlines()
         prisms = [paper.widths(profile, lines, printed) for printed in (False, True)]
         tables.append(paper_tables.width_errors(prisms))
         if folder is not None:

@@ -14,6 +14,7 @@ from hframe_post.cli_options import (
     opened,
     path_option,
     printer_option,
+    seed_option,
     share,
     source_argument,
     write_json,
@@ -39,7 +40,7 @@ from hframe_post.cli_options import (
     "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
     help="How many printers to draw for each model error.",
 )  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the draws.")
+@seed_option
 @click.option("--steps", is_flag=True, help="Put the motors' steps between command and plant.")
 @click.option("--layers", is_flag=True, help="Show every layer, not the worst.")
 @json_option

@@ -14,8 +14,10 @@ from hframe_post.cli_options import (
     opened,
     path_option,
     printer_option,
+    seed_option,
     share,
     source_argument,
+    weight,
     write_json,
 )
 
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     help="Samples between knots to try; may be repeated. Default: 5, 8, 10, 20.",
 )  # fmt: skip
 @click.option(
-    "--effort", type=click.FloatRange(0.0), multiple=True, metavar="λ",
+    "--effort", type=weight, multiple=True, metavar="λ",
     help="Weights of x to try; may be repeated. Default: 0.1 to 1000.",
 )  # fmt: skip
 @click.option(
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--draws", type=click.IntRange(0, 1000), default=10, show_default=True,
               help="How many printers to draw; 0 for the model alone.")  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the draws.")
+@seed_option
 @click.option(
     "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
     help="Draw the trade-off (.png or .svg); needs matplotlib.",

@@ -13,7 +13,7 @@ from hframe_post.stream import E, Mark, Passthrough, Pause, Samples
 BEFORE = "before the first"  # layer or feature of what no comment precedes
 TRAVEL = "TRAVEL"  # motion that lays down nothing, whatever the comment before it says
 
-_LAYER = re.compile(rb"\s*;\s*(?:LAYER:\s*(-?\d+)|LAYER_CHANGE\s*$|CHANGE_LAYER\s*$)")
+_LAYER = re.compile(rb"\s*;\s*(?:LAYER:\s*(-?\d{1,9})(?!\d)|LAYER_CHANGE\s*$|CHANGE_LAYER\s*$)")
 _FEATURE = re.compile(rb"\s*;\s*(?:TYPE|FEATURE):\s*(.*\S)")
 
 

@@ -25,13 +25,14 @@ def with_windows(name_or_path: str, windows: tuple[Window, Window]) -> str:
         "n_up": f"{x.n_up}",
         "effort": f"[{float(x.effort)}, {float(y.effort)}]",
     }
-    lines = "".join(f"{key} = {value}\n" for key, value in values.items())
+    settings = [f"{key} = {value}" for key, value in values.items()]
     if name_or_path in shipped():
-        return f'extends = "{name_or_path}"\n\n[compensation]\n{lines}'
-    text = Path(name_or_path).read_text("utf-8")
+        return "\n".join([f'extends = "{name_or_path}"', "", "[compensation]", *settings, ""])
+    text = Path(name_or_path).read_bytes().decode("utf-8")  # the ends of its lines stay
+    newline = "\r\n" if "\r\n" in text else "\n"
     section = _SECTION.search(text)
     if section is None:
-        changed = f"{text.rstrip()}\n\n[compensation]\n{lines}"
+        changed = newline.join([text.rstrip(), "", "[compensation]", *settings, ""])
     else:
         following = _NEXT.search(text, section.end())
         end = following.start() if following else len(text)
@@ -41,8 +42,8 @@ def with_windows(name_or_path: str, windows: tuple[Window, Window]) -> str:
             if setting.search(body):
                 body = setting.sub(rf"\g<1>{value}\g<2>", body, count=1)
             else:
-                first, rest = body.split("\n", 1) if "\n" in body else (body, "")
-                body = f"{first}\n{key} = {value}\n{rest}"
+                first, _, rest = body.partition("\n")
+                body = f"{first.rstrip()}{newline}{key} = {value}{newline}{rest}"
         changed = text[: section.end()] + body + text[end:]
     try:
         if parse(changed, "tuned").compensation.windows == windows:
@@ -50,7 +51,5 @@ def with_windows(name_or_path: str, windows: tuple[Window, Window]) -> str:
     except PrinterError:
         pass
     raise PrinterError(
-        f"write these lines yourself: {', '.join(lines.split(chr(10))[:-1])}",
-        "compensation",
-        name_or_path,
+        f"write these lines yourself: {', '.join(settings)}", "compensation", name_or_path
     )

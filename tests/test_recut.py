@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.recut import join, part, stretches, with_neighbours
+from hframe_post.arrays import Array
+from hframe_post.recut import branches, join, part, stretches, with_neighbours
 from hframe_post.stream import (
     Event,
     Handling,
@@ -161,3 +164,80 @@ def test_pause_inside_the_stream_ends_no_stretch() -> None:
     first, second = stream([3, 3])
     found = [list(s) for s in stretches([yielding(first, Handling.REST), second])]
     assert [len(stretch) for stretch in found] == [2]
+
+
+# ---------------------------------------------------------------------- branches
+
+
+@given(st.integers(0, 6), st.integers(1, 4), st.data())
+def test_every_branch_has_every_block_in_any_order_of_taking(
+    blocks: int, count: int, data: st.DataObject
+) -> None:
+    source = stream([3] * blocks)
+    taken: list[list[Samples]] = [[] for _ in range(count)]
+    running = dict(enumerate(branches(iter(source), count)))
+    while running:
+        k = data.draw(st.sampled_from(sorted(running)))
+        if (block := next(running[k], None)) is None:
+            del running[k]
+        else:
+            taken[k].append(block)
+    for blocks_of_one in taken:
+        assert [id(block) for block in blocks_of_one] == [id(block) for block in source]
+
+
+def test_no_branches_take_nothing() -> None:
+    source = iter(stream([3]))
+    assert branches(source, 0) == []
+    assert next(source, None) is not None
+
+
+Watch = list["weakref.ref[Array]"]
+
+
+def watched(made: Watch) -> Iterator[Samples]:
+    """Blocks made when they are asked for, each of whose arrays is watched."""
+    for k in range(60):
+        xyze = frozen(np.full((4, 4), float(k)))
+        made.append(weakref.ref(xyze))
+        yield Samples(4 * k, xyze, np.zeros(4, np.int64))
+        del xyze
+
+
+def held(made: Watch) -> int:
+    return sum(array() is not None for array in made)
+
+
+def test_branches_in_step_hold_but_one_block() -> None:
+    made: Watch = []
+    running = branches(watched(made), 3)
+    for k in range(60):
+        for branch in running:
+            assert next(branch).first == 4 * k
+        assert len(made) == k + 1  # nothing is read ahead
+        assert held(made) <= 1
+
+
+def test_branches_hold_what_the_slowest_has_not_taken() -> None:
+    made: Watch = []
+    fast, slow = branches(watched(made), 2)
+    for _ in range(20):
+        next(fast)
+    assert held(made) == 20
+    for k in range(20):
+        assert next(slow).first == 4 * k
+        assert held(made) <= 20 - k
+    assert len(made) == 20
+
+
+def failing() -> Iterator[Samples]:
+    yield from stream([3, 3])
+    raise RuntimeError("the source is broken")
+
+
+def test_an_exception_comes_after_the_blocks_before_it() -> None:
+    one, other = branches(failing(), 2)
+    assert [next(one).first, next(one).first] == [5, 8]
+    with pytest.raises(RuntimeError, match="broken"):
+        next(one)
+    assert [next(other).first, next(other).first] == [5, 8]
