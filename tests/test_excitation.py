@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 
 from hframe_post.arrays import Array
 from hframe_post.excitation import MARK_HZ, MARK_SAMPLES, Sweep, amplitude, peaks, trajectory
@@ -19,7 +20,7 @@ def sweeps(draw: st.DrawFn) -> Sweep:
     seconds = draw(st.floats(1.0, 30.0))
     return Sweep(
         start, end, min((end - start) / seconds, end - start), draw(st.floats(100.0, 20000.0)),
-        draw(st.floats(0.5, 50.0)), draw(st.floats(0.1, 2.0)),
+        draw(st.floats(0.5, 50.0)), draw(st.floats(0.0, 10.0)), draw(st.floats(0.1, 2.0)),
     )  # fmt: skip
 
 
@@ -42,7 +43,7 @@ def test_starts_and_ends_at_rest_within_every_limit(
 ) -> None:
     displacement = trajectory(sweep, speed, room)
     d, v, a = peaks(displacement)
-    assert d <= min(sweep.stroke, room) * (1.0 + 1e-9)
+    assert d <= min(sweep.stroke + sweep.sway, room) * (1.0 + 1e-9)
     assert v <= speed * (1.0 + 1e-9)
     assert a <= sweep.amplitude * (1.0 + 1e-6)
     first, _, last, rests = parts(sweep, displacement)
@@ -54,7 +55,7 @@ def test_starts_and_ends_at_rest_within_every_limit(
 
 def test_the_frequency_grows_at_the_rate_and_the_acceleration_has_the_amplitude() -> None:
     """Zero crossings tell the frequency, peaks the amplitude, away from both ends."""
-    sweep = Sweep(5.0, 100.0, 5.0, 4000.0)
+    sweep = Sweep(5.0, 100.0, 5.0, 4000.0, sway=0.0)
     _, sine, _, _ = parts(sweep, trajectory(sweep, 1000.0, 1000.0))
     acceleration = np.diff(sine, n=2) / TS**2
     for hz in (20.0, 40.0, 60.0, 80.0):
@@ -69,7 +70,7 @@ def test_the_frequency_grows_at_the_rate_and_the_acceleration_has_the_amplitude(
 
 
 def test_low_frequencies_get_what_speed_and_travel_leave() -> None:
-    sweep = Sweep(1.0, 100.0, 1.0, 5000.0, stroke=20.0)
+    sweep = Sweep(1.0, 100.0, 1.0, 5000.0, stroke=20.0, sway=0.0)
     hz = np.array([1.0, 3.0, 80.0])
     w = 2.0 * np.pi * hz
     given = amplitude(sweep, hz, 100.0, 8.0)
@@ -90,6 +91,22 @@ def test_a_mark_is_broad_band() -> None:
     assert power[(hz < low / 3.0) | (hz > 1.5 * high)].max() < 0.01 * inside.max()
 
 
+def gain_error(displacement: Array, step: float) -> float:
+    """RMS over 40 to 80 Hz of gain − 1 from a command to where whole steps bring it."""
+    stepped = np.round(displacement / step) * step
+    hz, power = signal.welch(displacement, 1.0 / TS, nperseg=4000)
+    _, cross = signal.csd(displacement, stepped, 1.0 / TS, nperseg=4000)
+    band = (hz >= 40.0) & (hz <= 80.0)
+    return float(np.sqrt((np.abs(cross[band] / power[band] - 1.0) ** 2).mean()))
+
+
+def test_swaying_across_steps_keeps_their_rounding_out_of_the_gain() -> None:
+    still, swaying = (
+        trajectory(Sweep(30.0, 90.0, 1.0, 5000.0, sway=sway), 300.0, 80.0) for sway in (0.0, 2.0)
+    )
+    assert gain_error(swaying, 0.02) < gain_error(still, 0.02) / 3.0
+
+
 @pytest.mark.parametrize(
     ("changed", "cause"),
     [
@@ -99,6 +116,7 @@ def test_a_mark_is_broad_band() -> None:
         ({"rate_hz_per_s": 0.01}, "900 s"),
         ({"rate_hz_per_s": 1000.0}, "between 1 s"),
         ({"start_hz": -1.0}, "above 0"),
+        ({"sway": -1.0}, "sway must be"),
         ({"amplitude": float("nan")}, "above 0"),
     ],
 )
