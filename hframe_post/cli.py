@@ -11,6 +11,7 @@ from hframe_post import __version__
 from hframe_post.cli_convert import convert
 from hframe_post.cli_paper import paper
 from hframe_post.cli_study import simulate
+from hframe_post.cli_sweep import sweep
 from hframe_post.cli_tune import tune
 
 # One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
@@ -61,6 +62,7 @@ def main() -> None:
 main.add_command(convert)
 main.add_command(simulate)
 main.add_command(paper)
+main.add_command(sweep)
 main.add_command(tune)
 
 

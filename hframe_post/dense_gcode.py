@@ -1,9 +1,10 @@
 """Samples → a dense G-code stream for Klipper.
 
 The command becomes a polyline in time, decimated to a tolerance. Coordinates are rounded to
-0.001 mm and filament to 0.00001 mm, and written as differences of rounded absolute values, so
-nothing is lost. The feed rate makes Klipper, which ramps inside every segment, take just the
-segment's time; what it is late by, as far as rounding tells, the next segments make up for.
+0.001 mm, or finer if asked, and filament to 0.00001 mm, and written as differences of rounded
+absolute values, so nothing is lost. The feed rate makes Klipper, which ramps inside every
+segment, take just the segment's time; what it is late by, as far as rounding tells, the next
+segments make up for.
 What happens at rest (retraction, lift, waiting) is one line at standstill.
 """
 
@@ -23,9 +24,9 @@ from hframe_post.stream import TS, E, Handling, Mark, Pause, Samples, Standing, 
 CHUNK = 2048 * LONGEST  # samples written at once
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
 CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
-PER_MM = np.array([1e3, 1e3, 1e3, 1e5])  # output units of x, y, z, e
-DECIMALS = (3, 3, 3, 5)
-PER_FEED = 600.0  # F in tenths of mm/min of a speed in mm/s
+DECIMALS = (3, 3, 3, 5)  # of x, y, z, e in mm
+PER_MM_E = 1e5  # output units of e
+FEED_DECIMALS = 1  # of F in mm/min
 REASSERT = re.compile(rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(91|82)(?!\d)")  # modes that end the stream's
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
@@ -52,7 +53,7 @@ class Ledger:
     @property
     def filament(self) -> float:
         """All of it, mm."""
-        return self.steps / float(PER_MM[E]) + self.passed
+        return self.steps / PER_MM_E + self.passed
 
 
 def write(
@@ -61,12 +62,14 @@ def write(
     dialect: klipper.Dialect,
     tolerance: float | None,
     ledger: Ledger,
+    finer: int = 0,
 ) -> Iterator[Output]:
     """The command ``written`` as text; ``ledger`` is filled as it flows.
 
-    tolerance: mm by which the decimated command may miss a sample; None keeps them all.
+    tolerance: mm by which the decimated command may miss a sample; None keeps them all. finer:
+    digits that coordinates and F are given beyond those that a print needs.
     """
-    writer = _Writer(written, dialect, tolerance, ledger)
+    writer = _Writer(written, dialect, tolerance, ledger, finer)
     for block in blocks:
         yield from writer.block(block)
     yield from writer.span(last=True)
@@ -76,14 +79,23 @@ class _Writer:
     """Where the machine stands in output units, and the samples not written yet."""
 
     def __init__(
-        self, written: str, dialect: klipper.Dialect, tolerance: float | None, ledger: Ledger
+        self,
+        written: str,
+        dialect: klipper.Dialect,
+        tolerance: float | None,
+        ledger: Ledger,
+        finer: int,
     ) -> None:
         self._written, self._dialect, self._tolerance = written, dialect, tolerance
         self._ledger = ledger
+        self._decimals = (*(decimals + finer for decimals in DECIMALS[:E]), DECIMALS[E])
+        self._per_mm = 10.0 ** np.array(self._decimals)
+        self._feed_decimals = FEED_DECIMALS + finer
+        self._per_feed = 60.0 * 10.0**self._feed_decimals  # units of F in a mm/s
         self._inside = False  # the stream's limits and modes are in force
         self._at: Integers | None = None  # x, y, z, e as last written; None: only firmware knows
         self._offset = (0.0, 0.0, 0.0)  # of G92, while the machine is yielded
-        self._feed = 0  # last F, in tenths of mm/min
+        self._feed = 0  # last F, in its output units
         self._before = 0.0  # speed of the last segment, mm/s
         self._still = 0  # samples of standstill since the last segment
         self._late = 0.0  # s by which the machine lags, as far as rounding tells
@@ -121,9 +133,9 @@ class _Writer:
         if not len(points):
             return
         if self._at is None:
-            self._at = np.rint(points[0] * PER_MM).astype(np.int64)
+            self._at = np.rint(points[0] * self._per_mm).astype(np.int64)
         if not self._count:
-            self._index, self._start = index, self._at / PER_MM
+            self._index, self._start = index, self._at / self._per_mm
         self._held.append(points)
         self._count += len(points)
         while self._count > CHUNK:
@@ -156,7 +168,7 @@ class _Writer:
             forced = np.zeros(n + 1, dtype=bool)
             forced[after] = True
             ends = breakpoints(points, forced, self._tolerance)
-        at = np.rint(points[ends] * PER_MM).astype(np.int64)
+        at = np.rint(points[ends] * self._per_mm).astype(np.int64)
         moved = np.any(np.diff(at[:, :E], axis=0, prepend=self._at[None, :E]) != 0, axis=1)
         starts, ends, at = np.concatenate([[0], ends])[:-1][moved], ends[moved], at[moved]
         idle = starts - np.concatenate([[-self._still], ends])[: len(ends)]
@@ -182,23 +194,26 @@ class _Writer:
         rest = np.concatenate([dwell, [last]])
         rest[0] |= self._before == 0.0
         hurried = T * (1.0 - np.clip(self._late / T.sum(), -CATCH_UP, CATCH_UP))
-        limits, mm = self._dialect.limits, delta / PER_MM
+        limits, mm = self._dialect.limits, delta / self._per_mm
         v = klipper.speeds(mm, hurried, rest, self._before, limits)
-        feed = np.maximum(np.rint(v * PER_FEED), 1.0).astype(np.int64)
-        taken = klipper.durations(mm, feed / PER_FEED, rest, self._before, limits)
+        feed = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
+        taken = klipper.durations(mm, feed / self._per_feed, rest, self._before, limits)
         self._late += float((taken - T).sum())
         shown = delta != 0
         shown[0, :Z] |= self._feed == 0  # after the machine was yielded: both, to be plain
         faster = np.diff(feed, prepend=self._feed) != 0
         words = [
             text.word(
-                letter, at[:, axis] if axis != E else delta[:, E], DECIMALS[axis], shown[:, axis]
+                letter,
+                at[:, axis] if axis != E else delta[:, E],
+                self._decimals[axis],
+                shown[:, axis],
             )
             for axis, letter in enumerate((b" X", b" Y", b" Z", b" E"))
         ]
         self._at, self._feed, self._before = at[-1], int(feed[-1]), float(v[-1])
         self._ledger.steps += int(delta[:, E].sum())
-        return text.lines(b"G1", [*words, text.word(b" F", feed, 1, faster)])
+        return text.lines(b"G1", [*words, text.word(b" F", feed, self._feed_decimals, faster)])
 
     def _interleaved(
         self, rows: bytes, ends: Integers, dwells: Integers, marks: list[tuple[int, Mark]]
@@ -245,7 +260,7 @@ class _Writer:
             yield from self._dwell(0, stop=lifts)
         elif action.handling is Handling.YIELD:
             if self._inside and self._at is not None:
-                end = self._dialect.end(action.state, self._at / PER_MM)
+                end = self._dialect.end(action.state, self._at / self._per_mm)
                 yield b"".join(line + b"\n" for line in end)
             self._offset = action.state.offset
             self._inside, self._at, self._feed, self._late = False, None, 0, 0.0
@@ -258,15 +273,16 @@ class _Writer:
     def _standing(self, move: Standing) -> Iterator[Output]:
         """Retraction or lift: one line."""
         assert self._at is not None
-        to = np.rint(np.array(move.end) * PER_MM).astype(np.int64)
+        to = np.rint(np.array(move.end) * self._per_mm).astype(np.int64)
         dz, de = int(to[Z] - self._at[Z]), int(to[E] - self._at[E])
         self._at = np.concatenate([self._at[:Z], to[Z:]])
-        self._feed = round(move.speed * PER_FEED)
+        self._feed = round(move.speed * self._per_feed)
         self._ledger.steps += de
         if dz or de:
-            z = f" Z{klipper.plain(to[Z] / PER_MM[Z], DECIMALS[Z])}" if dz else ""
-            e = f" E{klipper.plain(de / PER_MM[E], DECIMALS[E])}" if de else ""
-            yield f"G1{z}{e} F{klipper.plain(self._feed / 10.0, 1)}\n".encode()
+            z = f" Z{klipper.plain(to[Z] / self._per_mm[Z], self._decimals[Z])}" if dz else ""
+            e = f" E{klipper.plain(de / self._per_mm[E], self._decimals[E])}" if de else ""
+            feed = klipper.plain(60.0 * self._feed / self._per_feed, self._feed_decimals)
+            yield f"G1{z}{e} F{feed}\n".encode()
 
     def _dwell(self, samples: int, stop: bool = False) -> Iterator[Output]:
         """Standstill for so long, less what the machine is late.
@@ -284,5 +300,5 @@ class _Writer:
         """Takes the machine over, if it is not in our hands."""
         if not self._inside and self._at is not None:
             self._inside = True
-            begin = self._dialect.begin(self._offset, self._at / PER_MM)
+            begin = self._dialect.begin(self._offset, self._at / self._per_mm)
             yield b"".join(line + b"\n" for line in begin)

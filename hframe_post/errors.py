@@ -37,9 +37,11 @@ class StepFileError(HframeError):
 class LimitError(HframeError):
     """The command would leave the bed or outrun a motor."""
 
-    def __init__(self, quantity: str, value: float, bound: float, line: int, advice: str) -> None:
+    def __init__(
+        self, quantity: str, value: float, bound: float, line: int | None, advice: str
+    ) -> None:
         self.quantity, self.value, self.bound, self.line = quantity, value, bound, line
+        where = "" if line is None else f"line {line}: "
         super().__init__(
-            f"line {line}: {quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
-            + advice
+            f"{where}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; " + advice
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hframe_post.errors import PrinterError
+from hframe_post.excitation import Sweep
 from hframe_post.kinematics import Kinematics
 from hframe_post.lpfbs import Window
 from hframe_post.plant import Plant, TransferFunction
@@ -110,7 +111,10 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class Printer:
-    """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out."""
+    """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out.
+
+    sweep: the motion by which its plant is identified, of no part in a conversion.
+    """
 
     name: str
     description: str
@@ -122,6 +126,7 @@ class Printer:
     compensation: Compensation
     firmware: Firmware
     plant: Plant
+    sweep: Sweep
     digest: str
 
 
@@ -184,7 +189,7 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps")
+    optional = ("kinematics", "steps", "sweep")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -201,6 +206,10 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         _ = compensation.windows
     except ValueError as error:
         raise PrinterError(str(error), "compensation") from None
+    try:
+        sweep = checked(Sweep, document.get("sweep", {}), "sweep")
+    except ValueError as error:
+        raise PrinterError(str(error), "sweep") from None
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
     plant = _plant(document["plant"])
     if plant.Gxtheta is not None and not kinematics.racks:
@@ -217,6 +226,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         compensation,
         checked(Firmware, firmware, "firmware"),
         plant,
+        sweep,
         digest,
     )
 
