@@ -43,3 +43,7 @@ class LimitError(HframeError):
             f"line {line}: {quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
             + advice
         )
+
+
+class IdentificationError(HframeError):
+    """A measurement from which no model can be had."""
