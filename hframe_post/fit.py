@@ -1,6 +1,7 @@
 """A rational discrete transfer function from a measured frequency response.
 
-Model: H(f) = G(e^{jω·TS}) e^{−jωτ}, G of relative degree one or more, G(1) exactly 0 or 1.
+Model: H(f) = G(e^{jω·TS}) e^{−jωτ}, G(1) exactly 0 or 1. A position (1) has relative degree one
+or more; racking (0) may respond in the same sample, as the paper's does.
 
 1. Start: Sanathanan–Koerner iteration as relocation of poles (`rational.Denominator`), for
    several delays within the bounds.
@@ -41,6 +42,7 @@ DELAY_STEP = 1e-3  # s between starts
 GOOD = 0.1  # residual, in units of the noise, below which no better one is wanted
 CLOSE = 10.0  # of BIC: very strong evidence (Kass and Raftery 1995)
 LOOSE = 1.0  # |G| above the band, of the largest |H|: one standard deviation
+NEAR = 4.0  # of the best start's cost, up to which the second is refined too
 PATIENCE = 3  # orders without a better score, after which higher ones are not tried
 
 
@@ -79,6 +81,11 @@ class _Data:
     held: Complex
     loosely: float
 
+    @property
+    def direct(self) -> bool:
+        """Whether the response may begin in the same sample."""
+        return self.at_rest == 0.0
+
 
 _Trial: TypeAlias = "tuple[float, Denominator, Array, float]"  # cost, poles, c, delay
 
@@ -96,12 +103,11 @@ def fit(
     at_rest: G(1), 1 for a position, 0 for racking. Raises IdentificationError where the band
     holds too little to fit, ValueError for impossible arguments.
     """
-    least = 1 if at_rest else 2
     low, high = delay_bounds_s
     if at_rest not in (0.0, 1.0) or not low <= high:
         raise ValueError("at_rest must be 0 or 1 and the delay's bounds ascend")
-    if order is not None and order < least:
-        raise IdentificationError(f"order {order} is too low; {least} is the least here")
+    if order is not None and order < 1:
+        raise IdentificationError(f"order {order} is too low; 1 is the least")
     part = response.within(band_hz)
     data = _data(part, at_rest, delay_bounds_s)
     top = max_order if order is None else order
@@ -110,7 +116,7 @@ def fit(
             f"{len(data.z)} frequencies in {band_hz[0]:g}–{band_hz[1]:g} Hz are too few "
             f"for order {top}"
         )
-    orders = range(least, max_order + 1) if order is None else [order]
+    orders = range(1, max_order + 1) if order is None else [order]
     trials, scores = _tried(data, orders)
     chosen = _chosen(scores)
     cost, den, c, delay = trials[chosen]
@@ -170,7 +176,8 @@ def _best(data: _Data, order: int) -> _Trial:
     coarse = _thinned(data)
     starts = [_start(coarse, order, float(delay)) for delay in delays]
     starts.sort(key=lambda trial: trial[0])
-    return min((_refined(data, s) for s in starts[:2]), key=lambda trial: trial[0])
+    near = [s for s in starts[:2] if s[0] <= NEAR * starts[0][0]]
+    return min((_refined(data, s) for s in near), key=lambda trial: trial[0])
 
 
 def _thinned(data: _Data) -> _Data:
@@ -198,14 +205,15 @@ def _start(data: _Data, order: int, delay: float) -> _Trial:
 
 def _relocated(data: _Data, den: Denominator, delay: float) -> Denominator:
     """Poles of the next round: the zeros of σ = 1 + Σ e_i B_i in Σ c_i B_i = σ H."""
-    B = den.basis(data.z)
+    B, own = den.basis(data.z, data.direct), den.basis(data.z)
     H = data.H * np.exp(1j * data.omega * delay)
     w = data.weight[:, None]
-    rows = np.hstack([B, -H[:, None] * B]) * w
-    at_one = den.basis(np.ones(1, complex))
-    rows = np.vstack([rows, np.hstack([at_one, -data.at_rest * at_one]) * w.sum()])
+    rows = np.hstack([B, -H[:, None] * own]) * w
+    at_one = den.basis(np.ones(1, complex), data.direct)
+    own = at_one[:, : den.order]
+    rows = np.vstack([rows, np.hstack([at_one, -data.at_rest * own]) * w.sum()])
     target = np.append(H * data.weight, data.at_rest * w.sum())
-    _, e = np.split(_least_squares(rows, target), 2)
+    e = _least_squares(rows, target)[B.shape[1] :]
     A, b, T = den.states()
     poles = linalg.eigvals(A - np.outer(b, e @ T))
     return denominator(poles, RADIUS)
@@ -213,13 +221,14 @@ def _relocated(data: _Data, den: Denominator, delay: float) -> Denominator:
 
 def _solve(data: _Data, den: Denominator, delay: float) -> tuple[Array, Array]:
     """Weighted residual (2k + 2h + 1,): real, imaginary, delay; and c of the best zeros."""
-    B = np.vstack([data.weight[:, None] * den.basis(data.z), data.loosely * den.basis(data.held)])
+    B = data.weight[:, None] * den.basis(data.z, data.direct)
+    B = np.vstack([B, data.loosely * den.basis(data.held, data.direct)])
     H = data.weight * data.H * np.exp(1j * data.omega * delay)
     H = np.append(H, np.zeros(len(data.held)))
-    b = den.basis(np.ones(1, complex))[0].real
+    b = den.basis(np.ones(1, complex), data.direct)[0].real
     Q, _ = np.linalg.qr(b[:, None], mode="complete")
     c0, free = b * (data.at_rest / (b @ b)), Q[:, 1:]
-    c = c0 + free @ _least_squares(np.asarray(B @ free), H - B @ c0)
+    c = c0 + free @ _least_squares(B @ free, H - B @ c0)
     error = np.asarray(H - B @ c)
     return np.concatenate([error.real, error.imag, [_far(data, delay)]]), c
 
@@ -233,7 +242,7 @@ def _far(data: _Data, delay: float) -> float:
     return (2.0 * delay - low - high) / (high - low) if high > low else 0.0
 
 
-def _least_squares(rows: Complex, target: Complex) -> Array:
+def _least_squares(rows: Complex | Array, target: Complex | Array) -> Array:
     """The real x that minimises |rows x − target|, columns scaled to equal length."""
     A = np.vstack([rows.real, rows.imag])
     scale = np.maximum(np.sqrt(np.einsum("ij,ij->j", A, A)), np.finfo(float).tiny)
@@ -290,5 +299,5 @@ def _unpacked(x: Array, order: int, fixed: float, free: bool) -> tuple[Denominat
 def _bic(data: _Data, trial: _Trial) -> float:
     n = 2 * len(data.z)
     low, high = data.delay_bounds
-    unknowns = 2 * trial[1].order - 1 + (high > low)
+    unknowns = 2 * trial[1].order - 1 + data.direct + (high > low)
     return float(n * np.log(trial[0] / n + GOOD**2) + unknowns * np.log(n))

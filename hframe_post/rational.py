@@ -6,9 +6,10 @@
 ``B_2k, B_2k+1``        Π_{j<k} D̃_j/D_j · (z − 1)/D_k and (z + 1)/D_k, orthogonal on |z| = 1
 ======================  ===================================================================
 
-G = Σ c_i B_i has relative degree one or more. Source: two-parameter Kautz functions
-(Wahlberg 1994); relocation of poles in such a basis: Deschrijver, Haegeman and Dhaene 2007.
-Powers of z would lose all digits: poles of a printer cluster near z = 1.
+G = Σ c_i B_i has relative degree one or more, with a constant added (``direct``) zero or more.
+Source: two-parameter Kautz functions (Wahlberg 1994); relocation of poles in such a basis:
+Deschrijver, Haegeman and Dhaene 2007. Powers of z would lose all digits: poles of a printer
+cluster near z = 1.
 """
 
 from __future__ import annotations
@@ -44,16 +45,16 @@ class Denominator:
         single = [] if self.single is None else [np.array([self.single], complex)]
         return np.concatenate([*roots, *single, np.zeros(0, complex)])
 
-    def basis(self, z: Complex) -> Complex:
-        """B at ``z`` (k,): (k, order)."""
-        out = np.empty((len(z), self.order), complex)
+    def basis(self, z: Complex, direct: bool = False) -> Complex:
+        """B at ``z`` (k,): (k, order), with ``direct`` and a last column of ones."""
+        out = np.ones((len(z), self.order + direct), complex)
         through = np.ones(len(z), complex)
         for k, (a1, a2) in enumerate(self.pairs):
             shared = through / ((z + a1) * z + a2)
             out[:, 2 * k], out[:, 2 * k + 1] = (z - 1.0) * shared, (z + 1.0) * shared
             through = shared * ((a2 * z + a1) * z + 1.0)
         if self.single is not None:
-            out[:, -1] = through / (z - self.single)
+            out[:, self.order - 1] = through / (z - self.single)
         return out
 
     def states(self) -> tuple[Array, Array, Array]:
@@ -94,11 +95,14 @@ def denominator(poles: Complex, radius: float) -> Denominator:
 def transfer_function(den: Denominator, c: Array, at_rest: float, z: Complex) -> TransferFunction:
     """Σ c_i B_i as zeros, poles and gain, with ``at_rest`` (0 or 1) at z = 1 exact.
 
+    c (order,), or (order + 1,) where a constant is among them.
+
     ``z`` (k,): points where the gain is matched if it cannot be at rest.
     """
     A, B, T = den.states()
     d = den.order
-    system = np.block([[A, B[:, None]], [(c @ T)[None], np.zeros((1, 1))]])
+    direct = len(c) > d
+    system = np.block([[A, B[:, None]], [(c[:d] @ T)[None], np.full((1, 1), c[-1] * direct)]])
     left, right = linalg.eigvals(system, np.diag([1.0] * d + [0.0]), homogeneous_eigvals=True)
     finite = np.abs(left) < FAR * np.abs(right)
     zeros = _conjugate(left[finite] / right[finite])
@@ -111,7 +115,7 @@ def transfer_function(den: Denominator, c: Array, at_rest: float, z: Complex) ->
             zeros, poles, float((at_rest * np.prod(1.0 - poles) / np.prod(1.0 - zeros)).real)
         )
     unscaled = TransferFunction(zeros, poles, 1.0).response(np.angle(z))
-    wanted = den.basis(z) @ c
+    wanted = den.basis(z, direct) @ c
     gain = np.vdot(unscaled, wanted).real / np.vdot(unscaled, unscaled).real
     return TransferFunction(zeros, poles, float(gain))
 
