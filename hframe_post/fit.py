@@ -8,7 +8,8 @@ or more; racking (0) may respond in the same sample, as the paper's does.
 2. scipy.optimize.least_squares on the sections of the denominator and τ. For given poles and
    delay the zeros are a linear problem, so each step solves it exactly (variable
    projection): the minimum is that on poles, zeros and delay together, with fewer unknowns.
-3. The order with the least BIC; a lower one that is as good within CLOSE wins.
+3. The order with the least BIC; a lower one that is as good within CLOSE wins. Then step 2
+   again with all frequencies.
 
 Sections are searched inside the stability triangle, through tanh, scaled to a pole radius of
 RADIUS. Each frequency counts with the noise that its coherence tells, and no noise below
@@ -37,13 +38,15 @@ RADIUS = 0.999  # largest pole modulus
 FLOOR = 0.003  # relative noise of H below which no measurement is believed
 SMALL = 0.002  # the same, of the largest |H|
 QUIET = 1e-3  # input power, of the median, below which a frequency counts nothing
+STARTED = 200  # frequencies, of those measured, for the starts
+TRIED = 400  # and to choose the order; all of them for the result
 ROUNDS = 10  # of relocation, from each start
 DELAY_STEP = 1e-3  # s between starts
 GOOD = 0.1  # residual, in units of the noise, below which no better one is wanted
 CLOSE = 10.0  # of BIC: very strong evidence (Kass and Raftery 1995)
 LOOSE = 1.0  # |G| above the band, of the largest |H|: one standard deviation
 NEAR = 4.0  # of the best start's cost, up to which the second is refined too
-PATIENCE = 3  # orders without a better score, after which higher ones are not tried
+PATIENCE = 2  # orders without a better score, after which higher ones are not tried
 
 
 @dataclass(frozen=True)
@@ -117,9 +120,9 @@ def fit(
             f"for order {top}"
         )
     orders = range(1, max_order + 1) if order is None else [order]
-    trials, scores = _tried(data, orders)
+    trials, scores = _tried(_thinned(data, TRIED), orders)
     chosen = _chosen(scores)
-    cost, den, c, delay = trials[chosen]
+    cost, den, c, delay = _refined(data, trials[chosen], 100)
     G = transfer_function(den, c, at_rest, data.z)
     model = G.response(data.omega * TS) * np.exp(-1j * data.omega * delay)
     w = part.power * part.coherence
@@ -150,8 +153,8 @@ def _data(part: FrequencyResponse, at_rest: float, bounds: tuple[float, float]) 
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
     largest = float(np.abs(part.H).max(initial=0.0))
-    if largest == 0.0 or not part.power.any():
-        raise IdentificationError("the frequency response is empty or zero in the band")
+    if largest == 0.0 or not (part.power * part.coherence).any():
+        raise IdentificationError("the frequency response or its coherence is zero in the band")
     sd = np.hypot(np.hypot(part.noise, FLOOR) * np.abs(part.H), SMALL * largest)
     heard = part.power > QUIET * np.median(part.power)
     omega = 2.0 * np.pi * part.hz
@@ -173,16 +176,16 @@ def _best(data: _Data, order: int) -> _Trial:
     """The best trial of an order: the best start, refined."""
     low, high = data.delay_bounds
     delays = np.linspace(low, high, 1 + int(np.ceil((high - low) / DELAY_STEP)))
-    coarse = _thinned(data)
+    coarse = _thinned(data, STARTED)
     starts = [_start(coarse, order, float(delay)) for delay in delays]
     starts.sort(key=lambda trial: trial[0])
     near = [s for s in starts[:2] if s[0] <= NEAR * starts[0][0]]
-    return min((_refined(data, s) for s in near), key=lambda trial: trial[0])
+    return min((_refined(data, s, 25) for s in near), key=lambda trial: trial[0])
 
 
-def _thinned(data: _Data) -> _Data:
-    """About 200 frequencies of the data, for starts."""
-    s = slice(None, None, max(1, len(data.z) // 200))
+def _thinned(data: _Data, count: int) -> _Data:
+    """Every k-th frequency of the data, at least ``count`` where there are so many."""
+    s = slice(None, None, max(1, len(data.z) // count))
     parts = {name: getattr(data, name)[s] for name in ("omega", "z", "H", "weight")}
     return replace(data, **parts)
 
@@ -253,7 +256,8 @@ def _least_squares(rows: Complex | Array, target: Complex | Array) -> Array:
     return np.asarray(x / scale)
 
 
-def _refined(data: _Data, start: _Trial) -> _Trial:
+def _refined(data: _Data, start: _Trial, steps: int) -> _Trial:
+    """The least cost from ``start`` in so many steps of least_squares."""
     _, den, _, delay = start
     low, high = data.delay_bounds
     free = high > low
@@ -270,7 +274,7 @@ def _refined(data: _Data, start: _Trial) -> _Trial:
         np.clip(x, lower + 1e-9, upper - 1e-9),
         bounds=(lower, upper),
         x_scale="jac",
-        max_nfev=40,
+        max_nfev=steps,
     )
     den, delay = unpack(result.x)
     r, c = _solve(data, den, delay)
@@ -300,4 +304,5 @@ def _bic(data: _Data, trial: _Trial) -> float:
     n = 2 * len(data.z)
     low, high = data.delay_bounds
     unknowns = 2 * trial[1].order - 1 + data.direct + (high > low)
-    return float(n * np.log(trial[0] / n + GOOD**2) + unknowns * np.log(n))
+    unexplained = max(trial[0] - _far(data, trial[3]) ** 2, 0.0)
+    return float(n * np.log(unexplained / n + GOOD**2) + unknowns * np.log(n))

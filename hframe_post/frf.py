@@ -11,7 +11,7 @@
 The record is at rest at both ends and padded with rest, so a segment cuts no response off:
 what is left of leakage is that H is smoothed over the width of the window's spectrum. For a
 Hann window of T seconds at a resonance of damping ζ and frequency f the bias is about
-1 / (3 (T ζ f)²) at its peak: BIAS below.
+1 / (3 (T ζ f)²) at its peak.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ Method = Literal["H1", "H2", "Hv"]
 class FrequencyResponse:
     """H (k,) complex at ``hz`` (k,) ascending, with coherence (k,) and input power (k,) per Hz.
 
-    averages: independent estimates in each value; H has the relative standard deviation
-    √((1 − γ²) / (2 γ² averages)) in real and imaginary part together times √2.
+    averages: independent estimates in each value, of which ``noise`` is told.
     """
 
     hz: Array
@@ -59,7 +58,7 @@ class FrequencyResponse:
 
     @property
     def noise(self) -> Array:
-        """Relative standard deviation of H (k,), complex, that the coherence tells."""
+        """RMS of |ΔH| / |H| (k,) that the coherence γ² tells: √((1 − γ²) / (γ² averages))."""
         gamma = np.clip(self.coherence, 1e-9, 1.0)
         return np.sqrt((1.0 - gamma) / (gamma * self.averages))
 
