@@ -1,0 +1,54 @@
+"""Transfer functions and a sweep for the tests of identification."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post import printer
+from hframe_post.arrays import Array, Complex
+from hframe_post.plant import TransferFunction
+
+
+def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> TransferFunction:
+    """A resonance and real poles at ``real`` Hz; 1 at rest, or 0 with ``moving``."""
+    s = 2.0 * np.pi * hz * (-damping + 1j * np.sqrt(1.0 - damping**2))
+    poles = np.exp(1e-3 * np.array([s, s.conjugate(), *(-2.0 * np.pi * np.array(real))]))
+    zeros = np.ones(int(moving), complex)
+    gain = abs(np.prod(1.0 - poles)) * (0.02 if moving else 1.0)
+    return TransferFunction(zeros, poles, float(gain))
+
+
+def drawn(seed: int) -> list[TransferFunction]:
+    """Gxx, Gyy, Gxθ of a printer: resonances 20–90 Hz, damping 0.03–0.3."""
+    rng = np.random.default_rng(seed)
+    hz, damping = rng.uniform(20.0, 90.0, 3), rng.uniform(0.03, 0.3, 3)
+    real = rng.uniform(30.0, 150.0, 3)
+    return [
+        resonant(hz[0], damping[0], real[0]),
+        resonant(hz[1], damping[1], *real[1:]),
+        resonant(hz[2], damping[2], moving=True),
+    ]
+
+
+def all_of_them() -> list[TransferFunction]:
+    """The paper's three and three drawn printers'."""
+    plant = printer.load("paper").plant
+    assert plant.Gxtheta is not None
+    paper = [plant.Gxx, plant.Gyy, plant.Gxtheta]
+    return paper + [G for seed in (1, 2, 3) for G in drawn(seed)]
+
+
+def at_rest(G: TransferFunction) -> float:
+    return float(round(G.dc_gain))
+
+
+def at(G: TransferFunction, hz: Array, delay: float = 0.0) -> Complex:
+    return np.asarray(G.response(2e-3 * np.pi * hz) * np.exp(-2j * np.pi * hz * delay))
+
+
+def sweep(rate: float = 1.0) -> Array:
+    """3000 mm/s² from 2 to 120 Hz at ``rate`` Hz/s, with two seconds of rest on both sides."""
+    seconds = 118.0 / rate
+    t = np.arange(0.0, seconds, 1e-3)
+    taper = np.clip(np.minimum(t, seconds - t) / 0.5, 0.0, 1.0)
+    return np.pad(3000.0 * taper * np.sin(2.0 * np.pi * (2.0 * t + rate * t * t / 2.0)), 2000)
