@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft, fftfreq, ifft, irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import fft, fftfreq, ifft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import fftconvolve, firwin, hilbert, upfirdn
+from scipy.signal import csd, fftconvolve, firwin, hilbert, upfirdn, welch
 
 from hframe_post.accelerometer import AXES, Recording
 from hframe_post.arrays import Array, Complex, Integers
@@ -39,10 +39,12 @@ DISPERSION = 0.02  # s by which a plant's lag may differ from window to window
 RISE = 0.3  # of an impulse response's envelope that counts as its onset,
 ONSET = 0.01  # which is so near to 0 s: from −8 to 9 ms, of the paper's plants and 40 others
 AWAY = 0.25  # s between start and answer that is no plant's doing
-BLOCK = 500  # samples over which one gain and phase explain the answer to a sweep
+SEGMENT = 1024  # samples over which an answer's spectrum is taken
 POOR = 0.4  # correlation below which a recording is of something else
-OTHER_AXIS = 3.0  # times the channel's motion that another may show
-HEADING_HZ = (3.0, 20.0)
+OTHER_AXIS = 2.0  # times the channel's motion that another may show,
+SLOW_HZ = 12.0  # up to this frequency
+HEADING_HZ = (2.0, 8.0)
+LEAST_LOW = 1e-4  # of the command's energy that must be slow to say something
 MOST_HEADING = np.radians(45.0)
 
 
@@ -81,7 +83,7 @@ def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
     command (m,): mm/s² every 1 ms. Drift comes from the command's two marks. A command without
     them is correlated in windows, which cannot tell drift from a plant whose lag changes along
     the sweep: clocks are then taken as one unless they differ by more than any plant explains
-    (20 ms over the run), and if they do, 10 ms at either end stay unknown. The start is that of
+    (20 ms over the run), and if they do, as much stays unknown. The start is that of
     the recording if it is ``started``, else where the answer sets in, as far as the sweep's
     band shows it: 10 ms to either side stay unknown.
 
@@ -92,7 +94,7 @@ def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
     if not moving.size:
         raise IdentificationError("the command does not move")
     sensor = _Sensor(recording)
-    _check_length(sensor, moving)
+    _check_length(sensor, moving, recording.started)
     track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
     marks = _marks(command, moving)
     if marks is None:
@@ -118,23 +120,32 @@ def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
 def heading(command: Array, acceleration: Array, axis: int) -> float:
     """By how much to turn (``turned``) the sensor on the nozzle about the vertical, rad.
 
-    command (m,), acceleration (m, 3): mm/s², of a run of ``axis`` (0: x, 1: y). At rest the
-    nozzle moves along the swept axis only; racking across grows with j·f, and f² follows, which
-    are fitted beside the angle from 3 to 20 Hz. Raises IdentificationError beyond 45°.
+    command (m,), acceleration (m, 3): mm/s², of a run of ``axis`` (0: x, 1: y). The slower the
+    nozzle moves, the more it moves along that axis only: racking across grows with j·f and f²,
+    which are fitted beside the angle from 2 to 8 Hz. At a lever arm of 50 mm the paper's
+    printer leaves 0.2°. Raises IdentificationError beyond 45°, and where the command has nothing
+    at these frequencies.
     """
     n = next_fast_len(len(command), real=True)
     hz = rfftfreq(n, TS)
     low = (hz >= HEADING_HZ[0]) & (hz <= HEADING_HZ[1])
     along, across = (rfft(acceleration[:, k], n)[low] for k in (axis, 1 - axis))
-    sent = rfft(command, n)[low]
+    sent = rfft(command, n)
+    if (np.abs(sent[low]) ** 2).sum() < LEAST_LOW * (np.abs(sent) ** 2).sum():
+        raise IdentificationError(
+            f"how the sensor is turned about the vertical shows below {HEADING_HZ[1]:g} Hz: "
+            "sweep from a lower frequency"
+        )
     f = hz[low] / HEADING_HZ[1]
-    columns = np.column_stack([sent, 1j * f * sent, f**2 * sent, 1j * f**3 * sent])
-    (cos, *_), (sin, *_) = (_real_least_squares(columns, side) for side in (along, across))
-    angle = float(np.arctan2(-sin, cos) if axis == 0 else np.arctan2(sin, cos))
+    columns = np.column_stack([along, 1j * f * along, f**2 * along])
+    stacked = np.concatenate([columns.real, columns.imag])
+    tangent = np.linalg.lstsq(stacked, np.concatenate([across.real, across.imag]))[0][0]
+    forwards = np.sign((sent[low].conj() * along).sum().real)
+    angle = float(np.arctan2((-1.0 if axis == 0 else 1.0) * tangent * forwards, forwards))
     if abs(angle) > MOST_HEADING:
         raise IdentificationError(
-            f"the sensor is turned by {np.degrees(-angle):.0f}° about the vertical against its "
-            f"axis map in a run of {AXES[axis]}: an axis or a sign of the map is wrong"
+            f"the sensor is turned by {np.degrees(abs(angle)):.0f}° about the vertical, as a run "
+            f"of {AXES[axis]} tells: an axis or a sign of its axis map is wrong"
         )
     return angle
 
@@ -144,13 +155,6 @@ def turned(acceleration: Array, angle: float) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(acceleration @ turn.T)
-
-
-def _real_least_squares(columns: Complex, target: Complex) -> Array:
-    """Real coefficients (k,) of complex columns (n, k) for a complex target (n,)."""
-    stacked = np.concatenate([columns.real, columns.imag])
-    found, *_ = np.linalg.lstsq(stacked, np.concatenate([target.real, target.imag]))
-    return np.asarray(found)
 
 
 # ------------------------------------------------------------------ the sensor
@@ -183,12 +187,12 @@ class _Sensor:
         return np.asarray(upfirdn(taps, values, 1, factor, axis=0)[first : first + m])
 
 
-def _check_length(sensor: _Sensor, moving: Integers) -> None:
-    asked = float(moving[-1] - moving[0]) * TS
+def _check_length(sensor: _Sensor, moving: Integers, started: bool) -> None:
+    asked = float(moving[-1] - (0 if started else moving[0])) * TS
     if sensor.seconds < asked * (1.0 - MOST_DRIFT):
         raise IdentificationError(
-            f"the recording lasts {sensor.seconds:.4g} s, shorter than the command's motion of "
-            f"{asked:.4g} s"
+            f"the recording lasts {sensor.seconds:.4g} s, shorter than the command, whose "
+            f"motion takes {asked:.4g} s"
         )
 
 
@@ -284,7 +288,7 @@ def _peak(cross: Complex, omega: Array) -> float:
 def _by_windows(
     command: Array, moving: Integers, sensor: _Sensor, started: bool
 ) -> tuple[float, float, float]:
-    """(start, drift, half-width of what is not known at the run's ends in s), without marks.
+    """(start, drift, half-width of what is not known of the delay in s), without marks.
 
     A chirp that is late looks like one that is stretched, so windows show the drift up to
     twofold, by the kind of command; the secant method needs not know.
@@ -320,7 +324,7 @@ def _by_windows(
         drift, slope = following, after
     if abs(drift) * span < DISPERSION:
         return start + offset, 0.0, 0.0
-    return start + offset, drift, DISPERSION / 2.0
+    return start + offset, drift, DISPERSION
 
 
 def _rough_start(command: Array, places: Integers, length: int, track: Array) -> float:
@@ -380,37 +384,35 @@ def _onset(command: Array, a: Array) -> float:
 
 
 def _followed(command: Array, a: Array, channel: int) -> float:
-    """The correlation in ``channel``. Raises IdentificationError if it is poor.
+    """The correlation in ``channel``, √(Σ|S_ua|²/S_uu / ΣS_aa) over the command's band.
 
-    In each block one gain and phase are free: what the plant makes of so short a part of a sweep.
+    The slow part of a motion tells the axis: faster, a nozzle may rack more than it moves.
+    Raises IdentificationError if it is of another channel, or poor.
     """
     low, high = _band(command, (0.005, 0.995))
-    n = next_fast_len(len(a), real=True)
-    spectra = rfft(a, n, axis=0)
-    outside = (rfftfreq(n, TS) < low / 1.2) | (rfftfreq(n, TS) > 1.2 * high)
-    spectra[outside] = 0.0
-    inside = irfft(spectra, n, axis=0)
-    blocks = len(command) // BLOCK
-    u = hilbert(command)[: blocks * BLOCK].reshape(blocks, BLOCK)
-    v = inside[: blocks * BLOCK].reshape(blocks, BLOCK, 3)
-    power = (np.abs(u) ** 2).sum(axis=1)
-    loud = power > QUIETEST * power.max()
-    products = np.einsum("bi,bic->bc", u[loud].conj(), v[loud])
-    explained = (2.0 * np.abs(products) ** 2 / power[loud, None]).sum(axis=0)
-    correlation = np.sqrt(explained / np.maximum((v[loud] ** 2).sum(axis=(0, 1)), 1e-300))
-    other = int(np.argmax(explained))
-    if explained[other] > OTHER_AXIS**2 * explained[channel] and correlation[other] > POOR:
-        raise IdentificationError(
-            f"the recording follows the command in {AXES[other]}, not in {AXES[channel]}: the axis "
-            "map is wrong, or this is the recording of a sweep of the other axis"
-        )
-    if correlation[channel] < POOR:
+    options = {"fs": RATE, "nperseg": min(SEGMENT, len(command)), "detrend": False}
+    hz, sent = welch(command, **options)
+    heard = welch(a, axis=0, **options)[1]
+    cross = np.abs(csd(command[:, None], a, axis=0, **options)[1]) ** 2
+    slow = hz <= SLOW_HZ
+    if sent[slow].sum() > LEAST_LOW * sent.sum():
+        shares = cross[slow].sum(axis=0)
+        other = int(np.argmax(shares))
+        if shares[other] > OTHER_AXIS**2 * shares[channel]:
+            raise IdentificationError(
+                f"the recording follows the command in {AXES[other]}, not in {AXES[channel]}: the "
+                "axis map is wrong, or the recording is that of another sweep or sensor"
+            )
+    band = (hz >= low - RATE / SEGMENT) & (hz <= high + RATE / SEGMENT)
+    explained = (cross[band, channel] / np.maximum(sent[band], 1e-300)).sum()
+    correlation = float(np.sqrt(explained / max(heard[band, channel].sum(), 1e-300)))
+    if correlation < POOR:
         raise _unlike()
-    return float(correlation[channel])
+    return correlation
 
 
 def _unlike() -> IdentificationError:
     return IdentificationError(
         "the recording does not follow the command: was the sweep played, and is this its "
-        "recording, of this sensor?"
+        "recording, whole and of this sensor?"
     )
