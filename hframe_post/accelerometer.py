@@ -12,19 +12,16 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
 
-Unit = Literal["mm/s2", "m/s2", "g"]
-Columns = tuple[str, str, str, str]  # time and accelerations in x, y, z
-
 GRAVITY = 9806.65  # mm/s²
-TO_MM: dict[Unit, float] = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
-KLIPPER: Columns = ("#time", "accel_x", "accel_y", "accel_z")
+UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
+KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
 DELIMITERS = ",;\t"
 AXES = "xyz"
 LONGEST_NAME = 40  # of a column, as errors show it
@@ -34,8 +31,8 @@ SLOWEST = 300.0  # samples a second below which 100 Hz cannot be told
 MOST_LOST = 5.0  # sample periods between neighbours
 LONGEST_SECONDS = 1e9  # of a clock; further on, a double no longer tells microseconds
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors end
-FLAT = 5  # equal samples at an extreme value that make it clipping,
-EDGE = 3.0  # if reached by a jump of so many of the sensor's steps
+FLAT = 5  # equal samples at an extreme value that make it clipping, if there was a jump to it
+EDGE = 3.0  # of so many of the sensor's steps: the rounded peak of a sine jumps by 2.25 at most
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
 STEEPEST = 45.0  # degrees of tilt beyond which the axis map must be wrong
 
@@ -60,14 +57,21 @@ class Recording:
         return float(np.median(np.diff(self.t)))
 
 
-def read(path: str | Path, columns: Columns | None = None, unit: Unit = "mm/s2") -> Recording:
+def read(path: str | Path, columns: Sequence[str] | None = None, unit: str = "mm/s2") -> Recording:
     """The recording in a file: .npz, .mat, or text with a line of names first.
 
-    columns: names of time and the three accelerations, in ``unit``. Without them the file must
-    be Klipper's, which is always in mm/s²; with them a file of Klipper's is not taken to begin
-    with the command. Raises IdentificationError, which names file, line and cause, and OSError.
+    columns: names of time (s) and the three accelerations, in ``unit`` (of UNITS). Without them
+    the file must be Klipper's, which is always in mm/s²; with them a file of Klipper's is not
+    taken to begin with the command. Raises OSError and IdentificationError, which names file,
+    line and cause.
     """
     path = Path(path)
+    if unit not in UNITS:
+        raise IdentificationError(f"{unit!r} is none of the units {', '.join(UNITS)}")
+    if columns is not None and len(set(columns)) != len(KLIPPER):
+        raise IdentificationError(
+            f"{','.join(columns)!r} does not name four columns: time, x, y and z"
+        )
     if path.suffix in (".npz", ".mat"):
         arrays = _npz(path) if path.suffix == ".npz" else _mat(path)
         table = _Table(path, _chosen(path, arrays, columns), None)
@@ -76,7 +80,7 @@ def read(path: str | Path, columns: Columns | None = None, unit: Unit = "mm/s2")
         text = path.read_bytes()
         table = _csv(path, text, columns)
         started = columns is None
-    scale = 1.0 if started else TO_MM[unit]
+    scale = 1.0 if started else UNITS[unit]
     table.check()
     a = table.values[:, 1:] * scale
     table.check_clipping(a)
@@ -164,7 +168,7 @@ def _runs(flags: Any) -> tuple[Integers, Integers]:
 # ---------------------------------------------------------------------- files
 
 
-def _csv(path: Path, text: bytes, columns: Columns | None) -> _Table:
+def _csv(path: Path, text: bytes, columns: Sequence[str] | None) -> _Table:
     """Text with one line of names and then numbers."""
     first, _, _ = text.lstrip().partition(b"\n")
     if not first:
@@ -241,7 +245,7 @@ def _mat(path: Path) -> Mapping[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _chosen(path: Path, arrays: Mapping[str, Any], columns: Columns | None) -> Array:
+def _chosen(path: Path, arrays: Mapping[str, Any], columns: Sequence[str] | None) -> Array:
     """The four named arrays side by side, (n, 4)."""
     if columns is None:
         raise IdentificationError(
