@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft, fftfreq, ifft, next_fast_len, rfft, rfftfreq
+from scipy.fft import fft, fftfreq, ifft, irfft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import csd, fftconvolve, firwin, hilbert, upfirdn, welch
@@ -32,7 +32,7 @@ MOST_DRIFT = 0.012  # a little more than clocks of the worst kind
 QUIETEST = 1e-3  # of the greatest acceleration, below which a command stands,
 PAUSE = 60  # if for so many samples
 MARK_LEAD, MARK_TAIL = 10, 480  # samples before and after a mark in which its answer is sought
-MARK_HZ = 4.0  # below which marks say nothing and offsets wander
+BESIDE = 1.5  # times its band, in which an answer is sought; motor steps are heard above
 WINDOW, WINDOWS = 2000, 24  # samples; of a command without marks
 ROUNDS = 6
 DISPERSION = 0.02  # s by which a plant's lag may differ from window to window
@@ -84,9 +84,9 @@ def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
     command (m,): mm/s² every 1 ms. Drift comes from the command's two marks. A command without
     them is correlated in windows, which cannot tell drift from a plant whose lag changes along
     the sweep: clocks are then taken as one unless they differ by more than any plant explains
-    (20 ms over the run), and if they do, as much stays unknown. The start is that of
-    the recording if it is ``started``, else where the answer sets in, as far as the sweep's
-    band shows it: 10 ms to either side stay unknown.
+    (20 ms over the run), and if they do, as much stays unknown. The start is that of the
+    recording if it is ``started``, else where the answer sets in, as far as the sweep's band
+    shows it: 10 ms to either side stay unknown.
 
     Raises IdentificationError where the recording does not cover the command or does not
     follow it, or follows it in another channel.
@@ -248,7 +248,10 @@ def _by_marks(command: Array, marks: _Marks, track: Array) -> tuple[float, float
     """
     distance = marks.second - marks.first
     width = int(np.ceil(MOST_DRIFT * distance)) + 1
-    heard = _envelope(command[marks.first : marks.first + marks.length], track)
+    mark = command[marks.first : marks.first + marks.length]
+    track = _within(track, _band(mark, (0.01, 0.99)))
+    track = np.concatenate([track, np.zeros((marks.answer, 3))])  # where it ends, it is at rest
+    heard = _envelope(mark, track)
     padded = np.concatenate([heard, np.zeros(distance + width)])
     later = maximum_filter1d(padded, 2 * width + 1, mode="constant")[distance:][: len(heard)]
     at = int(np.argmax(heard * later))
@@ -276,7 +279,6 @@ def _mark_to_mark(track: Array, at: int, marks: _Marks, distance: int, width: in
     size = next_fast_len(2 * n, real=True)
     omega = 2.0 * np.pi * rfftfreq(size)
     cross = (rfft(answer, size, axis=0).conj() * rfft(repeated, size, axis=0)).sum(axis=1)
-    cross[omega < 2.0 * np.pi * MARK_HZ * TS] = 0.0
     return low + best - at + _peak(cross, omega)
 
 
@@ -305,10 +307,11 @@ def _by_windows(
     places = np.unique(np.linspace(moving[0], moving[-1] - length, WINDOWS).astype(np.int64))
     span = float(places[-1] - places[0]) * TS
     n = int(sensor.seconds * RATE) + 1
+    band = _band(command, (0.01, 0.99))
 
     def lags(start: float, drift: float, reach: float) -> tuple[float, float]:
         """Of windows over time: (mean, slope)."""
-        track = sensor.resampled(start, drift, n)
+        track = _within(sensor.resampled(start, drift, n), band)
         found = []
         for place in places:
             low = max(int(place - (reach * place * TS + AWAY) * RATE), 0)
@@ -373,6 +376,14 @@ def _band(command: Array, shares: tuple[float, float]) -> tuple[float, float]:
     below = np.cumsum(np.abs(rfft(command)) ** 2)
     low, high = rfftfreq(len(command), TS)[np.searchsorted(below, np.array(shares) * below[-1])]
     return float(low), float(high)
+
+
+def _within(track: Array, band: tuple[float, float]) -> Array:
+    """The track (n, 3) in a band of Hz, and a little beside it."""
+    hz = rfftfreq(len(track), TS)
+    spectra = rfft(track, axis=0)
+    spectra[(hz < band[0] / BESIDE) | (hz > band[1] * BESIDE)] = 0.0
+    return np.asarray(irfft(spectra, len(track), axis=0))
 
 
 def _onset(command: Array, a: Array) -> float:

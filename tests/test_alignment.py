@@ -116,6 +116,31 @@ def test_motion_comes_back(paper: Printer, swept: Array, command: Array) -> None
     assert np.sqrt((error**2).mean()) < 2e-3 * np.sqrt((found.acceleration**2).mean())
 
 
+@pytest.mark.parametrize("axis", [X, Y])
+def test_motors_that_step_are_no_trouble(
+    paper: Printer, swept: Array, command: Array, axis: int
+) -> None:
+    """Steps of 0.02 mm shake the nozzle above the sweep's band."""
+    steps = np.round(swept / 0.02) * 0.02
+    sensor = Sensor(drift=0.005)
+    recording = sensor.felt(nozzle(paper.plant, steps, axis), seconds(swept))
+    found = aligned(command, oriented(recording), axis)
+    assert abs(found.drift - sensor.drift) <= 2 * PPM
+    assert found.correlation > 0.95
+
+
+@pytest.mark.parametrize("lead", [0.0, 1.5])
+@pytest.mark.parametrize("axis", [X, Y])
+def test_short_rests_are_enough(paper: Printer, axis: int, lead: float) -> None:
+    """Rests of 0.1 s, into which the answers to the marks ring on."""
+    swept = sweep()
+    swept = swept[900 : len(swept) - 900]
+    sensor = Sensor(drift=0.005, lead=lead)
+    recording = sensor.felt(nozzle(paper.plant, swept, axis), seconds(swept))
+    found = aligned(acceleration(swept), oriented(recording, quiet=0.09), axis)
+    assert abs(found.drift - sensor.drift) <= 2 * PPM
+
+
 def random_plants() -> list[TransferFunction]:
     """Resonances of 20 to 90 Hz, alone or two in a row, and some that vanish at rest."""
     rng = np.random.default_rng(5)
