@@ -272,6 +272,8 @@ def test_recording_that_was_started_by_hand(paper: Printer, swept: Array, comman
 def test_command_that_is_none(swept: Array) -> None:
     recording = Sensor().felt(spline(0.0 * swept, 0.0 * swept), seconds(swept))
     refused(np.zeros(5000), recording, X, "does not move")
+    short = np.where(np.arange(5000) % 4000 == 3000, 1000.0, 0.0)
+    refused(short, recording, X, "too short")
     with pytest.raises(IdentificationError, match="no motion"):
         acceleration(np.zeros(3))
 
