@@ -34,6 +34,10 @@ class StepFileError(HframeError):
         super().__init__(f"{path}: {where}{cause}")
 
 
+class IdentificationError(HframeError):
+    """A measurement from which no model can be had."""
+
+
 class LimitError(HframeError):
     """The command would leave the bed or outrun a motor."""
 

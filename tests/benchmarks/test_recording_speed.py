@@ -1,0 +1,52 @@
+"""Speed of accelerometer files, as ratios to numpy reading the same numbers in the same run.
+
+make bench
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from hframe_post.accelerometer import oriented, read
+from hframe_post.alignment import acceleration, aligned
+
+from ..recordings import Sensor, spline, sweep
+from .test_speed import fastest
+
+
+def written(folder: Path) -> Path:
+    """Two minutes of Klipper's samples."""
+    swept = sweep(rate=1.0)
+    recording = Sensor(drift=0.005).felt(spline(0.0 * swept, swept), (len(swept) - 1) / 1000.0)
+    path = folder / "raw.csv"
+    rows = np.column_stack([recording.t, recording.a])
+    np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
+    return path
+
+
+def numpy_seconds(path: Path) -> float:
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        np.loadtxt(path, delimiter=",", skiprows=1)
+        took.append(time.perf_counter() - start)
+    return min(took)
+
+
+def test_reading_against_numpy(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
+    path = written(tmp_path)
+    benchmark.pedantic(read, args=(path,), rounds=3)  # type: ignore[no-untyped-call]
+    assert fastest(benchmark) < 3.0 * numpy_seconds(path)
+
+
+def test_alignment_against_reading(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
+    path = written(tmp_path)
+    recording, command = oriented(read(path)), acceleration(sweep(rate=1.0))
+    benchmark.pedantic(  # type: ignore[no-untyped-call]
+        aligned, args=(command, recording, 1), rounds=3
+    )
+    assert fastest(benchmark) < 5.0 * numpy_seconds(path)

@@ -1,0 +1,89 @@
+"""Sweeps, and what accelerometers with all their faults make of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from hframe_post.accelerometer import GRAVITY, Recording
+from hframe_post.arrays import Array
+from hframe_post.plant import LiftedFilter, Plant, TransferFunction
+from hframe_post.stream import TS
+
+SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
+
+
+def sweep(rate: float = 4.0, marks: bool = True, low: float = 2.0, high: float = 120.0) -> Array:
+    """Displacement (m,), mm every 1 ms: quiet, mark, quiet, sweep, quiet, mark, quiet."""
+    quiet = np.zeros(1000)
+    mark = chirp(10.0, 100.0, 401, 100)
+    samples = round((high - low) / rate / TS) + 1
+    whole = chirp(low, high, samples, 500)
+    whole += fading(samples, 500) * np.sin(np.pi * np.arange(samples) * TS)  # a slow sway
+    parts = [quiet, mark, quiet, whole, quiet, mark, quiet] if marks else [quiet, whole, quiet]
+    return np.concatenate(parts)
+
+
+def chirp(low: float, high: float, n: int, edge: int) -> Array:
+    """3000 mm/s², less where that would take more than 5 mm."""
+    t = np.arange(n) * TS
+    rate = (high - low) / t[-1]
+    omega = 2.0 * np.pi * (low + rate * t)
+    size = 1.0 / (omega**2 / 3000.0 + 1.0 / 5.0)
+    return np.asarray(fading(n, edge) * size * np.sin(2.0 * np.pi * (low + rate * t / 2.0) * t))
+
+
+def fading(n: int, edge: int) -> Array:
+    u = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / edge, 0.0, 1.0)
+    return np.asarray(u**3 * (10.0 - u * (15.0 - 6.0 * u)))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An accelerometer. turned: degrees about z, y, x; lead: s recorded before the command."""
+
+    turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drift: float = 0.0
+    noise: float = 3.0  # mm/s²/√Hz
+    step: float = SIXTEEN_BITS
+    jitter: float = 2e-6
+    rate: float = 3200.0
+    lead: float = 0.0
+    clock: float = 1234.5
+    offset: tuple[float, float, float] = (120.0, -80.0, 250.0)
+
+    def felt(self, motion: BSpline, seconds: float, seed: int = 0) -> Recording:
+        """What it records of a motion, mm of s."""
+        rng = np.random.default_rng(seed)
+        t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.drift)))
+        t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
+        playing = (t >= 0.0) & (t <= seconds)
+        a = np.where(playing[:, None], motion.derivative(2)(np.clip(t, 0.0, seconds)), 0.0)
+        a[:, 2] += GRAVITY
+        a = Rotation.from_euler("ZYX", self.turned, degrees=True).inv().apply(a) + self.offset
+        a += rng.normal(0.0, 1.0, a.shape) * self.noise * np.sqrt(self.rate / 2.0)
+        a = np.round(a / self.step) * self.step
+        return Recording(self.clock + t * (1.0 + self.drift), a, self.lead == 0.0)
+
+
+def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
+    """The nozzle's motion in x, y, z when ``swept`` (m,) is commanded along an axis."""
+    still = np.zeros(len(swept))
+    if axis == 1:
+        return spline(still, LiftedFilter(plant.Gyy).run(swept))
+    assert plant.Gxtheta is not None
+    theta = LiftedFilter(plant.Gxtheta).run(swept)
+    return spline(LiftedFilter(plant.Gxx).run(swept), arm * theta)
+
+
+def bridge_end(Gxtheta: TransferFunction, swept: Array, arm: float) -> BSpline:
+    """The motion of an end of the bridge, which is not free in x, in a run of x."""
+    return spline(np.zeros(len(swept)), arm * LiftedFilter(Gxtheta).run(swept))
+
+
+def spline(x: Array, y: Array) -> BSpline:
+    motion = np.column_stack([x, y, np.zeros(len(x))])
+    return make_interp_spline(np.arange(len(x)) * TS, motion, 9)
