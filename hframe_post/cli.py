@@ -9,6 +9,7 @@ import click
 
 from hframe_post import __version__
 from hframe_post.cli_convert import convert
+from hframe_post.cli_identify import identify
 from hframe_post.cli_paper import paper
 from hframe_post.cli_study import simulate
 from hframe_post.cli_sweep import sweep
@@ -64,6 +65,7 @@ main.add_command(simulate)
 main.add_command(paper)
 main.add_command(sweep)
 main.add_command(tune)
+main.add_command(identify)
 
 
 @main.group(invoke_without_command=True)

@@ -39,8 +39,7 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
         with prism.open("rb") as file:
             lines = file.readlines()
     if folder is not None:
-        figures.canvas(1, 1, (1.0, 1.0))  # say at once that matplotlib is missing
-        folder.mkdir(parents=True, exist_ok=True)
+        figures.ready(folder)
     responses = paper.frequency_responses(profile.plant, np.geomspace(1.0, 200.0, 400))
     xy = paper.path(profile)
     approximations = paper.approximations(profile.plant, xy)
@@ -51,16 +50,14 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
         paper_tables.time_response(time_responses),
         paper_tables.previews(paper.previews(profile, xy)),
     ]
-    drawings = (
-        {
+    drawings = {}
+    if folder is not None:
+        drawings = {
             "fig04": figures.racking_response(responses),
             "fig05": figures.axis_responses(responses),
             "fig08": figures.approximation(approximations),
             "fig09": figures.time_response(time_responses),
         }
-        if folder is not None
-        else {}
-    )
     if prism is not None:
         prisms = [paper.widths(profile, lines, printed) for printed in (False, True)]
         tables.append(paper_tables.width_errors(prisms))
@@ -69,7 +66,5 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     text = "\n".join(tables)
     click.echo(text, nl=False)
     if folder is not None:
-        for name, drawing in drawings.items():
-            for kind in ("png", "svg"):
-                figures.save(drawing, folder / f"{name}.{kind}")
+        figures.save_all(drawings, folder)
         (folder / "tables.md").write_text(text, encoding="utf-8")

@@ -67,9 +67,10 @@ def sweep(
     exact command of a run is written beside the G-code, as SWEEP.RUN.csv. The profile's table
     [sweep] says how fast and how hard. Home the printer first.
     """
+    from hframe_post import command_file
     from hframe_post.output import OutputFile
     from hframe_post.printer import load
-    from hframe_post.sweep_gcode import as_csv, gcode, positions, runs, told
+    from hframe_post.sweep_gcode import gcode, positions, runs, told
 
     profile = load(printer)
     planned = runs(profile, "xy".index(axis), list(places) or positions(profile))
@@ -80,7 +81,7 @@ def sweep(
         ]
         files[0].write(gcode(profile, planned, tuple(dict.fromkeys(chips)), z), lambda: 0.0)
         for file, run in zip(files[1:], planned, strict=True):
-            file.write(as_csv(run), lambda: 0.0)
+            file.write(command_file.written(run.command), lambda: 0.0)
         for file in files:  # what a full disk refuses must be refused before any appears
             file.file.flush()
     if not quiet:

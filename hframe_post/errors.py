@@ -49,7 +49,3 @@ class LimitError(HframeError):
         super().__init__(
             f"{where}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; " + advice
         )
-
-
-class IdentificationError(HframeError):
-    """A measurement from which no model can be had."""

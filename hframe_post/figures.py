@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hframe_post.arrays import Array, Complex
 from hframe_post.errors import HframeError
+from hframe_post.fit import Fit
+from hframe_post.identify import Measured
 from hframe_post.paper import (
     N_FIG_9,
     Approximation,
@@ -18,6 +21,7 @@ from hframe_post.paper import (
 )
 from hframe_post.printer import Motors
 from hframe_post.report import STRATEGY_NAMES
+from hframe_post.stream import TS
 from hframe_post.tune import Trial
 
 if TYPE_CHECKING:
@@ -25,6 +29,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"none": "#888888", "fbs": "#c05020", "racking": "#2060a0"}
 DPI = 110
+TINY = 1e-12  # magnitude that is as good as none
 STYLE = {
     "font.size": 9.0,
     "axes.grid": True,
@@ -39,6 +44,19 @@ def save(figure: Figure, path: Path) -> None:
     """Writes a .png or .svg without what changes from run to run."""
     volatile = ("Date", "Creator") if path.suffix == ".svg" else ("Software",)
     figure.savefig(path, dpi=DPI, metadata=dict.fromkeys(volatile))
+
+
+def ready(folder: Path) -> None:
+    """Makes the folder, and raises HframeError before any work if matplotlib is missing."""
+    canvas(1, 1, (1.0, 1.0))
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def save_all(drawings: Mapping[str, Figure], folder: Path) -> None:
+    """Each as PNG and SVG under its name."""
+    for name, drawing in drawings.items():
+        for kind in ("png", "svg"):
+            save(drawing, folder / f"{name}.{kind}")
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:
@@ -69,11 +87,48 @@ def axis_responses(responses: FrequencyResponses) -> Figure:
     return figure
 
 
+def identification(name: str, measured: Measured, found: Fit) -> Figure:
+    """A transfer function as measured by place, together and fitted, after Fig. 4 and 5.
+
+    Below magnitude and phase: coherence, and what the model is off, relative.
+    """
+    figure, axes = canvas(4, 1, (6.0, 8.0))
+    axis = axes[:, 0]
+    hz, mean = measured.mean.hz, measured.mean
+    delay = np.exp(-2j * np.pi * hz * found.delay)
+    model = found.G.response(2.0 * np.pi * TS * hz) * delay
+    curves = [(response, f"x = {place:.0f} mm") for place, response in measured.places]
+    for response, label in curves:
+        axis[0].semilogx(hz, _decibel(response.H), lw=0.6, label=label)
+        axis[1].semilogx(hz, _degrees(response.H), lw=0.6)
+    axis[0].semilogx(hz, _decibel(mean.H), color="k", lw=1.0, label="together")
+    axis[1].semilogx(hz, _degrees(mean.H), color="k", lw=1.0)
+    axis[0].semilogx(hz, _decibel(model), "--", color=COLOURS["racking"], lw=1.5, label="model")
+    axis[1].semilogx(hz, _degrees(model), "--", color=COLOURS["racking"], lw=1.5)
+    axis[2].semilogx(hz, mean.coherence, color="k", lw=1.0)
+    axis[3].loglog(hz, np.abs(mean.H / model - 1.0), color=COLOURS["fbs"], lw=1.0)
+    unit = "rad/mm" if name == "Gxtheta" else "mm/mm"
+    axis[0].set(ylabel=f"magnitude, dB ({unit})", title=name)
+    axis[0].legend(fontsize=7)
+    axis[1].set(ylabel="phase, °")
+    axis[2].set(ylabel="coherence", ylim=(0.0, 1.05))
+    axis[3].set(ylabel="model off, relative", xlabel="frequency, Hz")
+    return figure
+
+
+def _decibel(H: Complex) -> Array:
+    decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), TINY))
+    return decibel
+
+
+def _degrees(H: Complex) -> Array:
+    return np.degrees(np.unwrap(np.angle(H)))
+
+
 def _bode(axes: Any, hz: Any, response: Any, unit: str, title: str) -> None:
-    axes[0].semilogx(hz, 20.0 * np.log10(np.abs(response)), color=COLOURS["racking"])
+    axes[0].semilogx(hz, _decibel(response), color=COLOURS["racking"])
     axes[0].set(ylabel=f"magnitude, dB ({unit})", title=title)
-    phase = np.degrees(np.unwrap(np.angle(response)))
-    axes[1].semilogx(hz, phase, color=COLOURS["racking"])
+    axes[1].semilogx(hz, _degrees(response), color=COLOURS["racking"])
     axes[1].set(ylabel="phase, °", xlabel="frequency, Hz")
 
 

@@ -16,12 +16,12 @@ moves is the command times sinc²(f·1 ms), 2 % less at 80 Hz, as in a print of 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post import __version__, text
+from hframe_post import __version__
 from hframe_post.arrays import Array, Integers
 from hframe_post.dense_gcode import Ledger, Output, write
 from hframe_post.dialect import STAMP
@@ -203,13 +203,3 @@ def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[S
 def _passed(index: int, text: str, handling: Handling) -> Pause:
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
     return Pause(index, 0, Passthrough(0, text.encode(), handling, state))
-
-
-def as_csv(run: Run) -> Iterable[bytes]:
-    """The command as text: ``t,x,y``, s and mm, t from the first call on."""
-    yield b"t,x,y\n"
-    n = len(run.command)
-    t = np.arange(n) * TS
-    comma = text.column(b",", n)
-    parts = [text.fixed(values, 6) for values in (t, *run.command.T)]
-    yield text.rows([parts[0], comma, parts[1], comma, parts[2], text.column(b"\n", n)])
