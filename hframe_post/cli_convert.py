@@ -42,13 +42,19 @@ TOLERANCE = 0.002  # mm
     "-c", "--compensation", type=click.Choice(STRATEGIES),
     help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
 )  # fmt: skip
+@click.option(
+    "--firmware", type=click.Choice(["klipper", "marlin"]),
+    help="G-code: who reads the output. Default: the profile's.",
+)  # fmt: skip
 @limits_option
 @on_limit_option
 @click.option(
     "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.002", metavar="MM",
-    help="G-code: how far the written command may be off the computed one.",
+    help="G-code for Klipper: how far the written command may be off the computed one.",
 )  # fmt: skip
-@click.option("--every-sample", is_flag=True, help="G-code: write a line for every millisecond.")
+@click.option(
+    "--every-sample", is_flag=True, help="G-code for Klipper: write a line for every millisecond."
+)
 @click.option(
     "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
@@ -58,8 +64,9 @@ TOLERANCE = 0.002  # mm
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
-    compensation: str | None, limits: str, on_limit: str, tolerance: float | None,
-    every_sample: bool, predict: str, json_file: Path | None, dry_run: bool, quiet: bool,
+    firmware: str | None, compensation: str | None, limits: str, on_limit: str,
+    tolerance: float | None, every_sample: bool, predict: str, json_file: Path | None,
+    dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -68,7 +75,7 @@ def convert(
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
     from hframe_post.pipeline import Options
-    from hframe_post.printer import load
+    from hframe_post.printer import load, played_by
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     kind = chosen_format(None if to_stdout else output, asked_format)
@@ -80,6 +87,9 @@ def convert(
         if tolerance is not None or every_sample:
             raise click.UsageError("--tolerance and --every-sample are for G-code")
     profile = load(printer)
+    profile = played_by(profile, firmware or profile.firmware.dialect)
+    if profile.firmware.dialect == "marlin" and (tolerance is not None or every_sample):
+        raise click.UsageError("--tolerance and --every-sample are for Klipper")
     strategy = compensation or profile.compensation.strategy
     wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]
     options = Options(

@@ -1,11 +1,11 @@
-"""Samples → a dense G-code stream for Klipper.
+"""Samples → a dense G-code stream.
 
-The command becomes a polyline in time, decimated to a tolerance. Coordinates are rounded to
-0.001 mm, or finer if asked, and filament to 0.00001 mm, and written as differences of rounded
-absolute values, so nothing is lost. The feed rate makes Klipper, which ramps inside every
-segment, take just the segment's time; what it is late by, as far as rounding tells, the next
-segments make up for.
-What happens at rest (retraction, lift, waiting) is one line at standstill.
+The command becomes a polyline in time, with segments as the firmware wants them. Coordinates
+are rounded to 0.001 mm, or finer if asked, and filament to 0.00001 mm, and written as differences
+of rounded absolute values, so nothing is lost. The feed rate makes the firmware, which ramps
+inside every segment, take just the segment's time; what it is late by, as far as rounding tells,
+the next segments make up for. What happens at rest (retraction, lift, waiting) is one line at
+standstill.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post import klipper, text
+from hframe_post import text
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.decimate import LONGEST, breakpoints
+from hframe_post.decimate import LONGEST
+from hframe_post.firmware import Beside, Player, plain
 from hframe_post.stream import TS, E, Handling, Mark, Pause, Samples, Standing, Z
 
+PER_SECOND = round(1.0 / TS)
 CHUNK = 2048 * LONGEST  # samples written at once
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
+COUNTED = 5_000_000  # units of filament after which some firmware must count anew
 CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
 DECIMALS = (3, 3, 3, 5)  # of x, y, z, e in mm
 PER_MM_E = 1e5  # output units of e
 FEED_DECIMALS = 1  # of F in mm/min
-REASSERT = re.compile(rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(91|82)(?!\d)")  # modes that end the stream's
+REASSERT = re.compile(rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(90|91|82)(?!\d)")  # modes that end the stream's
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
 
@@ -45,10 +48,21 @@ Output = bytes | Late
 
 @dataclass
 class Ledger:
-    """Filament as written: steps of 0.00001 mm in the stream, and mm in lines passed on."""
+    """What was written: filament in steps of 0.00001 mm, and mm in lines passed on; lines."""
 
     steps: int = 0
     passed: float = 0.0
+    busiest: int = 0  # lines in the busiest second
+    _second: int = 0
+    _lines: int = 0  # in that second, so far
+
+    def wrote(self, samples: Integers) -> None:
+        """Counts lines by the samples, ascending, at which they are due."""
+        for second, count in zip(
+            *np.unique(samples // PER_SECOND, return_counts=True), strict=True
+        ):
+            self._lines = int(count) + (self._lines if second == self._second else 0)
+            self._second, self.busiest = int(second), max(self.busiest, self._lines)
 
     @property
     def filament(self) -> float:
@@ -59,17 +73,15 @@ class Ledger:
 def write(
     blocks: Iterable[Samples],
     written: str,
-    dialect: klipper.Dialect,
-    tolerance: float | None,
+    player: Player,
     ledger: Ledger,
     finer: int = 0,
 ) -> Iterator[Output]:
-    """The command ``written`` as text; ``ledger`` is filled as it flows.
+    """The command ``written`` as text for a firmware; ``ledger`` is filled as it flows.
 
-    tolerance: mm by which the decimated command may miss a sample; None keeps them all. finer:
-    digits that coordinates and F are given beyond those that a print needs.
+    finer: digits that coordinates and F are given beyond those that a print needs.
     """
-    writer = _Writer(written, dialect, tolerance, ledger, finer)
+    writer = _Writer(written, player, ledger, finer)
     for block in blocks:
         yield from writer.block(block)
     yield from writer.span(last=True)
@@ -78,20 +90,13 @@ def write(
 class _Writer:
     """Where the machine stands in output units, and the samples not written yet."""
 
-    def __init__(
-        self,
-        written: str,
-        dialect: klipper.Dialect,
-        tolerance: float | None,
-        ledger: Ledger,
-        finer: int,
-    ) -> None:
-        self._written, self._dialect, self._tolerance = written, dialect, tolerance
-        self._ledger = ledger
+    def __init__(self, written: str, player: Player, ledger: Ledger, finer: int) -> None:
+        self._written, self._player, self._ledger = written, player, ledger
         self._decimals = (*(decimals + finer for decimals in DECIMALS[:E]), DECIMALS[E])
         self._per_mm = 10.0 ** np.array(self._decimals)
         self._feed_decimals = FEED_DECIMALS + finer
         self._per_feed = 60.0 * 10.0**self._feed_decimals  # units of F in a mm/s
+        self._counted = 0  # of the ledger's steps, when the firmware last began to count
         self._inside = False  # the stream's limits and modes are in force
         self._at: Integers | None = None  # x, y, z, e as last written; None: only firmware knows
         self._offset = (0.0, 0.0, 0.0)  # of G92, while the machine is yielded
@@ -163,12 +168,10 @@ class _Writer:
         assert self._at is not None
         n = len(points) - 1
         after = np.array([mark.index - self._index + 1 for mark in marks], dtype=np.int64)
-        ends = np.arange(1, n + 1)
-        if self._tolerance is not None:
-            forced = np.zeros(n + 1, dtype=bool)
-            forced[after] = True
-            ends = breakpoints(points, forced, self._tolerance)
-        at = np.rint(points[ends] * self._per_mm).astype(np.int64)
+        forced = np.zeros(n + 1, dtype=bool)
+        forced[after] = True
+        ends, places = self._player.segments(points, forced, last)
+        at = np.rint(places * self._per_mm).astype(np.int64)
         moved = np.any(np.diff(at[:, :E], axis=0, prepend=self._at[None, :E]) != 0, axis=1)
         starts, ends, at = np.concatenate([[0], ends])[:-1][moved], ends[moved], at[moved]
         idle = starts - np.concatenate([[-self._still], ends])[: len(ends)]
@@ -179,6 +182,8 @@ class _Writer:
         self._still = n - int(ends[-1]) if len(ends) else self._still + n
         if len(ends):
             yield from self._enter()
+            yield from self._count_anew()
+            self._ledger.wrote(self._index + ends)
             rows, row_ends = self._rows(at, T, dwells > 0, last)
             yield from self._interleaved(rows, row_ends, dwells, insertions)
         else:
@@ -193,11 +198,12 @@ class _Writer:
         delta = np.diff(at, axis=0, prepend=self._at[None])  # type: ignore[index]
         rest = np.concatenate([dwell, [last]])
         rest[0] |= self._before == 0.0
+        mm = np.vstack([self._at, at]) / self._per_mm  # type: ignore[list-item]
+        T = self._player.times(mm, T)
         hurried = T * (1.0 - np.clip(self._late / T.sum(), -CATCH_UP, CATCH_UP))
-        limits, mm = self._dialect.limits, delta / self._per_mm
-        v = klipper.speeds(mm, hurried, rest, self._before, limits)
+        v = self._player.speeds(mm, hurried, rest, self._before)
         feed = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
-        taken = klipper.durations(mm, feed / self._per_feed, rest, self._before, limits)
+        taken = self._player.durations(mm, feed / self._per_feed, rest, self._before)
         self._late += float((taken - T).sum())
         shown = delta != 0
         shown[0, :Z] |= self._feed == 0  # after the machine was yielded: both, to be plain
@@ -245,7 +251,7 @@ class _Writer:
         else:
             yield mark.text + b"\n"
         if self._inside and (mode := REASSERT.match(mark.text)):
-            yield b"G90\n" if mode[1] == b"91" else b"M83\n"
+            yield self._player.reassert(mode[1])
 
     # ------------------------------------------------------------------ at standstill
 
@@ -254,13 +260,15 @@ class _Writer:
         if isinstance(action, Standing):
             lifts = action.end[Z] != action.start[Z]
             yield from self._enter()
-            yield from self._dwell(0, stop=lifts)
+            yield from self._dwell(0, Beside.LIFT if lifts else Beside.MOTION)
+            yield from self._count_anew()
+            self._ledger.wrote(np.array([pause.index]))
             yield from self._standing(action)
             self._late += pause.exact - pause.samples * TS
-            yield from self._dwell(0, stop=lifts)
+            yield from self._dwell(0, Beside.LIFTED if lifts else Beside.MOTION)
         elif action.handling is Handling.YIELD:
             if self._inside and self._at is not None:
-                end = self._dialect.end(action.state, self._at / self._per_mm)
+                end = self._player.end(action.state, self._at / self._per_mm)
                 yield b"".join(line + b"\n" for line in end)
             self._offset = action.state.offset
             self._inside, self._at, self._feed, self._late = False, None, 0, 0.0
@@ -279,26 +287,29 @@ class _Writer:
         self._feed = round(move.speed * self._per_feed)
         self._ledger.steps += de
         if dz or de:
-            z = f" Z{klipper.plain(to[Z] / self._per_mm[Z], self._decimals[Z])}" if dz else ""
-            e = f" E{klipper.plain(de / self._per_mm[E], self._decimals[E])}" if de else ""
-            feed = klipper.plain(60.0 * self._feed / self._per_feed, self._feed_decimals)
+            z = f" Z{plain(to[Z] / self._per_mm[Z], self._decimals[Z])}" if dz else ""
+            e = f" E{plain(de / self._per_mm[E], self._decimals[E])}" if de else ""
+            feed = plain(60.0 * self._feed / self._per_feed, self._feed_decimals)
             yield f"G1{z}{e} F{feed}\n".encode()
 
-    def _dwell(self, samples: int, stop: bool = False) -> Iterator[Output]:
-        """Standstill for so long, less what the machine is late.
-
-        stop: even if that is nothing. Without it Klipper would round the corner between a
-        lift and the motion next to it, and be early.
-        """
+    def _dwell(self, samples: int, beside: Beside = Beside.MOTION) -> Iterator[Output]:
+        """Standstill for so long, less what the machine is late."""
         seconds = samples * TS - self._late
-        if self._inside and (stop or seconds >= TS / 2.0):
-            waited = max(round(seconds, 6), 0.0)
-            yield b"G4 P%s\n" % klipper.plain(waited * 1e3, 3).encode()
+        waiting = self._player.wait(seconds, beside) if self._inside else None
+        if waiting is not None:
+            line, waited = waiting
+            yield line
             self._late += waited - samples * TS
+
+    def _count_anew(self) -> Iterator[Output]:
+        """Lets the firmware count filament from nothing, where it has counted much."""
+        if abs(self._ledger.steps - self._counted) > COUNTED:
+            self._counted = self._ledger.steps
+            yield self._player.fresh_filament()
 
     def _enter(self) -> Iterator[Output]:
         """Takes the machine over, if it is not in our hands."""
         if not self._inside and self._at is not None:
             self._inside = True
-            begin = self._dialect.begin(self._offset, self._at / self._per_mm)
+            begin = self._player.begin(self._offset, self._at / self._per_mm)
             yield b"".join(line + b"\n" for line in begin)

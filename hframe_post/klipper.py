@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags
+from hframe_post import ramps
+from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.decimate import breakpoints
+from hframe_post.firmware import Beside, named, plain
 from hframe_post.kinematics import Kinematics
-from hframe_post.printer import Firmware, Limits, Motors, Restore
-from hframe_post.stream import E, ModalState, Z
+from hframe_post.printer import Firmware, Limits, Motors
+from hframe_post.stream import TS, E, ModalState, Z
 
 ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
 VELOCITY_HEADROOM = 1.1
 SQUARE_CORNER_VELOCITY = 100.0  # mm/s; corners are the stream's business
-ROUNDS = 3  # of the speeds' dependence on their neighbours'
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,47 +50,31 @@ def speeds(delta: Array, T: Array, rest: Flags, before: float, limits: StreamLim
     """Cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
 
     delta (k, 4): x, y, z, e of each segment; rest (k + 1,): whether Klipper stands at each
-    end; before: speed of the segment that precedes. Klipper ramps at acceleration a from
-    v_s, the lower of two neighbouring cruise speeds and of what their junction allows, so a
-    segment of length d takes T where d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
+    end; before: speed of the segment that precedes.
     """
-    d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
-    a, _ = _segment_limits(delta, d, limits)
-    caps = np.where(rest, 0.0, junctions(delta, d, a, limits))
-    v = d / T
-    for _ in range(ROUNDS):
-        v_s, v_e = _ends(v, caps, before)
-        S = a * T + v_s + v_e
-        c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
-        v = (S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0
-    return np.asarray(v)
+    d, a, _, caps = _shape(delta, rest, limits)
+    return ramps.speeds(d, T, a, caps, before)
 
 
 def durations(delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
     """Time (k,) that Klipper takes for segments at cruise speeds v (k,); see ``speeds``."""
+    d, a, top, caps = _shape(delta, rest, limits)
+    return ramps.durations(d, np.minimum(v, top), a, caps, before)
+
+
+def _shape(delta: Array, rest: Flags, limits: StreamLimits) -> tuple[Array, Array, Array, Array]:
+    """Length, acceleration and greatest speed of each segment, and the caps at their ends.
+
+    z and retraction lower acceleration and speed.
+    """
     d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
-    a, top = _segment_limits(delta, d, limits)
-    v = np.minimum(v, top)
-    v_s, v_e = _ends(v, np.where(rest, 0.0, junctions(delta, d, a, limits)), before)
-    ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
-    return np.asarray((d + ramps) / v)
-
-
-def _ends(v: Array, caps: Array, before: float) -> tuple[Array, Array]:
-    """Speeds at the start and the end of each segment."""
-    neighbours = np.concatenate([[before], v, v[-1:]])
-    joint = np.minimum(np.minimum(neighbours[:-1], neighbours[1:]), caps)
-    return np.minimum(joint[:-1], v), np.minimum(joint[1:], v)
-
-
-def _segment_limits(delta: Array, d: Array, limits: StreamLimits) -> tuple[Array, Array]:
-    """Acceleration and greatest speed of each segment: z and retraction lower them."""
     with np.errstate(divide="ignore"):
         per_z = d / np.abs(delta[:, Z])
         per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
     a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
     top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
-    return np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
+    a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
+    return d, a, top, np.where(rest, 0.0, junctions(delta, d, a, limits))
 
 
 def junctions(delta: Array, d: Array, a: Array, limits: StreamLimits) -> Array:
@@ -97,30 +83,29 @@ def junctions(delta: Array, d: Array, a: Array, limits: StreamLimits) -> Array:
     Klipper's square-corner formula, as in ``lookahead``, and its bound on the sudden change
     of extrusion speed.
     """
-    unit, extrusion = delta[:, :E] / d[:, None], delta[:, E] / d
-    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
-    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
+    sin_half, cos_half = ramps.half_angles(delta[:, :E] / d[:, None])
     deviation = (math.sqrt(2.0) - 1.0) * SQUARE_CORNER_VELOCITY**2 / limits.acceleration
+    v2 = ramps.rounded(sin_half, np.minimum(a[:-1], a[1:]), deviation)
     with np.errstate(divide="ignore", invalid="ignore"):
-        v2 = deviation * np.minimum(a[:-1], a[1:]) * sin_half / (1.0 - sin_half)
         fit = 0.5 * np.minimum(d[:-1] * a[:-1], d[1:] * a[1:]) * sin_half / cos_half
-        corner = limits.extruder_corner_velocity / np.abs(np.diff(extrusion))
+        corner = limits.extruder_corner_velocity / np.abs(np.diff(delta[:, E] / d))
     inner = np.fmin(np.sqrt(np.fmin(v2, fit)), corner)
     return np.concatenate([[math.inf], inner, [math.inf]])
 
 
 @dataclass(frozen=True, slots=True)
-class Dialect:
-    """Commands around the stream."""
+class Klipper:
+    """Klipper as a ``Player``.
+
+    tolerance: mm by which the decimated command may miss a sample; None keeps them all.
+    """
 
     firmware: Firmware
     limits: StreamLimits
+    tolerance: float | None = None
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """From the user's limits and modes to the stream's.
-
-        offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine stands.
-        """
+        """See ``Player``, as all of these."""
         if self.firmware.begin_macro:
             start = [self.firmware.begin_macro]
         else:
@@ -129,12 +114,13 @@ class Dialect:
                 "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
                 _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
             ]
-        return [line.encode() for line in ["M400", *start, "G90", "M83", *_named(offset, at)]]
+        return [line.encode() for line in ["M400", *start, "G90", "M83", *named(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        """Back to the user's limits and to the modes and places that the file believes in."""
-        restore: Restore = self.firmware.restore
-        names = _named(state.offset, at[:E] - state.offset)
+        """Macros, where the profile names them, stand for the limits."""
+        restore = self.firmware.restore
+        assert restore is not None
+        names = named(state.offset, at[:E] - state.offset)
         if self.firmware.end_macro:
             stop = [self.firmware.end_macro]
         else:
@@ -151,11 +137,43 @@ class Dialect:
                 )
         return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
 
+    def reassert(self, code: bytes) -> bytes:
+        """G90 means nothing to E."""
+        return {b"91": b"G90\n", b"82": b"M83\n"}.get(code, b"")
 
-def _named(offset: tuple[float, float, float], at: Array) -> list[str]:
-    """G92 that names the place ``at``, of the axes whose name is not the machine's."""
-    words = [f"{a}{plain(p, 3)}" for a, p, o in zip("XYZ", at, offset, strict=False) if o]
-    return [" ".join(["G92", *words])] if words else []
+    def fresh_filament(self) -> bytes:
+        """Klipper counts in doubles."""
+        return b""
+
+    def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
+        """Decimated to the tolerance."""
+        ends = np.arange(1, len(points))
+        if self.tolerance is not None:
+            ends = breakpoints(points, forced, self.tolerance)
+        return ends, points[ends]
+
+    def times(self, at: Array, T: Array) -> Array:
+        """All of it."""
+        return T
+
+    def speeds(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+        """Ramps in mind."""
+        return speeds(np.diff(at, axis=0), T, rest, before, self.limits)
+
+    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+        """Ramps and limits in mind."""
+        return durations(np.diff(at, axis=0), v, rest, before, self.limits)
+
+    def wait(self, seconds: float, beside: Beside) -> tuple[bytes, float] | None:
+        """G4, beside a lift even of no time.
+
+        Without it Klipper would round the corner between a lift and the motion next to it,
+        and be early.
+        """
+        if beside is Beside.MOTION and seconds < TS / 2.0:
+            return None
+        waited = max(round(seconds, 6), 0.0)
+        return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
@@ -178,11 +196,3 @@ def _modes(state: ModalState) -> list[str]:
     if not state.absolute:
         lines.append("G91")
     return lines
-
-
-def plain(value: float, decimals: int) -> str:
-    """A number without exponent, trailing zeros or negative zero."""
-    text = f"{value:.{decimals}f}"
-    if "." in text:
-        text = text.rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text

@@ -19,10 +19,12 @@ from hframe_post.compensate import Compensator, compensate
 from hframe_post.dense_gcode import Late, Ledger, Output, write
 from hframe_post.dialect import STAMP
 from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware import Player
 from hframe_post.gcode import read
 from hframe_post.guard import clamp, guard
-from hframe_post.klipper import Dialect, StreamLimits
+from hframe_post.klipper import Klipper, StreamLimits
 from hframe_post.lookahead import plan
+from hframe_post.marlin import Marlin
 from hframe_post.printer import Printer
 from hframe_post.profile import sample
 from hframe_post.recut import stretches
@@ -80,15 +82,29 @@ def convert(
     """
     commands = _commands(lines, printer, options, report)
     yield b"%s %s\n" % (STAMP, stamp(printer, options).encode())
-    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-    dialect = Dialect(printer.firmware, limits)
     ledger = Ledger()
-    output = write(commands, options.strategy, dialect, options.tolerance, ledger)
+    output = write(commands, options.strategy, player(printer, options.tolerance), ledger)
     for text in output:
         report.lines_written += 1 if isinstance(text, Late) else text.count(b"\n")
         yield text
     report.lines_written += 1  # the stamp
+    report.busiest_second = ledger.busiest
+    if printer.firmware.dialect == "marlin" and printer.firmware.marlin is not None:
+        report.lines_per_second = printer.firmware.marlin.lines_per_second
     _conserved(ledger.filament, report, FILAMENT_TOLERANCE)
+
+
+def player(printer: Printer, tolerance: float | None) -> Player:
+    """The firmware that reads the output. tolerance: mm of decimation, for Klipper."""
+    if printer.firmware.dialect == "marlin":
+        assert printer.firmware.marlin is not None
+        assert printer.steps is not None
+        return Marlin(
+            printer.firmware.marlin, printer.limits, printer.motors, printer.steps,
+            printer.kinematics,
+        )  # fmt: skip
+    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
+    return Klipper(printer.firmware, limits, tolerance)
 
 
 def convert_to_steps(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from hframe_post.stream import TS
 from hframe_post.tables import checked, checked_value, known_keys, not_negative, positive, roots
 
 STRATEGIES = ("racking", "fbs", "none")
-DIALECTS = ("klipper",)
+DIALECTS = ("klipper", "marlin")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +100,49 @@ class Restore:
 
 
 @dataclass(frozen=True, slots=True)
-class Firmware:
-    """Who reads the output. Macros, where named, replace the commands written otherwise."""
+class MarlinRestore:
+    """Marlin's own settings, in force outside the stream, and what bounds the stream.
 
-    restore: Restore
+    Corners are those of ``junction_deviation`` or, in builds with CLASSIC_JERK, of ``jerk``
+    (x, y) and ``jerk_e``; the others are 0.
+    """
+
+    max_velocity: tuple[float, float] = positive()
+    max_acceleration: tuple[float, float] = positive()
+    acceleration: float = positive()
+    travel_acceleration: float = positive()
+    junction_deviation: float = not_negative(0.0)
+    jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
+    jerk_e: float = not_negative(0.0)
+    min_segment_time: float = not_negative(0.02)
+    min_velocity: float = not_negative(0.0)
+    min_travel_velocity: float = not_negative(0.0)
+    linear_advance: float = not_negative(0.0)
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
+    fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
+    lines_per_second: float = positive(250.0, below=1001.0)
+    min_steps_per_segment: int = positive(6)
+    timer_hz: float = positive(2e6, least=1e5)
+
+    @property
+    def classic_jerk(self) -> bool:
+        """Whether corners are those of jerk."""
+        return self.junction_deviation == 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Who reads the output. Macros, where named, replace Klipper's commands written otherwise.
+
+    The tables ``restore`` (Klipper) and ``marlin``: that of the dialect is there.
+    """
+
+    restore: Restore | None = None
     dialect: str = field(default="klipper", metadata={"choices": DIALECTS})
     begin_macro: str = ""
     end_macro: str = ""
+    marlin: MarlinRestore | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,10 +233,6 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     description = document.get("description", "")
     if not isinstance(description, str):
         raise PrinterError("must be text", "description")
-    firmware = dict(document["firmware"])
-    if not isinstance(firmware.get("restore"), dict):
-        raise PrinterError("the table is missing", "firmware.restore")
-    firmware["restore"] = checked(Restore, firmware["restore"], "firmware.restore")
     compensation = checked(Compensation, document["compensation"], "compensation")
     try:
         _ = compensation.windows
@@ -215,7 +247,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     if plant.Gxtheta is not None and not kinematics.racks:
         cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
         raise PrinterError(cause, "plant.Gxtheta")
-    return Printer(
+    printer = Printer(
         name,
         description,
         checked(Travel, document["travel"], "travel"),
@@ -224,11 +256,53 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Motors, document["motors"], "motors"),
         checked(Steps, document["steps"], "steps") if "steps" in document else None,
         compensation,
-        checked(Firmware, firmware, "firmware"),
+        _firmware(document["firmware"]),
         plant,
         sweep,
         digest,
     )
+    _check_dialect(printer)
+    return printer
+
+
+def _firmware(table: dict[str, Any]) -> Firmware:
+    tables = dict(table)
+    for name, kind in (("restore", Restore), ("marlin", MarlinRestore)):
+        if name in tables:
+            if not isinstance(tables[name], dict):
+                raise PrinterError("the table is missing", f"firmware.{name}")
+            tables[name] = checked(kind, tables[name], f"firmware.{name}")
+    marlin = tables.get("marlin")
+    if isinstance(marlin, MarlinRestore):
+        jerks = (*marlin.jerk, marlin.jerk_e)
+        if any(jerks) != all(jerks) or any(jerks) == bool(marlin.junction_deviation):
+            cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
+            raise PrinterError(cause, "firmware.marlin.junction_deviation")
+    return checked(Firmware, tables, "firmware")
+
+
+def played_by(printer: Printer, dialect: str) -> Printer:
+    """The printer with another firmware. Raises PrinterError if the profile does not know it."""
+    if dialect == printer.firmware.dialect:
+        return printer
+    firmware = replace(printer.firmware, dialect=dialect)
+    other = replace(printer, firmware=firmware, digest=f"{printer.digest} {dialect}")
+    try:
+        _check_dialect(other)
+    except PrinterError as error:
+        raise PrinterError(error.cause, error.key, printer.name) from None
+    return other
+
+
+def _check_dialect(printer: Printer) -> None:
+    """Raises PrinterError where a table is missing that the dialect needs."""
+    firmware = printer.firmware
+    if firmware.dialect == "klipper" and firmware.restore is None:
+        raise PrinterError("the table is missing: Klipper's own limits", "firmware.restore")
+    if firmware.dialect == "marlin" and firmware.marlin is None:
+        raise PrinterError("the table is missing: Marlin's own settings", "firmware.marlin")
+    if firmware.dialect == "marlin" and printer.steps is None:
+        raise PrinterError("the table is missing: Marlin needs whole steps", "steps")
 
 
 def _plant(table: dict[str, Any]) -> Plant:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -41,6 +42,8 @@ class Report:
     peaks: Peaks = field(default_factory=Peaks)
     contour: dict[str, ErrorStatistics] = field(default_factory=dict)
     steps: StepReport | None = None
+    busiest_second: int = 0  # most lines of motion in a second
+    lines_per_second: float = math.inf  # that the firmware can take
 
     def add_errors(self, errors: dict[str, Array]) -> None:
         """Takes contour errors by strategy."""
@@ -67,6 +70,7 @@ class Report:
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+            "busiest_second_lines": self.busiest_second,
             "clamped_samples": self.peaks.clamped,
             **({"steps": asdict(self.steps)} if self.steps else {}),
         }
@@ -103,6 +107,11 @@ class Report:
         lines = []
         if not self.moves:
             lines.append("NOTHING     was compensated: no move starts at a known position")
+        if self.busiest_second > self.lines_per_second:
+            lines.append(
+                f"TOO DENSE   up to {self.busiest_second} lines in a second, and the profile's "
+                f"lines_per_second is {self.lines_per_second:g}: the printer may stutter there"
+            )
         if self.peaks.clamped:
             lines.append(
                 f"CLAMPED     {self.peaks.clamped} ms of motion at the printer's limits, first at "

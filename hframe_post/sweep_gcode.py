@@ -27,7 +27,8 @@ from hframe_post.dense_gcode import Ledger, Output, write
 from hframe_post.dialect import STAMP
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.excitation import amplitude, peaks, trajectory
-from hframe_post.klipper import Dialect, StreamLimits, plain
+from hframe_post.firmware import plain
+from hframe_post.klipper import Klipper, StreamLimits
 from hframe_post.printer import Printer
 from hframe_post.stream import (
     TS,
@@ -169,8 +170,8 @@ def gcode(
     head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
     limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-    dialect = Dialect(printer.firmware, limits)
-    yield from write(_samples(planned, chips, z), "none", dialect, None, Ledger(), FINER)
+    klipper = Klipper(printer.firmware, limits)
+    yield from write(_samples(planned, chips, z), "none", klipper, Ledger(), FINER)
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
+from hframe_post.firmware import plain
 from hframe_post.kinematics import Kinematics
 from hframe_post.klipper import (
     SQUARE_CORNER_VELOCITY,
-    Dialect,
+    Klipper,
     StreamLimits,
     durations,
     junctions,
-    plain,
     speeds,
 )
 from hframe_post.printer import Firmware, Limits, Motors, Restore
@@ -184,8 +184,8 @@ AT = np.array([12.5, 30.0, 0.2, 7.0])
 STATE = ModalState(True, False, 0.0, 100.0, (0.0, 0.0, 0.0))
 
 
-def end(state: ModalState = STATE, restore: Restore = RESTORE, **firmware: str) -> list[bytes]:
-    return Dialect(Firmware(restore, **firmware), STREAM).end(state, AT)
+def end(state: ModalState = STATE, restore: Restore = RESTORE) -> list[bytes]:
+    return Klipper(Firmware(restore), STREAM).end(state, AT)
 
 
 def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
@@ -199,7 +199,7 @@ def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
 
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
-    assert Dialect(Firmware(RESTORE), STREAM).begin((0.0, 0.0, 0.0), AT) == [
+    assert Klipper(Firmware(RESTORE), STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"M400",
         b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
         b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=250000 SQUARE_CORNER_VELOCITY=100 "
@@ -227,13 +227,13 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 
 def test_macros_replace_the_limits_and_the_shaper() -> None:
     firmware = Firmware(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
-    assert Dialect(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
+    assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"M400",
         b"HFRAME_BEGIN",
         b"G90",
         b"M83",
     ]
-    assert Dialect(firmware, STREAM).end(STATE, AT) == [b"M400", b"HFRAME_END A=1", b"G1 F6000"]
+    assert Klipper(firmware, STREAM).end(STATE, AT) == [b"M400", b"HFRAME_END A=1", b"G1 F6000"]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_no_number_has_an_exponent(
     restore = Restore(velocity, acceleration, corner, ratio, shaper, shaper)
     state = ModalState(True, True, e, feed, (0.0, 0.0, 0.0))
     stream = replace(STREAM, velocity=velocity, acceleration=acceleration)
-    dialect = Dialect(Firmware(restore), stream)
+    dialect = Klipper(Firmware(restore), stream)
     for row in dialect.begin((0.0, 0.0, 0.0), AT) + dialect.end(state, AT):
         for word in row.decode().split()[1:]:
             number = word.partition("=")[2] or word[1:]
@@ -305,7 +305,7 @@ def test_plain_numbers_read_back(value: float, decimals: int) -> None:
 
 
 def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
-    dialect = Dialect(Firmware(RESTORE), STREAM)
+    dialect = Klipper(Firmware(RESTORE), STREAM)
     state = replace(STATE, offset=(10.0, 0.0, -1.0))
     assert b"G92 X2.5 Z1.2" in dialect.end(state, AT)
     assert dialect.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"

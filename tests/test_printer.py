@@ -55,6 +55,7 @@ def test_values_of_the_paper() -> None:
     assert paper.travel.x == (0.0, 280.0)
     assert paper.limits.acceleration == 1e4
     assert paper.compensation.effort == (96.0, 188.0)
+    assert paper.firmware.restore is not None
     assert paper.firmware.restore.minimum_cruise_ratio == 0.5
     assert paper.plant.x_c == 140.0
     x, y = paper.compensation.windows
@@ -82,6 +83,7 @@ def test_extension_takes_the_rest_from_its_base() -> None:
 
 def test_extension_merges_tables_within_tables() -> None:
     mine = parse(extending("[firmware.restore]\nvelocity = 150\n"), "mine")
+    assert mine.firmware.restore is not None
     assert mine.firmware.restore.velocity == 150.0
     assert mine.firmware.restore.acceleration == 1e4
 
@@ -185,7 +187,8 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\neffort = [1.0, -1.0]", "compensation.effort", "at least 0"),
         ("[compensation]\nstrategy = 'best'", "compensation.strategy", "racking, fbs, none"),
         ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
-        ("[firmware]\ndialect = 'marlin'", "firmware.dialect", "one of klipper"),
+        ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
+        ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
         ("[firmware]\nbegin_macro = 3", "firmware.begin_macro", "must be text"),
         ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
         ("[firmware.restore]\nminimum_cruise_ratio = 1.0",

@@ -1,0 +1,58 @@
+"""Ramps inside the segments of a polyline, as firmware plans them: times, speeds, corners.
+
+A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
+acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
+more than their corner allows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Array
+
+ROUNDS = 3  # of the speeds' dependence on their neighbours'
+
+
+def speeds(d: Array, T: Array, a: Array, caps: Array, before: float) -> Array:
+    """Cruise speeds (k,) with which segments d (k,) take the time T (k,).
+
+    a (k,): acceleration; caps (k + 1,): greatest speeds at the ends; before: cruise speed of
+    the segment that precedes. Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
+    """
+    v = d / T
+    for _ in range(ROUNDS):
+        v_s, v_e = ends(v, caps, before)
+        S = a * T + v_s + v_e
+        c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
+        v = (S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0
+    return np.asarray(v)
+
+
+def durations(d: Array, v: Array, a: Array, caps: Array, before: float) -> Array:
+    """Time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
+    v_s, v_e = ends(v, caps, before)
+    ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
+    return np.asarray((d + ramps) / v)
+
+
+def ends(v: Array, caps: Array, before: float) -> tuple[Array, Array]:
+    """Speeds (k,) at the start and at the end of each segment."""
+    neighbours = np.concatenate([[before], v, v[-1:]])
+    joint = np.minimum(np.minimum(neighbours[:-1], neighbours[1:]), caps)
+    return np.minimum(joint[:-1], v), np.minimum(joint[1:], v)
+
+
+def half_angles(unit: Array) -> tuple[Array, Array]:
+    """sin and cos (k − 1,) of half the angle between neighbours of unit vectors (k, m).
+
+    180° is straight on: sin is 1.
+    """
+    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
+    return np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
+
+
+def rounded(sin_half: Array, a: Array, deviation: float) -> Array:
+    """Squared speed at which acceleration a rounds corners ``deviation`` mm off their tip."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(deviation * a * sin_half / (1.0 - sin_half))
