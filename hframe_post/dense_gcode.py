@@ -28,7 +28,9 @@ DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the n
 COUNTED = 5_000_000  # units of filament after which some firmware must count anew
 CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
 PER_FEED = 600.0  # F in tenths of mm/min of a speed in mm/s
-REASSERT = re.compile(rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(90|91|82)(?!\d)")  # modes that end the stream's
+REASSERT = re.compile(
+    rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(900|90|91|82)(?!\d)"
+)  # what ends the stream's modes
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
 

@@ -83,8 +83,9 @@ class Marlin:
         return [line.encode() for line in lines]
 
     def reassert(self, code: bytes) -> bytes:
-        """G90 and G91 are for E, too."""
-        return {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n"}[code]
+        """G90 and G91 are for E, too; linear advance stays off."""
+        modes = {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n", b"900": b"M900 K0\n"}
+        return modes[code]
 
     def fresh_filament(self) -> bytes:
         """Marlin counts in floats, which forget the smallest moves when they have grown."""
