@@ -30,7 +30,9 @@ CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
 DECIMALS = (3, 3, 3, 5)  # of x, y, z, e in mm
 PER_MM_E = 1e5  # output units of e
 FEED_DECIMALS = 1  # of F in mm/min
-REASSERT = re.compile(rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(90|91|82)(?!\d)")  # modes that end the stream's
+REASSERT = re.compile(
+    rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(900|90|91|82)(?!\d)"
+)  # what ends the stream's modes
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
 

@@ -30,6 +30,8 @@ MARGIN = 6  # steps of a segment beyond the least, if the command does not stop 
 IDLE = 24  # samples without a step that are a standstill
 SLOWEST = 120  # steps per second below which no ramp begins or ends
 GOLDEN = (5.0**0.5 - 1.0) / 2.0  # its multiples fall evenly between whole numbers
+FASTEST = 3.0  # times a segment's mean speed, asked for to make up for its ramps
+MOST_LOST = 0.01  # share of time that rounding can lose
 ROUNDS = 3  # of the rates' dependence on their neighbours'
 
 
@@ -81,8 +83,9 @@ class Marlin:
         return [line.encode() for line in lines]
 
     def reassert(self, code: bytes) -> bytes:
-        """G90 and G91 are for E, too."""
-        return {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n"}[code]
+        """G90 and G91 are for E, too; linear advance stays off."""
+        modes = {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n", b"900": b"M900 K0\n"}
+        return modes[code]
 
     def fresh_filament(self) -> bytes:
         """Marlin counts in floats, which forget the smallest moves when they have grown."""
@@ -146,8 +149,10 @@ class Marlin:
         for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
             for _ in range(ROUNDS):
                 rate *= self._taken(at, rate, before, exact=False) / (T * (1.0 - lost))
+                rate = np.clip(rate, n / T / FASTEST, n / T * FASTEST)  # ramps may be too long
             whole = self._whole(rate)
             lost += float((self._taken(at, whole, before) - T).sum() / T.sum())
+            lost = min(max(lost, -MOST_LOST), MOST_LOST)
         return np.asarray((whole - 0.5) * d / n)
 
     def _whole(self, rate: Array) -> Array:

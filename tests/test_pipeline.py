@@ -157,7 +157,7 @@ def test_golden_comparison_can_fail(paper: printer.Printer) -> None:
         assert_same_stream(b"".join(lines), now)
 
 
-def assert_same_stream(now: bytes, then: bytes) -> None:
+def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 1e-3) -> None:
     """Equal but for 2 µm in a coordinate and 0.1 % in a feed rate: other machines round."""
     rows = list(zip(now.splitlines(), then.splitlines(), strict=True))
     for a, b in rows:
@@ -167,7 +167,7 @@ def assert_same_stream(now: bytes, then: bytes) -> None:
         words = [{w[:1]: float(w[1:]) for w in row.split()[1:]} for row in (a, b)]
         assert words[0].keys() == words[1].keys()
         for letter, value in words[0].items():
-            scale = 1e-3 * value if letter == b"F" else 0.002
+            scale = feed * value if letter == b"F" else place
             assert value == pytest.approx(words[1][letter], abs=scale), (a, b)
 
 

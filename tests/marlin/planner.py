@@ -227,9 +227,8 @@ class Machine:
     def _jerk(self, block: Block, unit: Array) -> float:
         v = min(block.v, self._last_v)
         jump = np.abs(unit - self._unit) * v
-        return float(
-            v * min(1.0, *(m / j for m, j in zip(self.build.jerk, jump, strict=True) if j))
-        )
+        shares = [m / j for m, j in zip(self.build.jerk, jump, strict=True) if j]
+        return float(v * min([1.0, *shares]))
 
     # ------------------------------------------------------------------ stepping
 

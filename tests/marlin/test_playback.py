@@ -1,0 +1,217 @@
+"""Converted files through a simulation of Marlin's planner and stepper: place, time, nozzle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hframe_post.arrays import Array
+from hframe_post.marlin import Marlin
+from hframe_post.pipeline import Options, commanded, prepared
+from hframe_post.printer import Printer, load
+from hframe_post.report import Report
+from hframe_post.simulate import judge
+from hframe_post.stream import TS, Samples, Z
+
+from ..test_pipeline import converted, sample
+from .planner import Build, Machine, Run, xy
+
+SKIRT = 14_000  # samples of the cube before its first retraction in mid-layer
+LAPS = 15  # of the rectangle: half a minute
+WINDOW, STEP = 500, 1000  # samples over which lateness is measured, and from one to the next
+
+
+@dataclass
+class Played:
+    """Intended command (n, 2), and what the simulation made of the longest run."""
+
+    command: Array
+    build: Build
+    run: Run
+    machine: Machine
+
+    def at(self, t: NDArray[np.floating[Any]]) -> Array:
+        """Command (m, 2) of the simulated firmware at its times t (m,)."""
+        return xy(self.run.cells(np.asarray(t, dtype=np.float64)), self.build)
+
+    def lateness(self, first: int, guess: float, reach: float) -> tuple[float, Array]:
+        """Seconds that fit best over a window, and what is left: distances (WINDOW,), mm."""
+        index = np.arange(first, min(first + WINDOW, len(self.command)))
+
+        def miss(late: float) -> float:
+            return float(np.abs(self.at(index * TS + late) - self.command[index]).mean())
+
+        for step in (reach / 50.0, reach / 2000.0):
+            guess = min((guess + step * np.arange(-50, 51)).tolist(), key=miss)
+        return guess, np.hypot(*(self.at(index * TS + guess) - self.command[index]).T)
+
+    def track(self) -> tuple[Array, Array, Array]:
+        """First samples of the windows, lateness (s) in each, and what is left, mm."""
+        late, _ = self.lateness(0, 0.0, 0.4)
+        found, left, first = [], [], list(range(STEP, len(self.command) - WINDOW, STEP))
+        for start in first:
+            late, off = self.lateness(start, late, 0.1)
+            found.append(late)
+            left.append(off)
+        return np.array(first), np.array(found), np.concatenate(left)
+
+
+def built(printer: Printer, **how: object) -> Build:
+    assert printer.steps is not None
+    own = replace(Build(printer.steps.belt, printer.steps.z, printer.steps.e))
+    return replace(own, **how)  # type: ignore[arg-type]
+
+
+def played(lines: list[bytes], printer: Printer, **how: object) -> Played:
+    options = Options(printer.compensation.strategy)
+    text = converted(lines, printer, options)[0]
+    blocks = commanded(iter(lines), printer, prepared(printer), options, Report("racking"))
+    command = np.concatenate([b.commands[options.strategy] for b in blocks])
+    machine = Machine(build := built(printer, **how))
+    run = max(machine.read(text), key=lambda r: len(r.time))
+    return Played(command, build, run, machine)
+
+
+def laps(count: int = LAPS) -> list[bytes]:
+    lines = sample("rectangle.gcode")
+    return lines + lines[-4:] * (count - 1)
+
+
+def drift(first: Array, late: Array) -> float:
+    """ms in a minute, by a straight line."""
+    return float(np.polyfit(first * TS, late, 1)[0] * 60.0 * 1e3)
+
+
+def rms(off: Array) -> float:
+    return float(np.sqrt(np.square(off).mean()))
+
+
+@pytest.fixture(scope="module")
+def marlin() -> Printer:
+    return load("paper-marlin")
+
+
+@pytest.fixture(scope="module")
+def rectangle(marlin: Printer) -> Played:
+    return played(laps(), marlin)
+
+
+def test_rectangle_keeps_time_and_place(rectangle: Played) -> None:
+    first, late, off = rectangle.track()
+    assert rectangle.machine.merged == 0
+    assert abs(drift(first, late)) < 2.0
+    assert np.ptp(late) < 1e-3
+    assert rms(off) < 0.015
+    assert off.max() < 0.06
+
+
+def test_later_builds_ramp_earlier_by_little(marlin: Printer) -> None:
+    first, late, off = played(laps(), marlin, half_interval=True).track()
+    assert abs(drift(first, late)) < 60.0
+    assert rms(off) < 0.02
+
+
+def test_classic_jerk_plays_the_same(marlin: Printer) -> None:
+    own = marlin.firmware.marlin
+    assert own is not None
+    own = replace(own, junction_deviation=0.0, jerk=(8.0, 8.0), jerk_e=5.0)
+    mine = replace(marlin, firmware=replace(marlin.firmware, marlin=own))
+    first, late, off = played(laps(5), mine, classic_jerk=True).track()
+    assert abs(drift(first, late)) < 10.0
+    assert rms(off) < 0.015
+
+
+def naive(command: Array) -> bytes:
+    """A line a millisecond as slicers round, F from these distances, the stream's own limits."""
+    at = np.round(command, 2)
+    at = at[np.append(True, np.any(np.diff(at, axis=0) != 0.0, axis=1))]
+    speed = np.hypot(*np.diff(at, axis=0).T) / TS * 60.0
+    lines = [
+        "M201 X100000 Y100000", "M203 X770 Y770", "M204 P100000 T100000", "M205 J0.3",
+        f"G92 X{at[0, 0]:.2f} Y{at[0, 1]:.2f}",
+    ]  # fmt: skip
+    rows = zip(at[1:].tolist(), speed.tolist(), strict=True)
+    lines += [f"G1 X{x:.2f} Y{y:.2f} F{v:.1f}" for (x, y), v in rows]
+    return "\n".join(lines).encode()
+
+
+def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
+    """The simulation sees what the segments are chosen for."""
+    ours = played(layers_of_cube(1), marlin)
+    command = ours.command[:SKIRT]
+    machine = Machine(built(marlin))
+    run = max(machine.read(naive(command)), key=lambda r: len(r.time))
+    moving = np.any(np.diff(np.round(command, 2), axis=0) != 0.0, axis=1).sum() * TS
+    assert machine.merged > len(command) / 2
+    assert ours.machine.merged == 0
+    assert abs(run.time[-1] - moving) / moving * 60e3 > 200.0
+    first, late, _ = ours.track()
+    skirt = first < len(command)
+    assert abs(drift(first[skirt], late[skirt])) < 10.0
+
+
+def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
+    marlin: Printer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def plainly(self: Marlin, at: Array, T: Array, rest: Array, before: float) -> Array:
+        _, d, _ = self._counts(at)
+        return np.asarray(d / T)
+
+    monkeypatch.setattr(Marlin, "speeds", plainly)
+    monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
+    monkeypatch.setattr("hframe_post.dense_gcode.CATCH_UP", 0.0)
+    first, late, _ = played(laps(), marlin).track()
+    assert abs(drift(first, late)) > 20.0
+
+
+def layers_of_cube(last: int) -> list[bytes]:
+    lines = sample("cube.gcode")
+    return lines[: lines.index(b";LAYER:%d\n" % last)]
+
+
+def test_cube_keeps_place_and_loses_only_standstill(marlin: Printer) -> None:
+    """Between two windows, lateness changes by standstill that is left out, or hardly at all."""
+    cube = played(layers_of_cube(2), marlin)
+    _, late, off = cube.track()
+    change = np.diff(late)
+    moved = np.abs(change) < 1e-3
+    assert moved.mean() > 0.7
+    assert change[~moved].mean() < 0.0
+    assert abs(change[moved].sum()) / (moved.sum() * STEP * TS) * 60e3 < 15.0
+    assert np.median(off) < 0.015
+    assert cube.machine.merged < 5
+
+
+@pytest.mark.slow
+def test_prism_keeps_place(marlin: Printer) -> None:
+    lines = sample("prism.gcode")
+    prism = played(lines[: lines.index(b";LAYER:8\n")], marlin)
+    _, late, off = prism.track()
+    assert np.median(off) < 0.015
+    assert np.median(np.abs(np.diff(late))) < 5e-4
+
+
+def contour(block: Samples, printer: Printer, name: str) -> float:
+    """µm RMS."""
+    found = [j.contour[name] for j in judge([block], printer.plant, 1)]
+    return 1e3 * rms(np.concatenate(found))
+
+
+def test_nozzle_follows_with_marlins_command(
+    marlin: Printer, rectangle: Played, commands: Callable[[str], Samples]
+) -> None:
+    """Predicted contour error with the simulated firmware's command for the intended one."""
+    block = commands("racking")
+    one = played(sample("rectangle.gcode"), marlin)
+    late, _ = one.lateness(len(block) // 2, 0.0, 0.4)
+    theirs = one.at(np.arange(len(block)) * TS + late)
+    both = replace(block, commands={**block.commands, "racking": theirs})
+    ideal, ours = (contour(b, marlin, "racking") for b in (block, both))
+    assert block.xyze[:, :Z].shape == theirs.shape
+    assert ours < ideal + 6.0
+    assert ours < contour(commands("none"), marlin, "none") / 8
