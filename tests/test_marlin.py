@@ -292,9 +292,7 @@ def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: 
     assert (np.diff(ends) > 0).all()
     assert not last or ends[-1] == n
     assert paper.steps is not None
-    cells = np.vstack(
-        [np.rint(points[:1, :2] / paper.steps.belt), at[:, :2] / 1e3 / paper.steps.belt]
-    )
+    cells = np.vstack([np.rint(points[:1, :2] / paper.steps.belt), at[:, :2] / paper.steps.belt])
     motors = np.rint(cells) @ machine.kinematics.matrix.T
     steps = np.abs(np.diff(motors, axis=0)).max(axis=1)
     assert ((steps >= 6) | (steps == 0))[: len(steps) - 1 if last else None].all()
