@@ -203,15 +203,19 @@ class Recursion:
 def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
     """Second-order sections (num (≤3,), den (≤3,)): each pole pair with its nearest zeros.
 
-    Pairs nearest to the unit circle choose first, so that no section has a large gain.
+    Pairs nearest to the unit circle choose first, so that no section has a large gain. Complex
+    zeros need a section of two poles for themselves: one that is left to them takes no real zero.
     """
     pole_groups = sorted(_real_groups(poles), key=lambda g: -np.abs(g).max())
     left = list(zeros)
     sections = []
-    for group in pole_groups:
+    for number, group in enumerate(pole_groups):
         chosen: list[complex] = []
+        later = sum(len(other) == 2 for other in pole_groups[number + 1 :])
         while left and len(chosen) < len(group):
-            nearest = min(left, key=lambda r: abs(r - group[0]))
+            paired = [r for r in left if abs(r.imag) > REAL_TOLERANCE]
+            needed = len(group) == 2 and not chosen and len(paired) > 2 * later
+            nearest = min(paired if needed else left, key=lambda r: abs(r - group[0]))
             if abs(nearest.imag) > REAL_TOLERANCE:
                 if len(group) - len(chosen) < 2:
                     reals = [r for r in left if abs(r.imag) <= REAL_TOLERANCE]

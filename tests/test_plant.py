@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hframe_post import printer
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Complex
 from hframe_post.plant import BLOCK_SAMPLES, LiftedFilter, Recursion, TransferFunction
 
 
@@ -117,3 +117,22 @@ def test_odd_orders_and_lone_zeros_become_real_sections() -> None:
     )
     u = np.random.default_rng(4).normal(size=100)
     np.testing.assert_allclose(LiftedFilter(G).run(u), by_scipy(G, u), atol=1e-10)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
+    """However many of either, and wherever they lie: the state space has the same response."""
+    rng = np.random.default_rng(seed)
+
+    def roots(n: int, radius: float) -> Complex:
+        pairs = int(rng.integers(0, n // 2 + 1))
+        upper = radius * rng.random(pairs) * np.exp(1j * rng.uniform(0.05, 3.0, pairs))
+        real = rng.uniform(-radius, radius, n - 2 * pairs)
+        return np.concatenate([upper, upper.conj(), real])
+
+    order = int(rng.integers(1, 9))
+    G = TransferFunction(roots(int(rng.integers(0, order + 1)), 1.5), roots(order, 0.9), 1.0)
+    h = G.impulse(2048)
+    omega = np.linspace(0.1, 3.0, 7)
+    response = np.exp(-1j * np.outer(omega, np.arange(2048))) @ h
+    np.testing.assert_allclose(response, G.response(omega), rtol=1e-6, atol=1e-6)
