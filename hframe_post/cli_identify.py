@@ -14,8 +14,9 @@ from hframe_post.cli_options import STRATEGIES, json_option, printer_option, wri
 
 if TYPE_CHECKING:
     from hframe_post.accelerometer import Recording
-    from hframe_post.identification_report import IdentificationReport
-    from hframe_post.identify import Identified, Run
+    from hframe_post.identification_report import Chosen
+    from hframe_post.identify import Run
+    from hframe_post.plant import Plant
     from hframe_post.printer import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -103,6 +104,8 @@ def identify(
     recording cannot be trusted.
     """
     from hframe_post import figures
+    from hframe_post.errors import IdentificationError
+    from hframe_post.identification_report import IdentificationReport
     from hframe_post.identify import Settings
     from hframe_post.identify import identify as identification
     from hframe_post.output import OutputFile
@@ -130,11 +133,19 @@ def identify(
             for name, fitted in found.fits.items()
         }
         figures.save_all(drawings, folder)
-    report = _chosen(found, profile, middle if x_c is None else x_c, reading)
+    plant = found.plant(middle if x_c is None else x_c)
+    chosen = None if found.useless else _chosen(plant, profile)
+    report = IdentificationReport(found, plant, chosen, reading.setup, reading.doubts)
     write_json(report.as_json(), json_file)
     click.echo(report.as_text(), err=str(json_file) == "-")
+    if chosen is None:
+        raise IdentificationError(
+            found.useless
+            or "no window and weight compensate this plant within the motors' limits; "
+            "see tune --help"
+        )
     if output is not None:
-        text = with_plant(printer, report.plant, report.windows, report.notes())
+        text = with_plant(printer, plant, chosen.windows, report.origin())
         with OutputFile(output, sys.stdout.buffer) as file:
             file.write([text.encode()], lambda: 0.0)
 
@@ -176,12 +187,9 @@ class _Reading:
         return accelerometer.oriented(read, axes, QUIET)
 
 
-def _chosen(
-    found: Identified, profile: Printer, x_c: float, reading: _Reading
-) -> IdentificationReport:
-    """The window and λ for the plant that was found, and what they will do."""
-    from hframe_post.errors import IdentificationError
-    from hframe_post.identification_report import IdentificationReport, functions_table
+def _chosen(plant: Plant, profile: Printer) -> Chosen | None:
+    """The window and λ for a plant, and what they will do; None within no limits."""
+    from hframe_post.identification_report import Chosen
     from hframe_post.paths import rectangle
     from hframe_post.pipeline import Options
     from hframe_post.simulation_report import SimulationReport
@@ -189,23 +197,17 @@ def _chosen(
     from hframe_post.tune import candidates, recommended, tune
     from hframe_post.uncertainty import draws
 
-    plant = found.plant(x_c)
     own = replace(profile, plant=plant, name="the printer that was found")
     printers = draws(plant, MODEL_ERROR, DRAWS, seed=0)
     best = recommended(
         tune(rectangle(own), own, candidates(own.compensation), printers), own.motors
     )
     if best is None:
-        click.echo("\n".join(functions_table(found)), err=True)
-        raise IdentificationError(
-            "no window and weight compensate this plant within the motors' limits; see tune --help"
-        )
+        return None
     x, y = best.windows
     chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
     own = replace(own, compensation=chosen)
     predicted = SimulationReport("racking", plant=own.name)
     options = Options("racking", STRATEGIES, clamp=True)
     simulate(rectangle(own), own, options, Study(plant), predicted)
-    return IdentificationReport(
-        found, plant, best.windows, predicted, reading.setup, reading.doubts
-    )
+    return Chosen(best.windows, predicted)

@@ -12,6 +12,8 @@ RINGING = 0.3  # damping below which a pair of poles is called a resonance
 CANCELS = 0.02  # share by which a pole and a zero that cancel change |G| near them
 UNEXPLAINED = 2.0  # residual over noise from which an order is too low
 COHERENT = 0.8
+SETTLED = 0.01  # of a command's lead over a zero, below which it may be cut off
+EARLIER = 0.1  # s of that lead that any window has to spare
 AT_BOUND = 0.01  # of the bounds' distance
 
 
@@ -32,11 +34,7 @@ def of_data(response: FrequencyResponse) -> list[str]:
 
 
 def of_roots(G: TransferFunction, band_hz: tuple[float, float]) -> list[str]:
-    """Resonances outside the measured band, and zeros outside the unit circle.
-
-    The group delay that these zeros cost, beyond that of zeros mirrored into the circle, is
-    Σ (|ζ|² − 1) / |1 − ζ|² samples at rest.
-    """
+    """Resonances outside the measured band."""
     texts = []
     for p in G.poles[G.poles.imag > 0.0]:
         hz, damping = natural(p)
@@ -45,15 +43,26 @@ def of_roots(G: TransferFunction, band_hz: tuple[float, float]) -> list[str]:
                 f"a resonance at {hz:.3g} Hz (damping {damping:.2g}) lies outside the measured "
                 f"{band_hz[0]:g}–{band_hz[1]:g} Hz: it is a guess"
             )
-    outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
-    if len(outside):
-        excess = float(((np.abs(outside) ** 2 - 1.0) / np.abs(1.0 - outside) ** 2).sum())
-        count = "a zero lies" if len(outside) == 1 else f"{len(outside)} zeros lie"
-        texts.append(
-            f"{count} outside the unit circle: {1e3 * TS * excess:.2g} ms of group delay "
-            "that only preview can cancel"
-        )
     return texts
+
+
+def of_zeros(G: TransferFunction) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(notes, warnings) on zeros ζ outside the unit circle.
+
+    The group delay that they cost, beyond that of zeros mirrored into the circle, is
+    Σ (|ζ|² − 1) / |1 − ζ|² samples at rest. To cancel one the command must begin earlier, by
+    what decays as |ζ|^−k over k samples: any preview does for the zeros of sampling, which lie
+    far outside, and none does for one very near the circle.
+    """
+    outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
+    if not len(outside):
+        return (), ()
+    excess = float(((np.abs(outside) ** 2 - 1.0) / np.abs(1.0 - outside) ** 2).sum())
+    text = f"zeros outside the unit circle: {1e3 * TS * excess:.2g} ms of group delay"
+    earlier = float(TS * np.log(1.0 / SETTLED) / np.log(np.abs(outside).min()))
+    if earlier <= EARLIER:
+        return (f"{text}, which preview cancels",), ()
+    return (), (f"{text}; to cancel them commands must begin {1e3 * earlier:.0f} ms early",)
 
 
 def of_delay(delay: float, bounds: tuple[float, float]) -> list[str]:

@@ -54,7 +54,7 @@ class Fit:
     """The transfer function ``G`` and how it was found.
 
     residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted with input power and coherence. delay: s,
-    e^{−jωτ}, not part of G. scores: BIC by order. warnings: sentences for the user.
+    e^{−jωτ}, not part of G. scores: BIC by order. warnings, notes: sentences for the user.
     """
 
     G: TransferFunction
@@ -63,6 +63,7 @@ class Fit:
     delay: float
     scores: dict[int, float]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]
 
     def response(self, hz: Array) -> Complex:
         """G with its delay at ``hz`` (k,)."""
@@ -130,7 +131,8 @@ def fit(
     texts = doubts.of_data(part) + doubts.of_roots(G, band_hz)
     texts += doubts.of_delay(delay, delay_bounds_s)
     texts += doubts.of_order(G, float(np.sqrt(cost / len(data.z))))
-    return Fit(G, chosen, residual, delay, scores, tuple(texts))
+    notes, costly = doubts.of_zeros(G)
+    return Fit(G, chosen, residual, delay, scores, (*texts, *costly), notes)
 
 
 def _tried(data: _Data, orders: Iterable[int]) -> tuple[dict[int, _Trial], dict[int, float]]:

@@ -39,14 +39,46 @@ def functions_table(identified: Identified) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
+class Chosen:
+    """The windows of x and y for the plant that was found, and what they are predicted to do."""
+
+    windows: tuple[Window, Window]
+    predicted: SimulationReport
+
+    def as_json(self) -> dict[str, Any]:
+        """Ready for ``json.dumps``."""
+        x, y = self.windows
+        return {
+            "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
+            "predicted": self.predicted.as_json()["contour_error_um"],
+        }
+
+    def gain(self) -> str:
+        """What compensation is predicted to do for the paper's rectangle."""
+        rms = {name: 1e3 * figures.contour.rms for name, figures in self.predicted.whole.items()}
+        told = ", ".join(f"{name} {rms[name]:.1f}" for name in self.predicted.strategies)
+        return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
+
+    def as_text(self) -> list[str]:
+        """Two lines for a person."""
+        x, y = self.windows
+        return [
+            f"windows     L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+            f"effort = [{x.effort:g}, {y.effort:g}]",
+            self.gain(),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
 class IdentificationReport:
-    """All that is told. windows: those chosen. setup: the data, a line each;
-    doubts: of the data, in words."""
+    """All that is told. setup: the data, a line each; doubts: of the data, in words.
+
+    compensation: None where none is to be had.
+    """
 
     identified: Identified
     plant: Plant
-    windows: tuple[Window, Window]
-    predicted: SimulationReport
+    compensation: Chosen | None
     setup: list[str]
     doubts: list[str]
 
@@ -76,10 +108,12 @@ class IdentificationReport:
         return told
 
     def _beyond_knots(self, found: Fit) -> list[str]:
-        nyquist = 500.0 / self.windows[0].L
+        if self.compensation is None:
+            return []
+        L = self.compensation.windows[0].L
+        nyquist = 500.0 / L
         return [
-            f"rings at {hz:.1f} Hz, above the {nyquist:g} Hz that knots every "
-            f"{self.windows[0].L} ms can follow"
+            f"rings at {hz:.1f} Hz, above the {nyquist:g} Hz that knots every {L} ms can follow"
             for hz, damping in modes(found.G)
             if hz > nyquist and damping < LIGHTLY_DAMPED
         ]
@@ -89,14 +123,11 @@ class IdentificationReport:
         return {
             "functions": {name: self._function(name) for name in self.identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": self.identified.x_c is not None},
-            "windows": {
-                "L": self.windows[0].L, "n_C": self.windows[0].n_C, "n_up": self.windows[0].n_up,
-                "effort": [window.effort for window in self.windows],
-            },
-            "predicted": self.predicted.as_json()["contour_error_um"],
+            **(self.compensation.as_json() if self.compensation else {}),
             "setup": self.setup,
             "warnings": self.warnings(),
-        }  # fmt: skip
+            "notes": self.notes(),
+        }
 
     def _function(self, name: str) -> dict[str, Any]:
         found, measured = self.identified.fits[name], self.identified.measured[name]
@@ -114,25 +145,22 @@ class IdentificationReport:
     def as_text(self) -> str:
         """A table for a person."""
         lines = functions_table(self.identified)
-        x, y = self.windows
         measured = "" if self.identified.x_c is not None else " (not measured)"
         lines += [
             "",
             f"x_c         {self.plant.x_c:.2f} mm{measured}",
-            f"windows     L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
-            f"effort = [{x.effort:g}, {y.effort:g}]",
-            *self.gain(),
+            *(self.compensation.as_text() if self.compensation else []),
+            *(f"note        {text}" for text in self.notes()),
             *(f"WARNING     {text}" for text in self.warnings()),
         ]
         return "\n".join(lines)
 
-    def gain(self) -> list[str]:
-        """What compensation is predicted to do for the paper's rectangle."""
-        rms = {name: 1e3 * figures.contour.rms for name, figures in self.predicted.whole.items()}
-        told = ", ".join(f"{name} {rms[name]:.1f}" for name in self.predicted.strategies)
-        return [f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"]
-
     def notes(self) -> list[str]:
+        """In words, what is as usual but good to know."""
+        fits = self.identified.fits.items()
+        return [f"{name}: {text}" for name, found in fits for text in found.notes]
+
+    def origin(self) -> list[str]:
         """What stands in the profile, above the plant."""
         rows = []
         for name in self.identified.fits:
@@ -141,4 +169,5 @@ class IdentificationReport:
                 f"{name}: order {told['order']}, off the measurement by "
                 f"{100 * told['residual']:.2f} %, {told['runs']} runs"
             )
-        return ["Identified by hframe-post from:", *self.setup, *rows, *self.gain()]
+        gain = [self.compensation.gain()] if self.compensation else []
+        return ["Identified by hframe-post from:", *self.setup, *rows, *gain]

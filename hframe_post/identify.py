@@ -95,6 +95,18 @@ class Identified:
     arms: Line | None
     warnings: list[str]
 
+    @property
+    def useless(self) -> str | None:
+        """Why no profile may be made of it, if a model explains too little."""
+        for name, found in self.fits.items():
+            if found.residual > USELESS:
+                return (
+                    f"{name}: a model of order {found.order} leaves {100 * found.residual:.0f} % "
+                    "of the measurement unexplained: the order is too low, the printer is not "
+                    "linear (loose belts, stiction), or the files are not of one printer"
+                )
+        return None
+
     def plant(self, x_c: float) -> Plant:
         """The plant, with ``x_c`` where it was not found."""
         racking = self.fits["Gxtheta"].G if "Gxtheta" in self.fits else None
@@ -141,7 +153,6 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         # the same recordings as those of Gxx, so the same delay
         fits["Gxtheta"] = _fit("Gxtheta", measured, settings, (fits["Gxx"].delay,) * 2)
     x_c = centre(arms, measured["Gxx"].mean.H)[0] if arms else None
-    _check_fits(fits)
     warnings = _agreement(arms, measured) if ends.runs else []
     widest = max(high - low for low, high in late.values()) / 2.0
     if widest > UNSURE:
@@ -191,17 +202,6 @@ def _bridge(run: Run, settings: Settings) -> _Heard:
     theta = (P1.acceleration[:, Y] - P2.acceleration[:, Y]) / settings.L_G
     response = estimate(u, theta, settings.method).within(settings.band_hz)
     return _Heard(_place(run), response, response, max(P1.uncertainty, P2.uncertainty))
-
-
-def _check_fits(fits: dict[str, Fit]) -> None:
-    """Raises IdentificationError where a model explains too little to be used at all."""
-    for name, found in fits.items():
-        if found.residual > USELESS:
-            raise IdentificationError(
-                f"{name}: a model of order {found.order} leaves {100 * found.residual:.0f} % of "
-                "the measurement unexplained: the order is too low, the printer is not linear "
-                "(loose belts, stiction), or the files are not of one printer"
-            )
 
 
 def _agreement(arms: Line | None, measured: dict[str, Measured]) -> list[str]:

@@ -1,8 +1,14 @@
-"""Sweeps, and what accelerometers with all their faults make of them."""
+"""Sweeps, and what accelerometers with all their faults make of them.
+
+The nozzle moves as eq. 1 and 2 say; an end of the bridge, at x = x_P, moves in y only, by
+y' + (x_P − x_c) θ. Between the 1 ms samples the motion is a spline, whose second derivative a
+sensor sees at its own, uneven times.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -11,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from hframe_post.accelerometer import GRAVITY, Recording
 from hframe_post.arrays import Array
 from hframe_post.plant import LiftedFilter, Plant, TransferFunction
+from hframe_post.simulate import Response
 from hframe_post.stream import TS
 
 SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
@@ -87,3 +94,23 @@ def bridge_end(Gxtheta: TransferFunction, swept: Array, arm: float) -> BSpline:
 def spline(x: Array, y: Array) -> BSpline:
     motion = np.column_stack([x, y, np.zeros(len(x))])
     return make_interp_spline(np.arange(len(x)) * TS, motion, 9)
+
+
+def moved(plant: Plant, command: Array, at: float | None) -> BSpline:
+    """The motion of a sensor while the printer plays ``command`` (m, 2) mm.
+
+    at: None on the nozzle, else the x (mm) of its place on the bridge.
+    """
+    motion = Response(plant, command[0]).motion(command)
+    if at is None:
+        return spline(motion[:, 0], motion[:, 1])
+    without = Response(Plant(plant.Gxx, plant.Gyy, None, plant.x_c), command[0]).run(command)
+    y = without[:, 1] + (at - plant.x_c) * motion[:, 2]
+    return spline(np.zeros(len(y)), y)
+
+
+def write_klipper(path: Path, recording: Recording) -> Path:
+    """Klipper's raw accelerometer file."""
+    rows = np.column_stack([recording.t, recording.a])
+    np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
+    return path

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
+from hframe_post.doubts import of_zeros
 from hframe_post.errors import IdentificationError
 from hframe_post.fit import RADIUS, Fit, fit
 from hframe_post.frf import FrequencyResponse, estimate
@@ -114,10 +115,20 @@ def test_doubts_about_zeros_outside_the_circle_cost_their_delay() -> None:
     G = TransferFunction(np.array([1.0 / b]), np.append(first.poles, b), -b * first.gain)
     assert at_rest(G) == 1.0
     found = fit(measured(G), 3, 1.0, BAND)
-    text = next(text for text in found.warnings if "unit circle" in text)
+    (text,) = found.notes
     near = found.G.zeros[np.abs(found.G.zeros) < 3.0]
     assert near == pytest.approx([1.0 / b], rel=1e-3)
     assert "3 ms of group delay" in text
+
+
+def test_zeros_that_hardly_lie_outside_the_circle_are_doubted() -> None:
+    """What cancels a zero at 1.02 decays by 2 % a sample, backwards in time."""
+    poles = resonant(50.0, 0.2).poles
+    usual, near = (TransferFunction(np.array([zero]), poles, 1.0) for zero in (1.2, 1.02))
+    assert [len(texts) for texts in of_zeros(usual)] == [1, 0]
+    notes, warnings = of_zeros(near)
+    assert notes == ()
+    assert f"{np.log(100.0) / np.log(1.02):.0f} ms early" in warnings[0]
 
 
 def test_doubts_about_the_data() -> None:

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hframe_post import printer as profiles
+from hframe_post.accelerometer import Recording
 from hframe_post.arrays import Array
 from hframe_post.cli import main
 from hframe_post.plant import Plant, TransferFunction
@@ -22,7 +23,7 @@ from hframe_post.profile_text import with_plant
 from hframe_post.stream import TS
 
 from .klipper.host import play
-from .simulated_printer import Sensor, recorded, write_klipper
+from .recordings import Sensor, moved, write_klipper
 from .test_cli import run
 
 QUICK = """
@@ -30,7 +31,7 @@ extends = "paper"
 [sweep]
 rate_hz_per_s = 4.0
 """
-SENSOR = Sensor(turned=(93.0, -4.0, 2.0))  # mounted a quarter turn round, and not quite level
+SENSOR = Sensor(turned=(93.0, -4.0, 2.0), drift=0.005)  # a quarter turn round, not quite level
 AXES = "x=-y,y=x,z=z"
 SHIPPED = Path("paper")  # the profile of that name
 BAND = (5.0, 80.0)
@@ -70,11 +71,14 @@ def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -
     return Played(command, np.column_stack([(A + B) / 2.0, (A - B) / 2.0]))
 
 
-def heard(played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int) -> Path:
+def heard(
+    played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int, at: float | None = None
+) -> Path:
     """Klipper's file of what the sensor felt on a printer of that plant."""
-    place = "nozzle" if sensor.at is None else f"at-{sensor.at:g}"
+    place = "nozzle" if at is None else f"at-{at:g}"
     path = folder / f"{played.command.stem}.{place}.{seed}.csv"
-    return write_klipper(path, *recorded(plant, played.motors, sensor, seed))
+    seconds = (len(played.motors) - 1) * TS
+    return write_klipper(path, sensor.felt(moved(plant, played.motors, at), seconds, seed))
 
 
 def off(found: TransferFunction | None, true: TransferFunction | None, motors: Array) -> float:
@@ -204,7 +208,8 @@ rate_hz_per_s = 8.0
 start_hz = 3.0
 end_hz = 110.0
 """
-LEFT, RIGHT = Sensor(at=10.0, started=99.0), Sensor(at=270.0, started=99.0)
+LEFT, RIGHT = 10.0, 270.0  # mm, where the bridge has its sensors
+ON_BRIDGE = Sensor(drift=0.005, clock=99.0)
 MAP = ("--axes", AXES)
 
 
@@ -234,7 +239,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory, paper: Printer) -> Recorded:
     bench = Bench(folder, paper.plant, profile, klipper=False)
     x = bench.runs("x", (80.0, 140.0, 200.0), SENSOR)
     (y,) = bench.runs("y", (140.0,), SENSOR)
-    P1, P2 = (heard(x[1][0], paper.plant, sensor, folder, 7) for sensor in (RIGHT, LEFT))
+    P1, P2 = (heard(x[1][0], paper.plant, ON_BRIDGE, folder, 7, at) for at in (RIGHT, LEFT))
     return Recorded(folder, x, y, (P1, P2))
 
 
@@ -253,7 +258,7 @@ def check_refused(folder: Path, told: str, *arguments: str | Path, status: int =
 def changed(source: Path, folder: Path, change: Callable[[Array], Array]) -> Path:
     """The recording after ``change`` of its rows (n, 4)."""
     rows = change(np.loadtxt(source, delimiter=","))
-    return write_klipper(folder / "changed.csv", rows[:, 0], rows[:, 1:])
+    return write_klipper(folder / "changed.csv", Recording(rows[:, 0], rows[:, 1:], False))
 
 
 def test_exchanged_files_are_told(taken: Recorded, tmp_path: Path) -> None:
@@ -265,6 +270,12 @@ def test_exchanged_files_are_told(taken: Recorded, tmp_path: Path) -> None:
     P1, P2 = taken.ends
     ends: list[str | Path] = ["--bridge", x0.command, P2, P1, "--bridge-length", "260"]
     check_refused(tmp_path, "P1\\s+must be the one", *MAP, *taken.all, *ends)
+
+
+def test_racking_that_two_ways_tell_differently_is_doubted(taken: Recorded) -> None:
+    done = invoked(*MAP, *taken.all, *taken.bridge[:-1], "180")
+    assert done.exit_code == 0, done.output
+    assert "check --bridge-length" in done.output
 
 
 def test_wrong_axes_are_told(taken: Recorded, tmp_path: Path) -> None:
@@ -293,11 +304,44 @@ def test_what_was_not_played_or_is_cut_or_clipped_is_told(taken: Recorded, tmp_p
         check_refused(tmp_path, told, "--axes", axes, *nozzle((x, bad), taken.y))
 
 
-def test_orders_that_do_not_fit_are_told(taken: Recorded, tmp_path: Path) -> None:
-    check_refused(tmp_path, "order 1 .*too low", *MAP, *taken.all, "--order", "Gxx=1")
-    done = invoked(*MAP, *taken.all, "--order", "Gxx=9", "--json", "-")
+def test_another_sweeps_recording_is_told(taken: Recorded, tmp_path: Path, paper: Printer) -> None:
+    """The same frequencies, but falling."""
+    x, _ = taken.x[0]
+    backwards = heard(Played(x.command, x.motors[::-1]), paper.plant, SENSOR, tmp_path, 3)
+    check_refused(tmp_path, "does not follow", *MAP, *nozzle((x, backwards), taken.y))
+
+
+def test_noise_is_doubted(taken: Recorded, tmp_path: Path, paper: Printer) -> None:
+    noisy = replace(SENSOR, noise=12.0)
+    runs = [
+        (played, heard(played, paper.plant, noisy, tmp_path, 20 + k))
+        for k, (played, _) in enumerate((taken.x[1], taken.y))
+    ]
+    done = invoked(*MAP, *nozzle(*runs))
     assert done.exit_code == 0, done.output
-    assert re.search("order 9 is too high|outside the measured", done.output)
+    assert re.search(r"WARNING .*coherence is below 0\.8", done.output)
+
+
+def test_orders_that_do_not_fit_are_told(taken: Recorded, tmp_path: Path) -> None:
+    """What is measured is shown all the same, to be looked at."""
+    told, drawn = tmp_path / "told.json", tmp_path / "f"
+    one_place = nozzle(taken.x[1], taken.y)
+    low = (*MAP, *one_place, "--order", "Gxx=1", "--json", told, "--figures", drawn)
+    check_refused(tmp_path, "order 1 .*too low", *low)
+    assert json.loads(told.read_text())["functions"]["Gxx"]["residual"] > 0.2
+    assert (drawn / "Gxx.png").exists()
+    done = invoked(*MAP, *one_place, "--order", "Gxx=10", "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert re.search("order 10 is too high|outside the measured", done.output)
+
+
+def test_a_plant_that_no_window_compensates_is_told(taken: Recorded, tmp_path: Path) -> None:
+    weak = tmp_path / "weak.toml"
+    weak.write_text('extends = "paper"\n[motors]\nbelt_acceleration = 600.0\n')
+    told = tmp_path / "told.json"
+    one_place = nozzle(taken.x[1], taken.y)
+    check_refused(tmp_path, "no window", "-p", weak, *MAP, *one_place, "--json", told)
+    assert "windows" not in json.loads(told.read_text())
 
 
 def test_usage_and_files_are_told(taken: Recorded, tmp_path: Path) -> None:
@@ -337,8 +381,12 @@ def test_one_sensor_moved_along_the_bridge_tells_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:
     played = taken.x[1][0]
-    P1 = heard(played, paper.plant, replace(RIGHT, started=7.0, drift=-0.003), tmp_path, 8)
-    P2 = heard(played, paper.plant, replace(LEFT, started=500.0), tmp_path, 9)
+    earlier, later = (
+        replace(ON_BRIDGE, clock=clock, drift=drift)
+        for clock, drift in ((7.0, -0.003), (500.0, 0.005))
+    )
+    P1 = heard(played, paper.plant, earlier, tmp_path, 8, RIGHT)
+    P2 = heard(played, paper.plant, later, tmp_path, 9, LEFT)
     ends: list[str | Path] = ["--bridge", played.command, P1, P2, "--bridge-length", "260"]
     mine = tmp_path / "mine.toml"
     check_racking(invoked(*MAP, *taken.all, *ends, "-o", mine), mine, taken, paper, 0.05)

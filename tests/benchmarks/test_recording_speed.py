@@ -14,7 +14,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from hframe_post.accelerometer import oriented, read
 from hframe_post.alignment import acceleration, aligned
 
-from ..recordings import Sensor, spline, sweep
+from ..recordings import Sensor, spline, sweep, write_klipper
 from .test_speed import fastest
 
 
@@ -22,10 +22,7 @@ def written(folder: Path) -> Path:
     """Two minutes of Klipper's samples."""
     swept = sweep(rate=1.0)
     recording = Sensor(drift=0.005).felt(spline(0.0 * swept, swept), (len(swept) - 1) / 1000.0)
-    path = folder / "raw.csv"
-    rows = np.column_stack([recording.t, recording.a])
-    np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
-    return path
+    return write_klipper(folder / "raw.csv", recording)
 
 
 def numpy_seconds(path: Path) -> float:
