@@ -1,6 +1,6 @@
 """``python -m hframe_post``."""
 
-from hframe_post.cli import main
+from hframe_post.cli.main import main
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""Array types, named once."""
+"""Array types, their columns and the sampling time, named once."""
 
 from typing import TypeAlias
 
@@ -9,3 +9,6 @@ Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 Integers: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
+
+TS = 1e-3  # s, the sampling time of the paper and of every profile
+X, Y, Z, E = range(4)  # columns of a place

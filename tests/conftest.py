@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from hframe_post import printer
-from hframe_post.compensate import Compensator
-from hframe_post.pipeline import Options, commanded, prepared
-from hframe_post.recut import join
-from hframe_post.report import Report
-from hframe_post.stream import Samples
+from hframe_post.compensation.compensate import Compensator
+from hframe_post.conversion.pipeline import Options, commanded, prepared
+from hframe_post.conversion.report import Report
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import join
+from hframe_post.stream.types import Samples
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
@@ -32,12 +33,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture(scope="session")
-def paper() -> printer.Printer:
-    return printer.load("paper")
+def paper() -> Printer:
+    return load("paper")
 
 
 @pytest.fixture(scope="session")
-def compensator(paper: printer.Printer) -> Compensator:
+def compensator(paper: Printer) -> Compensator:
     return prepared(paper)
 
 
@@ -56,7 +57,7 @@ def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
 
 
 @pytest.fixture(scope="session")
-def commands(paper: printer.Printer, compensator: Compensator) -> Callable[[str], Samples]:
+def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Samples]:
     """The commands of the sample rectangle under a strategy, as one block."""
 
     def whole(strategy: str) -> Samples:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hframe_post import printer
 from hframe_post.arrays import Array, Complex
-from hframe_post.plant import TransferFunction
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer import profile
 
 
 def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> TransferFunction:
@@ -32,7 +32,7 @@ def drawn(seed: int) -> list[TransferFunction]:
 
 def all_of_them() -> list[TransferFunction]:
     """The paper's three and three drawn printers'."""
-    plant = printer.load("paper").plant
+    plant = profile.load("paper").plant
     assert plant.Gxtheta is not None
     paper = [plant.Gxx, plant.Gyy, plant.Gxtheta]
     return paper + [G for seed in (1, 2, 3) for G in drawn(seed)]

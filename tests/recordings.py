@@ -14,11 +14,10 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from hframe_post.accelerometer import GRAVITY, Recording
-from hframe_post.arrays import Array
-from hframe_post.plant import LiftedFilter, Plant, TransferFunction
-from hframe_post.simulate import Response
-from hframe_post.stream import TS
+from hframe_post.arrays import TS, Array
+from hframe_post.identification.accelerometer import GRAVITY, Recording
+from hframe_post.model.plant import LiftedFilter, Plant, Response
+from hframe_post.model.transfer_function import TransferFunction
 
 SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.kinematics import Kinematics
-from hframe_post.pipeline import Options, convert_to_steps
-from hframe_post.printer import Printer, Steps
-from hframe_post.report import Report
-from hframe_post.step_file import Note, Start, Stepped
-from hframe_post.step_timing import Counts, step
-from hframe_post.stream import Event, Handling, ModalState, Passthrough, Samples
+from hframe_post.conversion.pipeline import Options, convert_to_steps
+from hframe_post.conversion.report import Report
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Printer, Steps
+from hframe_post.stream.types import Event, Handling, ModalState, Passthrough, Samples
+from hframe_post.writers.step_file import Note, Start, Stepped
+from hframe_post.writers.steps import Counts, step
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 

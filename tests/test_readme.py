@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post import cli
-
-from .conftest import ROOT
+from hframe_post.cli import main
+from tests.conftest import ROOT
 
 README = (ROOT / "README.md").read_text()
 
@@ -56,7 +55,7 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
     for line in re.findall(r"hframe-post ([^#`\n]*)", page.read_text()):
         words = line.split()
         names = [word for word in words if not word.startswith("-")]
-        chosen = cli.main.commands.get(names[0] if names else "", cli.main.commands["convert"])
+        chosen = main.main.commands.get(names[0] if names else "", main.main.commands["convert"])
         known = {option for parameter in chosen.params for option in parameter.opts}
         for word in words:
             if word.startswith("-") and word not in ("-", "--help", "-h"):

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.accelerometer import oriented, read
-from hframe_post.alignment import acceleration, aligned
+from hframe_post.identification.accelerometer import oriented, read
+from hframe_post.identification.alignment import acceleration, aligned
+from tests.recordings import Sensor, spline, sweep, write_klipper
 
-from ..recordings import Sensor, spline, sweep, write_klipper
 from .test_speed import fastest
 
 

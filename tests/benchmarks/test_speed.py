@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from ..conftest import SAMPLES
+from tests.conftest import SAMPLES
 
 
 def seconds(*arguments: str) -> float:

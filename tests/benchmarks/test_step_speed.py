@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post import step_timing
-from hframe_post.compensate import Compensator
-from hframe_post.pipeline import Options, commanded
-from hframe_post.printer import Printer
-from hframe_post.report import Report
-from hframe_post.step_file import Header, Lines, written
-from hframe_post.step_timing import Counts, step
-from hframe_post.stream import Samples
+from hframe_post.compensation.compensate import Compensator
+from hframe_post.conversion.pipeline import Options, commanded
+from hframe_post.conversion.report import Report
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples
+from hframe_post.writers import step_reader
+from hframe_post.writers.step_file import Header, Lines, written
+from hframe_post.writers.steps import Counts, step
+from tests.conftest import SAMPLES
 
-from ..conftest import SAMPLES
 from .test_speed import fastest
 
 GZIPPED = 10_000_000  # bytes, as many as the yardstick needs to be steady
@@ -87,7 +87,7 @@ def test_reading_against_gzip(
     text, lines = writing(prism, paper, "steps")()
     (tmp_path / "a.csv").write_bytes(text)
     last = benchmark.pedantic(  # type: ignore[no-untyped-call]
-        lambda: [block.xyze[-1] for block in step_timing.read(tmp_path / "a.csv")][-1], rounds=3
+        lambda: [block.xyze[-1] for block in step_reader.read(tmp_path / "a.csv")][-1], rounds=3
     )
     assert np.isfinite(last).all()
     seconds = fastest(benchmark)

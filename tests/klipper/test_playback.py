@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post import printer
-from hframe_post.arrays import Array
-from hframe_post.dense_gcode import Late
-from hframe_post.pipeline import Options, commanded, convert, prepared
-from hframe_post.report import Report
-from hframe_post.stream import TS
+from hframe_post.arrays import TS, Array
+from hframe_post.conversion.pipeline import Options, commanded, convert, prepared
+from hframe_post.conversion.report import Report
+from hframe_post.printer import profile
+from hframe_post.writers.gcode import Late
+from tests.conftest import SAMPLES
 
-from ..conftest import SAMPLES
 from .host import Playback, play
 
 MINUTE = 60_000  # samples
@@ -34,7 +33,7 @@ class Played:
 
 
 def played(name: str, folder: Path, options: Options, last_layer: int | None = None) -> Played:
-    paper = printer.load("paper")
+    paper = profile.load("paper")
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
     if last_layer is not None:
         lines = lines[: lines.index(b";LAYER:%d\n" % last_layer)]

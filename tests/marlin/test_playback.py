@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array
-from hframe_post.marlin import Marlin
-from hframe_post.pipeline import Options, commanded, prepared
-from hframe_post.printer import Printer, load
-from hframe_post.report import Report
-from hframe_post.simulate import judge
-from hframe_post.stream import TS, Samples, Z
+from hframe_post.arrays import TS, Array, Z
+from hframe_post.conversion.pipeline import Options, commanded, prepared
+from hframe_post.conversion.report import Report
+from hframe_post.firmware.marlin import Marlin
+from hframe_post.prediction.predict import judge
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples
+from tests.conversion.test_pipeline import converted, sample
 
-from ..test_pipeline import converted, sample
 from .planner import Build, Machine, Run, xy
 
 SKIRT = 14_000  # samples of the cube before its first retraction in mid-layer
@@ -164,7 +165,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
 
     monkeypatch.setattr(Marlin, "speeds", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
-    monkeypatch.setattr("hframe_post.dense_gcode.CATCH_UP", 0.0)
+    monkeypatch.setattr("hframe_post.writers.gcode.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
 

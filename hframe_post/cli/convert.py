@@ -1,0 +1,122 @@
+"""``hframe-post convert``: from file to file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hframe_post.cli.options import (
+    STRATEGIES,
+    json_option,
+    limits_option,
+    on_limit_option,
+    printer_option,
+    progress,
+    write_json,
+)
+from hframe_post.conversion.files import FORMATS, chosen_format, run, write
+
+if TYPE_CHECKING:
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.conversion.report import Report
+    from hframe_post.printer.settings import Printer
+
+TOLERANCE = 0.002  # mm
+
+
+@click.command()
+@click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
+    help="Output file; '-' for standard output. Without it the input is replaced.",
+)  # fmt: skip
+@click.option(
+    "--format", "asked_format", type=click.Choice(FORMATS),
+    help="G-code, steps of the motors (a row each, or a row a tick), or samples every "
+    "millisecond. Default: steps for .csv, samples for .npz and .parquet, else gcode.",
+)  # fmt: skip
+@printer_option
+@click.option(
+    "-c", "--compensation", type=click.Choice(STRATEGIES),
+    help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
+)  # fmt: skip
+@click.option(
+    "--firmware", type=click.Choice(["klipper", "marlin"]),
+    help="G-code: who reads the output. Default: the profile's.",
+)  # fmt: skip
+@limits_option
+@on_limit_option
+@click.option(
+    "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.002", metavar="MM",
+    help="G-code for Klipper: how far the written command may be off the computed one.",
+)  # fmt: skip
+@click.option(
+    "--every-sample", is_flag=True, help="G-code for Klipper: write a line for every millisecond."
+)
+@click.option(
+    "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
+    help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
+)  # fmt: skip
+@json_option
+@click.option("-n", "--dry-run", is_flag=True, help="Report, but write nothing.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
+def convert(
+    source: Path, output: Path | None, asked_format: str | None, printer: str,
+    firmware: str | None, compensation: str | None, limits: str, on_limit: str,
+    tolerance: float | None, every_sample: bool, predict: str, json_file: Path | None,
+    dry_run: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Convert a sliced file. '-' reads standard input.
+
+    The nozzle's motion is predicted with the printer's model, and the commands are changed
+    so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
+    an error in the input or the profile (nothing is written then), 2 wrong usage.
+    """
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.printer.profile import load, played_by
+
+    to_stdout = str(output) == "-" or (output is None and str(source) == "-")
+    kind = chosen_format(None if to_stdout else output, asked_format)
+    if to_stdout and str(json_file) == "-":
+        raise click.UsageError("output and JSON cannot both go to standard output")
+    if kind != "gcode":
+        if output is None and not (to_stdout or dry_run):
+            raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
+        if tolerance is not None or every_sample:
+            raise click.UsageError("--tolerance and --every-sample are for G-code")
+    profile = load(printer)
+    profile = played_by(profile, firmware or profile.firmware.dialect)
+    if profile.firmware.dialect == "marlin" and (tolerance is not None or every_sample):
+        raise click.UsageError("--tolerance and --every-sample are for Klipper")
+    strategy = compensation or profile.compensation.strategy
+    wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]
+    options = Options(
+        strategy,
+        tuple(dict.fromkeys(wanted)),
+        file_limits=limits == "file",
+        clamp=on_limit == "clamp",
+        tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
+    )
+    target = None if to_stdout else output or source
+    report = _converted(kind, source, target, profile, options, dry_run, quiet)
+    write_json(report.as_json(), json_file)
+    if not quiet:
+        click.echo(report.as_text(), err=True)
+
+
+def _converted(
+    kind: str, source: Path, target: Path | None, printer: Printer, options: Options, dry: bool,
+    quiet: bool,
+) -> Report:  # fmt: skip
+    """Runs the conversion from file to file."""
+    from hframe_post.conversion.report import Report
+
+    report = Report(options.strategy)
+    with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+        if dry:
+            run(kind, lines, printer, options, report)
+        else:
+            write(kind, lines, target, printer, options, report)
+    return report

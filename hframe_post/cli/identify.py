@@ -1,0 +1,214 @@
+"""``hframe-post identify``: a profile of one's own printer, from sweeps it has played."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from hframe_post.cli.options import STRATEGIES, json_option, printer_option, write_json
+
+if TYPE_CHECKING:
+    from hframe_post.identification.accelerometer import Recording
+    from hframe_post.identification.identify import Run
+    from hframe_post.identification.report import Chosen
+    from hframe_post.model.plant import Plant
+    from hframe_post.printer.settings import Printer
+
+FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+QUIET = 0.5  # s at the start of a recording in which only gravity is felt
+MODEL_ERROR = 0.05  # of the printers for which the window and λ are chosen
+DRAWS = 10
+
+
+def _columns(text: str) -> tuple[str, ...]:
+    """``time,x,y,z``: four names."""
+    names = tuple(name.strip() for name in text.split(","))
+    if len(names) != 4 or not all(names):
+        raise click.BadParameter(f"{text!r} is not four names, of time, x, y and z")
+    return names
+
+
+def _order(text: str) -> tuple[str, int]:
+    """``Gxx=4``: a transfer function and its order."""
+    name, _, number = text.partition("=")
+    if name not in ("Gxx", "Gyy", "Gxtheta") or not number.isdecimal() or not 0 < int(number) <= 20:
+        raise click.BadParameter(f"{text!r} is not such as Gxx=4, of Gxx, Gyy or Gxtheta")
+    return name, int(number)
+
+
+@click.command()
+@printer_option
+@click.option(
+    "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
+    help="A sweep that `sweep` wrote (.csv), and what the sensor on the nozzle recorded. "
+    "Once per run; x and y are both needed.",
+)  # fmt: skip
+@click.option(
+    "-b", "--bridge", type=(FILE, FILE, FILE), multiple=True, metavar="COMMAND P1 P2",
+    help="A sweep of x, and what sensors on the bridge's ends recorded: P1 at the greater x.",
+)  # fmt: skip
+@click.option(
+    "--bridge-length", "L_G", type=click.FloatRange(1.0), metavar="MM",
+    help="Distance of P1 and P2, needed with --bridge.",
+)  # fmt: skip
+@click.option(
+    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z.",
+)  # fmt: skip
+@click.option("--bridge-axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
+              help="The same of the sensors on the bridge.")  # fmt: skip
+@click.option(
+    "--columns", type=_columns, metavar="T,X,Y,Z",
+    help="Names of time and accelerations in recordings that Klipper did not write.",
+)  # fmt: skip
+@click.option("--unit", type=click.Choice(["mm/s2", "m/s2", "g"]), default="mm/s2",
+              show_default=True, help="Of those accelerations.")  # fmt: skip
+@click.option(
+    "--band", type=(float, float), default=(3.0, 100.0), show_default=True, metavar="HZ HZ",
+    help="Frequencies that the model must explain.",
+)  # fmt: skip
+@click.option("--estimator", type=click.Choice(["H1", "H2", "Hv"]), default="H1",
+              show_default=True, help="Of the frequency responses.")  # fmt: skip
+@click.option(
+    "--order", "orders", type=_order, multiple=True, metavar="NAME=N",
+    help="Poles of Gxx, Gyy or Gxtheta, where the choice is not to be left to the tool.",
+)  # fmt: skip
+@click.option("--x-c", type=float, metavar="MM",
+              help="Where racking does not move the nozzle, if no run tells.")  # fmt: skip
+@click.option(
+    "--figures", "folder", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
+    help="Draw what was measured and what the model makes of it (PNG and SVG); needs matplotlib.",
+)  # fmt: skip
+@json_option
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
+    help="Write the profile: that of -p with the plant, the window and λ found.",
+)  # fmt: skip
+def identify(
+    printer: str, nozzle: tuple[tuple[Path, Path], ...],
+    bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: str, bridge_axes: str,
+    columns: tuple[str, ...] | None, unit: str, band: tuple[float, float],
+    estimator: Literal["H1", "H2", "Hv"], orders: tuple[tuple[str, int], ...],
+    x_c: float | None, folder: Path | None, json_file: Path | None,
+    output: Path | None,
+) -> None:  # fmt: skip
+    """Identify a printer's own model from sweeps recorded by accelerometers.
+
+    One sensor on the nozzle is enough: runs of x at several places tell racking, too. Start
+    from a profile (-p) that has your printer's travel and limits. Nothing is written if a
+    recording cannot be trusted.
+    """
+    from hframe_post import plotting
+    from hframe_post.errors import IdentificationError
+    from hframe_post.identification import plots
+    from hframe_post.identification.identify import Settings
+    from hframe_post.identification.identify import identify as identification
+    from hframe_post.identification.report import IdentificationReport
+    from hframe_post.printer.edit import with_plant
+    from hframe_post.printer.profile import load
+    from hframe_post.writers.atomic_file import OutputFile
+
+    profile = load(printer)
+    if not nozzle:
+        raise click.UsageError("give at least one --nozzle run of x and one of y")
+    if bridge and L_G is None:
+        raise click.UsageError("--bridge needs --bridge-length")
+    if not 0.0 < band[0] < band[1] < 500.0:
+        raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
+    if folder is not None:
+        plotting.ready(folder)
+    reading = _Reading(axes, bridge_axes, columns, unit)
+    runs = [reading.nozzle(*files) for files in nozzle] + [
+        reading.bridge(*files) for files in bridge
+    ]
+    found = identification(runs, Settings(band, estimator, L_G, dict(orders)))
+    middle = sum(profile.travel.x) / 2.0
+    if folder is not None:
+        drawings = {
+            name: plots.identification(name, found.measured[name], fitted)
+            for name, fitted in found.fits.items()
+        }
+        plotting.save_all(drawings, folder)
+    plant = found.plant(middle if x_c is None else x_c)
+    chosen = None if found.useless else _chosen(plant, profile)
+    report = IdentificationReport(found, plant, chosen, reading.setup, reading.doubts)
+    write_json(report.as_json(), json_file)
+    click.echo(report.as_text(), err=str(json_file) == "-")
+    if chosen is None:
+        raise IdentificationError(
+            found.useless
+            or "no window and weight compensate this plant within the motors' limits; "
+            "see tune --help"
+        )
+    if output is not None:
+        text = with_plant(printer, plant, chosen.windows, report.origin())
+        with OutputFile(output, sys.stdout.buffer) as file:
+            file.write([text.encode()], lambda: 0.0)
+
+
+@dataclass
+class _Reading:
+    """How recordings are read, and what is told of them: for the profile, and to be doubted."""
+
+    axes: str
+    bridge_axes: str
+    columns: tuple[str, ...] | None
+    unit: str
+    setup: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+    def nozzle(self, command: Path, recording: Path) -> Run:
+        """A run of the nozzle's sensor."""
+        from hframe_post.identification import command_file
+        from hframe_post.identification.identify import Run
+
+        heard = self._recording(recording, self.axes)
+        return Run(recording.name, command_file.read(command), heard)
+
+    def bridge(self, command: Path, P1: Path, P2: Path) -> Run:
+        """A run of the bridge's sensors."""
+        from hframe_post.identification import command_file
+        from hframe_post.identification.identify import Run
+
+        ends = self._recording(P1, self.bridge_axes), self._recording(P2, self.bridge_axes)
+        return Run(f"{P1.name}, {P2.name}", command_file.read(command), None, ends)
+
+    def _recording(self, path: Path, axes: str) -> Recording:
+        from hframe_post.identification import accelerometer
+
+        read = accelerometer.read(path, self.columns, self.unit)
+        self.doubts += [f"{path.name}: {text}" for text in accelerometer.doubts(read, QUIET)]
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        self.setup.append(f"  {path.name}, axes {axes}, sha256 {digest}")
+        return accelerometer.oriented(read, axes, QUIET)
+
+
+def _chosen(plant: Plant, profile: Printer) -> Chosen | None:
+    """The window and λ for a plant, and what they will do; None within no limits."""
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.identification.report import Chosen
+    from hframe_post.studies.reference_path import rectangle
+    from hframe_post.studies.simulation import Study, simulate
+    from hframe_post.studies.simulation_report import SimulationReport
+    from hframe_post.studies.tuning import candidates, recommended, tune
+    from hframe_post.studies.uncertainty import draws
+
+    own = replace(profile, plant=plant, name="the printer that was found")
+    printers = draws(plant, MODEL_ERROR, DRAWS, seed=0)
+    best = recommended(
+        tune(rectangle(own), own, candidates(own.compensation), printers), own.motors
+    )
+    if best is None:
+        return None
+    x, y = best.windows
+    chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
+    own = replace(own, compensation=chosen)
+    predicted = SimulationReport("racking", plant=own.name)
+    options = Options("racking", STRATEGIES, clamp=True)
+    simulate(rectangle(own), own, options, Study(plant), predicted)
+    return Chosen(best.windows, predicted)

@@ -1,0 +1,92 @@
+"""The command line: the only place that opens files, prints and exits."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import click
+
+from hframe_post import __version__
+from hframe_post.cli.convert import convert
+from hframe_post.cli.identify import identify
+from hframe_post.cli.paper import paper
+from hframe_post.cli.simulate import simulate
+from hframe_post.cli.sweep import sweep
+from hframe_post.cli.tune import tune
+
+# One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
+# before numpy is imported, and the matrices are too small to gain from more.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+class _Commands(click.Group):
+    """What is no command's name belongs to ``convert``; errors become one line and status 1."""
+
+    def resolve_command(
+        self, context: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self.commands:
+            args = ["convert", *args]
+        return super().resolve_command(context, args)
+
+    def invoke(self, context: click.Context) -> Any:
+        from hframe_post.errors import HframeError
+
+        try:
+            return super().invoke(context)
+        except HframeError as error:
+            raise click.ClickException(str(error)) from None
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            raise click.ClickException(f"{where}{error.strerror or error}") from None
+
+
+@click.group(
+    cls=_Commands,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "ignore_unknown_options": True},
+)
+@click.version_option(__version__, prog_name="hframe-post")
+def main() -> None:
+    """Rewrites sliced G-code so that an H-frame (H-bot) printer does not rack or ring.
+
+    \b
+    hframe-post in.gcode -o out.gcode     convert a file
+    hframe-post in.gcode                  convert it in place (slicers' hook)
+    hframe-post convert --help            all options of it
+    """
+
+
+main.add_command(convert)
+main.add_command(simulate)
+main.add_command(paper)
+main.add_command(sweep)
+main.add_command(tune)
+main.add_command(identify)
+
+
+@main.group(invoke_without_command=True)
+@click.pass_context
+def printers(context: click.Context) -> None:
+    """List the shipped printer profiles."""
+    from hframe_post.printer.profile import load, shipped
+
+    if context.invoked_subcommand is None:
+        for name in shipped():
+            click.echo(f"{name:16s}{load(name).description}")
+
+
+@printers.command()
+@click.argument("name")
+def show(name: str) -> None:
+    """Print a profile as TOML, to start one's own from."""
+    from hframe_post.errors import PrinterError
+    from hframe_post.printer.profile import shipped
+
+    profiles = shipped()
+    if name not in profiles:
+        raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", source=name)
+    click.echo(profiles[name], nl=False)

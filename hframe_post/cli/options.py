@@ -1,0 +1,124 @@
+"""What commands share: options, the progress bar, JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from hframe_post.printer.settings import Printer
+
+STRATEGIES = ("racking", "fbs", "none")
+BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
+BAR_EVERY = 500  # lines between its steps
+
+printer_option = click.option(
+    "-p", "--printer", default="paper", show_default=True, metavar="NAME|FILE",
+    envvar="HFRAME_PRINTER", help="Profile: a shipped one's name, or a TOML file.",
+)  # fmt: skip
+
+limits_option = click.option(
+    "--limits", type=click.Choice(["file", "printer"]), default="file", show_default=True,
+    help="Whether M201, M203, M204, M205 and SET_VELOCITY_LIMIT in the file lower the "
+    "profile's limits.",
+)  # fmt: skip
+
+on_limit_option = click.option(
+    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
+    help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
+)  # fmt: skip
+
+seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.",
+)  # fmt: skip
+
+json_option = click.option(
+    "--json", "json_file", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
+    metavar="FILE", help="Write the summary as JSON; '-' for standard output.",
+)  # fmt: skip
+
+
+def write_json(summary: dict[str, Any], path: Path | None) -> None:
+    """The summary, indented, to a file or standard output; None: nowhere."""
+    if path is not None:
+        with click.open_file(str(path), "w", encoding="utf-8") as file:
+            file.write(json.dumps(summary, indent=2) + "\n")
+
+
+@contextmanager
+def progress(file: IO[bytes], source: Path, quiet: bool) -> Iterator[Iterable[bytes]]:
+    """The file's lines, with a bar on a terminal if there are many."""
+    size = source.stat().st_size if source.is_file() else 0
+    if quiet or size < BAR_FROM or not sys.stderr.isatty():
+        yield file
+        return
+    with click.progressbar(length=size, label=source.name, file=sys.stderr) as bar:
+
+        def lines() -> Iterator[bytes]:
+            read = 0
+            for number, line in enumerate(file):
+                read += len(line)
+                if number % BAR_EVERY == 0:
+                    bar.update(read)
+                    read = 0
+                yield line
+            bar.update(read)
+
+        yield lines()
+
+
+def share(text: str) -> float:
+    """A percentage, ``5%`` or ``0.05``, as a number."""
+    try:
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
+    return value
+
+
+def weight(text: str) -> float:
+    """A number from 0 to below ``LARGEST``."""
+    from hframe_post.printer.schema import LARGEST
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < LARGEST:
+        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
+    return value
+
+
+source_argument = click.argument(
+    "source", metavar="[IN.GCODE]", required=False,
+    type=click.Path(path_type=Path, allow_dash=True),
+)  # fmt: skip
+
+path_option = click.option(
+    "--path", type=click.Choice(["rectangle"]),
+    help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
+)  # fmt: skip
+
+
+@contextmanager
+def opened(
+    source: Path | None, path: str | None, printer: Printer, quiet: bool
+) -> Iterator[Iterable[bytes]]:
+    """The lines of the file or of the path."""
+    from hframe_post.studies.reference_path import rectangle
+
+    if (source is None) == (path is None):
+        raise click.UsageError("give either a file or --path")
+    if source is None:
+        yield rectangle(printer)
+    else:
+        with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+            yield lines

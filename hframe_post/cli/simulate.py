@@ -1,0 +1,81 @@
+"""``hframe-post simulate``: what would it do for this part, and how far to trust that."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hframe_post.cli.options import (
+    STRATEGIES,
+    json_option,
+    limits_option,
+    on_limit_option,
+    opened,
+    path_option,
+    printer_option,
+    seed_option,
+    share,
+    source_argument,
+    write_json,
+)
+
+
+@click.command()
+@source_argument
+@path_option
+@printer_option
+@limits_option
+@on_limit_option
+@click.option(
+    "--plant", "plant_file", metavar="NAME|FILE",
+    help="Profile whose [plant] is simulated, where it is not the one compensated for.",
+)  # fmt: skip
+@click.option(
+    "--model-error", "shares", type=share, multiple=True, metavar="PERCENT",
+    help="Also simulate printers whose frequencies, damping and racking gain are off by up to "
+    "so much. May be repeated.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
+    help="How many printers to draw for each model error.",
+)  # fmt: skip
+@seed_option
+@click.option("--steps", is_flag=True, help="Put the motors' steps between command and plant.")
+@click.option("--layers", is_flag=True, help="Show every layer, not the worst.")
+@json_option
+@click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
+def simulate(
+    source: Path | None, path: str | None, printer: str, limits: str, on_limit: str,
+    plant_file: str | None, shares: tuple[float, ...], draws: int, seed: int, steps: bool,
+    layers: bool, json_file: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Simulate a print with no compensation, without and with racking compensation.
+
+    Contour error is the distance of the nozzle to the slicer's path; tracking error is how far
+    it is from where it should be at that time. Nothing is written but the summary.
+    """
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.errors import PrinterError
+    from hframe_post.printer.profile import load
+    from hframe_post.studies.simulation import Study
+    from hframe_post.studies.simulation import simulate as simulation
+    from hframe_post.studies.simulation_report import SimulationReport
+    from hframe_post.studies.uncertainty import draws as drawn
+
+    profile = load(printer)
+    simulated = load(plant_file) if plant_file else profile
+    if steps and profile.steps is None:
+        raise PrinterError("the table is missing; --steps needs it", "steps", printer)
+    study = Study(
+        simulated.plant,
+        {share: drawn(simulated.plant, share, draws, seed) for share in dict.fromkeys(shares)},
+        profile.steps if steps else None,
+    )
+    options = Options("racking", STRATEGIES, limits == "file", on_limit == "clamp")
+    report = SimulationReport(options.strategy, plant=simulated.name, quantised=steps)
+    with opened(source, path, profile, quiet) as lines:
+        simulation(lines, profile, options, study, report)
+    write_json(report.as_json(), json_file)
+    if not quiet:
+        click.echo(report.as_text(layers), err=str(json_file) == "-")

@@ -1,0 +1,1 @@
+"""Samples to commands for the motors, settled at stops and safe."""

@@ -1,0 +1,1 @@
+"""What each firmware does with a stream, and the commands around it."""

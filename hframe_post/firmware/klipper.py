@@ -1,0 +1,198 @@
+"""What Klipper does with a stream: its ramps inside segments, its limits, its commands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.firmware import ramps
+from hframe_post.firmware.decimate import breakpoints
+from hframe_post.firmware.player import Beside, named, plain
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Firmware, Limits, Motors
+from hframe_post.stream.types import ModalState
+
+ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
+VELOCITY_HEADROOM = 1.1
+SQUARE_CORNER_VELOCITY = 100.0  # mm/s; corners are the stream's business
+
+
+@dataclass(frozen=True, slots=True)
+class StreamLimits:
+    """Klipper's limits while the stream runs; mm, s."""
+
+    velocity: float
+    acceleration: float
+    z_velocity: float
+    z_acceleration: float
+    extruder_velocity: float
+    extruder_acceleration: float
+    extruder_corner_velocity: float
+
+    @classmethod
+    def of(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
+        """High enough never to shape the stream, and no higher: they may be left behind."""
+        return cls(
+            VELOCITY_HEADROOM * kinematics.reach * motors.belt_velocity,
+            ACCEL_HEADROOM * kinematics.reach * motors.belt_acceleration,
+            limits.z_velocity,
+            limits.z_acceleration,
+            limits.extruder_velocity,
+            limits.extruder_acceleration,
+            limits.extruder_corner_velocity,
+        )
+
+
+def speeds(delta: Array, T: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
+    """Cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
+
+    delta (k, 4): x, y, z, e of each segment; rest (k + 1,): whether Klipper stands at each
+    end; before: speed of the segment that precedes.
+    """
+    d, a, _, caps = _shape(delta, rest, limits)
+    return ramps.speeds(d, T, a, caps, before)
+
+
+def durations(delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
+    """Time (k,) that Klipper takes for segments at cruise speeds v (k,); see ``speeds``."""
+    d, a, top, caps = _shape(delta, rest, limits)
+    return ramps.durations(d, np.minimum(v, top), a, caps, before)
+
+
+def _shape(delta: Array, rest: Flags, limits: StreamLimits) -> tuple[Array, Array, Array, Array]:
+    """Length, acceleration and greatest speed of each segment, and the caps at their ends.
+
+    z and retraction lower acceleration and speed.
+    """
+    d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+    with np.errstate(divide="ignore"):
+        per_z = d / np.abs(delta[:, Z])
+        per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
+    a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
+    top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
+    a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
+    return d, a, top, np.where(rest, 0.0, junctions(delta, d, a, limits))
+
+
+def junctions(delta: Array, d: Array, a: Array, limits: StreamLimits) -> Array:
+    """Greatest speed at the ends of the segments, (k + 1,); the outer two are free.
+
+    Klipper's square-corner formula, as in ``lookahead``, and its bound on the sudden change
+    of extrusion speed.
+    """
+    sin_half, cos_half = ramps.half_angles(delta[:, :E] / d[:, None])
+    deviation = (math.sqrt(2.0) - 1.0) * SQUARE_CORNER_VELOCITY**2 / limits.acceleration
+    v2 = ramps.rounded(sin_half, np.minimum(a[:-1], a[1:]), deviation)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fit = 0.5 * np.minimum(d[:-1] * a[:-1], d[1:] * a[1:]) * sin_half / cos_half
+        corner = limits.extruder_corner_velocity / np.abs(np.diff(delta[:, E] / d))
+    inner = np.fmin(np.sqrt(np.fmin(v2, fit)), corner)
+    return np.concatenate([[math.inf], inner, [math.inf]])
+
+
+@dataclass(frozen=True, slots=True)
+class Klipper:
+    """Klipper as a ``Player``.
+
+    tolerance: mm by which the decimated command may miss a sample; None keeps them all.
+    """
+
+    firmware: Firmware
+    limits: StreamLimits
+    tolerance: float | None = None
+
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+        """See ``Player``, as all of these."""
+        if self.firmware.begin_macro:
+            start = [self.firmware.begin_macro]
+        else:
+            limits = self.limits
+            start = [
+                "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+                _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
+            ]
+        return [line.encode() for line in ["M400", *start, "G90", "M83", *named(offset, at)]]
+
+    def end(self, state: ModalState, at: Array) -> list[bytes]:
+        """Macros, where the profile names them, stand for the limits."""
+        restore = self.firmware.restore
+        assert restore is not None
+        names = named(state.offset, at[:E] - state.offset)
+        if self.firmware.end_macro:
+            stop = [self.firmware.end_macro]
+        else:
+            stop = [
+                _limit(
+                    restore.velocity, restore.acceleration,
+                    restore.square_corner_velocity, restore.minimum_cruise_ratio,
+                )
+            ]  # fmt: skip
+            if restore.shaper_freq_x or restore.shaper_freq_y:
+                x, y = restore.shaper_freq_x, restore.shaper_freq_y
+                stop.append(
+                    f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
+                )
+        return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
+
+    def reassert(self, code: bytes) -> bytes:
+        """G90 means nothing to E."""
+        return {b"91": b"G90\n", b"82": b"M83\n"}.get(code, b"")
+
+    def fresh_filament(self) -> bytes:
+        """Klipper counts in doubles."""
+        return b""
+
+    def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
+        """Decimated to the tolerance."""
+        ends = np.arange(1, len(points))
+        if self.tolerance is not None:
+            ends = breakpoints(points, forced, self.tolerance)
+        return ends, points[ends]
+
+    def times(self, at: Array, T: Array) -> Array:
+        """All of it."""
+        return T
+
+    def speeds(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+        """Ramps in mind."""
+        return speeds(np.diff(at, axis=0), T, rest, before, self.limits)
+
+    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+        """Ramps and limits in mind."""
+        return durations(np.diff(at, axis=0), v, rest, before, self.limits)
+
+    def wait(self, seconds: float, beside: Beside) -> tuple[bytes, float] | None:
+        """G4, beside a lift even of no time.
+
+        Without it Klipper would round the corner between a lift and the motion next to it,
+        and be early.
+        """
+        if beside is Beside.MOTION and seconds < TS / 2.0:
+            return None
+        waited = max(round(seconds, 6), 0.0)
+        return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
+
+
+def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
+    """SET_VELOCITY_LIMIT with everything that it can set."""
+    values = {
+        "VELOCITY": velocity,
+        "ACCEL": acceleration,
+        "SQUARE_CORNER_VELOCITY": corner,
+        "MINIMUM_CRUISE_RATIO": cruise_ratio,
+    }
+    words = (f"{name}={plain(value, 6)}" for name, value in values.items())
+    return " ".join(["SET_VELOCITY_LIMIT", *words])
+
+
+def _modes(state: ModalState) -> list[str]:
+    """Commands that bring the firmware to the modes and the E that a file believes in."""
+    lines = [f"G1 F{plain(state.feed * 60.0, 1)}"]
+    if state.absolute_e:
+        lines += ["M82", f"G92 E{plain(state.e, 5)}"]
+    if not state.absolute:
+        lines.append("G91")
+    return lines

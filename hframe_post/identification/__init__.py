@@ -1,0 +1,1 @@
+"""A printer's own model from sweeps and accelerometers."""

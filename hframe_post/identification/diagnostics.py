@@ -1,0 +1,99 @@
+"""What an identified transfer function should be doubted for, in sentences for the user."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import TS
+from hframe_post.identification.frequency_response import FrequencyResponse
+from hframe_post.model.transfer_function import TransferFunction
+
+RINGING = 0.3  # damping below which a pair of poles is called a resonance
+CANCELS = 0.02  # share by which a pole and a zero that cancel change |G| near them
+UNEXPLAINED = 2.0  # residual over noise from which an order is too low
+COHERENT = 0.8
+SETTLED = 0.01  # of a command's lead over a zero, below which it may be cut off
+EARLIER = 0.1  # s of that lead that any window has to spare
+AT_BOUND = 0.01  # of the bounds' distance
+
+
+def of_data(response: FrequencyResponse) -> list[str]:
+    """Where the coherence is low: below, above or inside the frequencies that can be trusted."""
+    hz, poor = response.hz, response.coherence < COHERENT
+    if not poor.any():
+        return []
+    if poor.all():
+        return [f"the coherence is below {COHERENT:g} at every frequency"]
+    good = hz[~poor]
+    inside = hz[poor & (hz > good[0]) & (hz < good[-1])]
+    texts = [f"under {good[0]:.3g} Hz"] if poor[0] else []
+    texts += [f"over {good[-1]:.3g} Hz"] if poor[-1] else []
+    if len(inside):
+        texts.append(f"at {len(inside)} frequencies from {inside[0]:.3g} to {inside[-1]:.3g} Hz")
+    return [f"the coherence is below {COHERENT:g} {', '.join(texts)}: the fit is a guess there"]
+
+
+def of_roots(G: TransferFunction, band_hz: tuple[float, float]) -> list[str]:
+    """Resonances outside the measured band."""
+    texts = []
+    for p in G.poles[G.poles.imag > 0.0]:
+        hz, damping = natural(p)
+        if damping < RINGING and not band_hz[0] <= hz <= band_hz[1]:
+            texts.append(
+                f"a resonance at {hz:.3g} Hz (damping {damping:.2g}) lies outside the measured "
+                f"{band_hz[0]:g}–{band_hz[1]:g} Hz: it is a guess"
+            )
+    return texts
+
+
+def of_zeros(G: TransferFunction) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(notes, warnings) on zeros ζ outside the unit circle.
+
+    The group delay that they cost, beyond that of zeros mirrored into the circle, is
+    Σ (|ζ|² − 1) / |1 − ζ|² samples at rest. To cancel one the command must begin earlier, by
+    what decays as |ζ|^−k over k samples: any preview does for the zeros of sampling, which lie
+    far outside, and none does for one very near the circle.
+    """
+    outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
+    if not len(outside):
+        return (), ()
+    excess = float(((np.abs(outside) ** 2 - 1.0) / np.abs(1.0 - outside) ** 2).sum())
+    text = f"zeros outside the unit circle: {1e3 * TS * excess:.2g} ms of group delay"
+    earlier = float(TS * np.log(1.0 / SETTLED) / np.log(np.abs(outside).min()))
+    if earlier <= EARLIER:
+        return (f"{text}, which preview cancels",), ()
+    return (), (f"{text}; to cancel them commands must begin {1e3 * earlier:.0f} ms early",)
+
+
+def of_delay(delay: float, bounds: tuple[float, float]) -> list[str]:
+    """A delay (s) at its bound."""
+    low, high = bounds
+    if high > low and min(delay - low, high - delay) < AT_BOUND * (high - low):
+        return [
+            f"the delay of {1e3 * delay:.3g} ms is at its bound: the recording does not start "
+            "where it was thought to, or the order is wrong"
+        ]
+    return []
+
+
+def of_order(G: TransferFunction, over: float) -> list[str]:
+    """An order too low (residual ``over`` times the noise) or too high (roots that cancel)."""
+    texts = []
+    if over > UNEXPLAINED:
+        texts.append(
+            f"order {G.order} is too low, or the printer is not linear: the residual is "
+            f"{over:.1f} times what the noise explains"
+        )
+    for p in G.poles[G.poles.imag >= 0.0]:
+        distance = np.abs(G.zeros - p).min(initial=np.inf)
+        if distance < CANCELS * (1.0 - abs(p)):
+            texts.append(
+                f"order {G.order} is too high: a pole and a zero at {natural(p)[0]:.3g} Hz cancel"
+            )
+    return texts
+
+
+def natural(pole: complex) -> tuple[float, float]:
+    """Natural frequency (Hz) and damping ratio of a pole of z; that of a real one is 1."""
+    s = np.log(complex(pole) if pole else 1e-300) / TS
+    return float(abs(s) / (2.0 * np.pi)), float(-s.real / abs(s)) if s else 1.0

@@ -1,0 +1,1 @@
+"""The maths: transfer functions, the plant, filtered B-splines, kinematics, corners."""

@@ -1,0 +1,176 @@
+"""Limited-preview filtered B-splines (Appendix B), with the past carried exactly.
+
+==============  ===========================================================  ==========
+symbol          meaning                                                      source
+==============  ===========================================================  ==========
+``m, L``        degree; samples between knots                                eq. 37
+``n_C, n_up``   coefficients solved in a window, and those kept of them      App. B
+``L_C``         samples in a window, n_C·L                                   App. B
+``N_C, N_P``    splines that begin in the window, and before it              eq. 38
+``N_filtered``  the same through the plant, Ñ                                eq. 8
+``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
+``effort``      λ, weight on the command's second difference                 —
+``s``           all that a window knows of the past: (plant state, p_P)      —
+==============  ===========================================================  ==========
+
+The paper truncates the impulse response where it reaches back (the bar over N). Here the
+past enters as the plant's state and the last control points instead, which is exact, so
+one step of the recursion is a constant linear map of (s, window of x_d).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.model.recursion import Recursion
+from hframe_post.model.transfer_function import TransferFunction
+
+RANK_TOLERANCE = 1e-11  # smallest singular value, relative, of a window that can be solved
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Sizes and effort of the limited preview; see the symbol table above."""
+
+    L: int
+    n_C: int
+    n_up: int
+    effort: float
+    degree: int = 5
+
+    def __post_init__(self) -> None:
+        if self.L < 2 or self.degree < 2 or not 1 <= self.n_up <= self.n_C:
+            raise ValueError("a window needs L ≥ 2, degree ≥ 2 and 1 ≤ n_up ≤ n_C")
+        if not self.effort >= 0.0:
+            raise ValueError("effort must not be negative")
+
+    @property
+    def L_C(self) -> int:
+        """Samples that a window sees."""
+        return self.n_C * self.L
+
+    @property
+    def stride(self) -> int:
+        """Samples from one window to the next."""
+        return self.n_up * self.L
+
+
+def bsplines(knots: Array, degree: int, t: Array) -> Array:
+    """Basis functions N_{j,m}(t), (len(t), len(knots) − m − 1): the recursion of eq. 6.
+
+    Intervals are half open; the last one that is not empty is closed, so that the basis
+    sums to one up to and including the last knot.
+    """
+    lower, upper = knots[:-1], knots[1:]
+    N = ((t[:, None] >= lower) & (t[:, None] < upper)).astype(float)
+    N[t == knots[-1], np.flatnonzero(upper > lower)[-1]] = 1.0
+    for d in range(1, degree + 1):
+        rise, fall = knots[d:-1] - knots[: -d - 1], knots[d + 1 :] - knots[1:-d]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            up = np.where(rise > 0, (t[:, None] - knots[: -d - 1]) / rise, 0.0)
+            down = np.where(fall > 0, (knots[d + 1 :] - t[:, None]) / fall, 0.0)
+        N = up * N[:, :-1] + down * N[:, 1:]
+    return N
+
+
+def uniform_basis(L: int, degree: int) -> Array:
+    """The m + 1 splines alive between two knots at its L samples, oldest first, (L, m + 1)."""
+    knots = np.arange(-degree, degree + 2, dtype=float)
+    return bsplines(knots, degree, np.arange(L) / L)[:, : degree + 1]
+
+
+def window_splines(w: Window) -> tuple[Array, Array, Array, Array]:
+    """A window's splines and their second differences: N_P, N_C, D N_P, D N_C.
+
+    Shapes (L_C, m + 1) for the past ones, (L_C, n_C) for the current ones: eq. 38.
+    """
+    past = w.degree + 1
+    knots = w.L * np.arange(-past, w.n_C + w.degree + 1, dtype=float)
+    samples = np.arange(-2, w.L_C, dtype=float)
+    N = bsplines(knots, w.degree, samples)  # rows −2 and −1 are for the difference alone
+    D = np.diff(N, n=2, axis=0)
+    return N[2:, :past], N[2:, past:], D[:, :past], D[:, past:]
+
+
+class Lpfbs:
+    """The solver of one axis: x_d in, command x_dm out; the past s goes in and out with it.
+
+    Raises ValueError where the window cannot be solved or the recursion would diverge:
+    ``radius``, the spectral radius of one step's map of the past, must be below one.
+    """
+
+    def __init__(self, G: TransferFunction, window: Window) -> None:
+        self.window = window
+        self._basis = uniform_basis(window.L, window.degree)
+        K_target, K_past, step_target, step_past = _solve(G, window)
+        self._K_target, self._K_past = K_target[: window.n_up], K_past[: window.n_up]
+        self._step_target, self._recursion = step_target, Recursion(step_past)
+        self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
+        self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
+        if self.radius >= 1.0:
+            raise ValueError(
+                f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
+                f"n_C = {window.n_C}, n_up = {window.n_up}, effort = {window.effort:g}; "
+                "take a longer preview (larger n_C), wider knots (larger L) or more effort"
+            )
+
+    def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
+        """Command for whole windows, x_d ((W − 1)·stride + L_C,) → x_dm (W·stride,), and s.
+
+        The last L_C − stride samples of x_d are the preview and come again with the next
+        call. Both count from where the axis stood at rest when the stream began.
+        """
+        w = self.window
+        windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
+        X = np.ascontiguousarray(windows)
+        past, s = self._recursion.run(X @ self._step_target.T, s)
+        p = X @ self._K_target.T  # (W, n_up), eq. 39
+        p += past @ self._K_past.T
+        control = np.concatenate([past[0, -w.degree :], p.ravel()])
+        alive = np.lib.stride_tricks.sliding_window_view(control, w.degree + 1)
+        return (np.ascontiguousarray(alive) @ self._basis.T).ravel(), s
+
+
+def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
+    """Gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next one.
+
+    Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
+    difference: eq. 39 with the past exact and an effort penalty. Shapes (n_C, L_C),
+    (n_C, d + m + 1), (d + m + 1, L_C), (d + m + 1, d + m + 1).
+    """
+    N_P, N_C, D_P, D_C = window_splines(w)
+    lifted, O, _, _ = G.lifted(w.L_C)
+    N_C_filtered, N_P_filtered = lifted @ N_C, lifted @ N_P
+    weight = np.sqrt(w.effort)
+    normal = np.vstack([N_C_filtered, weight * D_C])
+    U, sigma, Vt = np.linalg.svd(normal, full_matrices=False)
+    if sigma[-1] <= RANK_TOLERANCE * sigma[0]:
+        raise ValueError(
+            f"the window is rank deficient: L = {w.L}, n_C = {w.n_C} leave control points "
+            "without influence on the window; take smaller n_C or larger effort"
+        )
+    pinv = (Vt.T / sigma) @ U.T
+    K_target = pinv[:, : w.L_C]
+    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_P]])
+    K_past = -pinv @ free
+    step_target, step_past = _step(G, w, N_P, N_C, K_target, K_past)
+    return K_target, K_past, step_target, step_past
+
+
+def _step(
+    G: TransferFunction, w: Window, N_P: Array, N_C: Array, K_target: Array, K_past: Array
+) -> tuple[Array, Array]:
+    """One step of s = (plant state z, p_P): s_next = step_target x_d + step_past s."""
+    d, past, T = G.order, w.degree + 1, w.stride
+    _, _, A_T, R = G.lifted(T)
+    reach_C, reach_P = R @ N_C[:T, : w.n_up], R @ N_P[:T]
+    kept_target, kept_past = K_target[: w.n_up], K_past[: w.n_up]
+    z_target = reach_C @ kept_target
+    z_past = reach_C @ kept_past + np.hstack([A_T, reach_P])
+    points_target = np.vstack([np.zeros((past, w.L_C)), kept_target])[-past:]
+    old = np.hstack([np.zeros((past, d)), np.eye(past)])
+    points_past = np.vstack([old, kept_past])[-past:]
+    return np.vstack([z_target, points_target]), np.vstack([z_past, points_past])

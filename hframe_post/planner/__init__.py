@@ -1,0 +1,1 @@
+"""Moves to a jerk-limited trajectory, sampled every millisecond."""

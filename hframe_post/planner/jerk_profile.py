@@ -1,0 +1,128 @@
+"""Jerk-limited profiles of speed along the runs of a path: the one door to Ruckig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
+
+from hframe_post.arrays import Array, Flags
+from hframe_post.errors import HframeError
+from hframe_post.stream.types import Plan
+
+ALMOST = 0.999  # share of a limit that counts as all of it
+DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Phases:
+    """Constant jerk each: start time, duration, and path length, speed, acceleration, jerk."""
+
+    time: Array
+    duration: Array
+    s: Array
+    v: Array
+    a: Array
+    j: Array
+
+    def path(self, t: Array) -> Array:
+        """Path length at times ``t``, ascending; between phases the last one's end holds."""
+        phase = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, None)
+        dt = np.minimum(t - self.time[phase], self.duration[phase])
+        cubic = self.a[phase] / 2.0 + dt * self.j[phase] / 6.0
+        return self.s[phase] + dt * (self.v[phase] + dt * cubic)
+
+
+class Profiler:
+    """Profiles of runs: closed form where nothing is to choose, Ruckig elsewhere."""
+
+    def __init__(self) -> None:
+        self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
+        self._input.current_position = [0.0]
+        self._input.current_acceleration = [0.0]
+        self._input.target_acceleration = [0.0]
+
+    def profiles(self, plan: Plan, jerk: float) -> tuple[Array, Array]:
+        """Durations and jerks of the seven phases of every run, both (r, 7).
+
+        Runs that leave no choice (one speed, or all of the length needed to change it) are
+        written down at once; close to that edge Ruckig's arithmetic fails or overshoots.
+        Raises HframeError where no profile fits.
+        """
+        length = np.diff(plan.s[plan.ends])
+        v0, v1 = plan.speed[:-1], plan.speed[1:]
+        t, j, acceleration = ramps(v0, v1, length, jerk)
+        one_speed = (v0 == v1) & (v0 >= ALMOST * plan.cruise)
+        forced = one_speed | (acceleration >= ALMOST * plan.acceleration)
+        self._input.max_jerk = [jerk]
+        columns = np.stack([v0, v1, length, plan.cruise, plan.acceleration], axis=1)
+        free = np.flatnonzero(~forced)
+        solved = [self._solve(*row) for row in columns[free].tolist()]
+        chosen_t, chosen_j = t.copy(), j.copy()
+        if solved:
+            chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
+        wrong = _misses(chosen_t, chosen_j, v0, length)
+        chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
+        wrong = _misses(chosen_t, chosen_j, v0, length)
+        if wrong.any():
+            line = plan.line[plan.ends[int(np.argmax(wrong))]]
+            raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
+        return chosen_t, chosen_j
+
+    def _solve(
+        self, v0: float, v1: float, length: float, cruise: float, acceleration: float
+    ) -> tuple[list[float], list[float]]:
+        given = self._input
+        given.current_velocity, given.target_velocity = [v0], [v1]
+        given.target_position = [length]
+        given.max_velocity, given.max_acceleration = [cruise], [acceleration]
+        try:
+            self._ruckig.calculate(given, self._trajectory)
+        except RuckigError:
+            return [0.0] * 7, [0.0] * 7
+        profile = self._trajectory.profiles[0][0]
+        return profile.t, profile.j
+
+
+def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
+    """One change of speed along the whole of each length, with the least acceleration.
+
+    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
+    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
+    """
+    change = v1 - v0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        T = 2.0 * length / (v0 + v1)
+        root = np.sqrt(np.maximum(T * T - 4.0 * np.abs(change) / jerk, 0.0))
+        a = 2.0 * np.abs(change) / (T + root)
+        ramp = a / jerk
+        t = np.zeros((len(v0), 7))
+        t[:, 0] = t[:, 2] = ramp
+        t[:, 1] = np.where(np.isfinite(T), T - 2.0 * ramp, 0.0)
+    j = np.zeros((len(v0), 7))
+    j[:, 0] = np.copysign(jerk, change)
+    j[:, 2] = -j[:, 0]
+    return t, j, a
+
+
+def integrated(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
+    """Acceleration and speed at the start of each phase, and path along it; all (r, 7)."""
+    da = j * t
+    a = before_each(np.cumsum(da, axis=1))
+    v = v0[:, None] + before_each(np.cumsum(t * (a + da / 2.0), axis=1))
+    return a, v, t * (v + t * (a / 2.0 + da / 6.0))
+
+
+def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
+    """Runs whose profile goes backwards or does not end at their length, (r,)."""
+    _, v, steps = integrated(t, j, v0)
+    misses = np.abs(steps.sum(axis=1) - length) > DRIFT
+    return np.asarray(misses | (v.min(axis=1) < -DRIFT))
+
+
+def before_each(cumulative: Array) -> Array:
+    """A cumulative sum along the rows as it stands before each term."""
+    shifted = np.zeros_like(cumulative)
+    shifted[:, 1:] = cumulative[:, :-1]
+    return shifted

@@ -1,0 +1,278 @@
+r"""Moves → runs with settled speeds: look-ahead over the whole queue at once.
+
+       cruise     ______________
+                 /              \            _________
+     speed      /                \__________/         \
+               /        run       |   run    |   run   \
+              0                junction   feed change   0     → path length
+
+Rules:
+ 1. No vertex is passed faster than its junction allows, none at a stop is passed at all.
+ 2. Speeds are taken back until braking and speeding up both fit: first at constant
+    acceleration, where v² is linear in path length, then with the limit on jerk.
+ 3. A vertex that limits nothing does not end a run: the planner's jerk-limited profile
+    passes it at whatever speed and acceleration it has there.
+ 4. A speed is final when a stop and full speed at the queue's end both give it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.printer.settings import Limits
+from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
+
+BATCH = 4096  # moves planned at once; more only where none of them is final
+LONGEST_QUEUE = 16 * BATCH
+FEASIBLE = (
+    1.0 - 1e-6
+)  # share of acceleration and jerk planned with; the rest keeps Ruckig off its edge
+PLATEAU = 256  # moves
+ROUNDING = 1e-15  # of a sum of v² + 2as, relative
+STEEP = 1.0  # rise over run above which a move starts and ends at rest
+BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
+CREEP = 0.01  # mm/s; a junction that allows less is a stop
+Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
+
+
+def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
+    """Settles the speeds of a stream of items. What must happen at rest follows a stop."""
+    queue = _Queue(limits)
+    for item in items:
+        if isinstance(item, Moves):
+            queue.append(item)
+            while (ready := queue.settled()) is not None:
+                yield ready
+        elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
+            queue.mark(item.text)
+        else:
+            yield from queue.stop()
+            yield item
+    yield from queue.stop()
+
+
+class _Queue:
+    """Moves that are not planned yet, and the speed at which they begin."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._moves: list[_Limited] = []
+        self._marks: list[Mark] = []
+        self._speed = 0.0
+        self._want = BATCH
+        self.count = 0
+
+    def append(self, moves: Moves) -> None:
+        self._marks += [Mark(mark.index + self.count, mark.text) for mark in moves.marks]
+        self._moves.append(_limited(moves, self._limits))
+        self.count += len(moves.line)
+
+    def mark(self, text: bytes) -> None:
+        self._marks.append(Mark(self.count, text))
+
+    def settled(self) -> Plan | None:
+        """The part of the first ``_want`` moves that is final; None if more must be known."""
+        while self.count >= self._want:
+            moves = _joined(self._moves)
+            batch = moves.part(0, self._want)
+            caps = _junction_speeds(batch, self._limits)
+            caps[0] = self._speed
+            stopping = _runs(batch, caps, self._limits.jerk, 0.0)
+            rolling = _runs(batch, caps, self._limits.jerk, float(caps[-1]))
+            final = _agreement(stopping, rolling)
+            if final or self._want >= LONGEST_QUEUE:
+                ends, speed = stopping
+                cut = final or len(ends) // 2
+                self._moves = [moves.part(int(ends[cut]), len(moves.line))]
+                self._want = BATCH
+                return self._take(batch, ends[: cut + 1], speed[: cut + 1])
+            self._want *= 2
+        return None
+
+    def stop(self) -> Iterator[Plan]:
+        """All that is queued, ending at rest."""
+        if self.count:
+            moves = _joined(self._moves)
+            caps = _junction_speeds(moves, self._limits)
+            caps[0] = self._speed
+            ends, speed = _runs(moves, caps, self._limits.jerk, 0.0)
+            self._moves, self._want = [], BATCH
+            yield self._take(moves, ends, speed)
+
+    def _take(self, moves: _Limited, ends: Integers, speed: Array) -> Plan:
+        """A plan of the moves up to the last of ``ends``; the queue begins there."""
+        n = int(ends[-1])
+        whole = n == self.count
+        marks = tuple(mark for mark in self._marks if mark.index < n or whole)
+        self._marks = [Mark(m.index - n, m.text) for m in self._marks[len(marks) :]]
+        self._speed = float(speed[-1])
+        self.count -= n
+        first = ends[:-1]
+        return Plan(
+            moves.line[:n], moves.points[: n + 1], moves.s[: n + 1], ends, speed,
+            moves.cruise[first], moves.acceleration[first], marks,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Limited:
+    """Moves with their own limits: cruise, acceleration (n,), deviation of junctions (n,)."""
+
+    line: Integers
+    points: Array
+    length: Array
+    cruise: Array
+    acceleration: Array
+    deviation: Array
+
+    @property
+    def s(self) -> Array:
+        """Path length at the vertices, (n + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def part(self, start: int, stop: int) -> _Limited:
+        """Moves start … stop − 1."""
+        per_move = (self.length, self.cruise, self.acceleration, self.deviation)
+        cut = (column[start:stop] for column in per_move)
+        return _Limited(self.line[start:stop], self.points[start : stop + 1], *cut)
+
+
+def _joined(parts: list[_Limited]) -> _Limited:
+    if len(parts) == 1:
+        return parts[0]
+    points = [parts[0].points, *(p.points[1:] for p in parts[1:])]
+    columns = ("length", "cruise", "acceleration", "deviation")
+    return _Limited(
+        np.concatenate([p.line for p in parts]),
+        np.concatenate(points),
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in columns),
+    )
+
+
+def _limited(moves: Moves, limits: Limits) -> _Limited:
+    """The printer's limits on each move, lowered by what the file asks."""
+    delta = np.diff(moves.points, axis=0)
+    length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+    share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
+    cruise = np.minimum(moves.speed, limits.velocity)
+    acceleration = np.minimum(moves.acceleration, limits.acceleration)
+    retracting = np.where(delta[:, E] < 0.0, share[:, E], 0.0)
+    with np.errstate(divide="ignore"):
+        for axis, asked in enumerate(moves.limits.velocity):
+            if math.isfinite(asked):
+                cruise = np.minimum(cruise, asked / share[:, axis])
+        for axis, asked in enumerate(moves.limits.acceleration):
+            if math.isfinite(asked):
+                acceleration = np.minimum(acceleration, asked / share[:, axis])
+        cruise = np.minimum(cruise, limits.z_velocity / share[:, Z])
+        cruise = np.minimum(cruise, limits.extruder_velocity / retracting)
+        by_z = Z_SHARE * limits.z_acceleration / share[:, Z]
+        by_e = Z_SHARE * limits.extruder_acceleration / retracting
+    acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
+    corner = np.minimum(moves.corner, limits.square_corner_velocity)
+    deviation = (math.sqrt(2.0) - 1.0) * np.square(corner) / acceleration
+    deviation = np.minimum(deviation, limits.junction_deviation)
+    return _Limited(moves.line, moves.points, length, cruise, acceleration, deviation)
+
+
+def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
+    """Greatest speed at each vertex, (n + 1,), as Klipper has it; the ends are free.
+
+    v² ≤ R·deviation·a with R = sin(θ/2)/(1 − sin(θ/2)), θ between the two moves (180° is
+    straight on), and v² ≤ ½·length·a·tan(θ/2): the arc of the corner must fit the moves.
+    """
+    delta = np.diff(moves.points, axis=0)
+    unit = delta[:, :E] / moves.length[:, None]
+    extrusion = delta[:, E] / moves.length
+    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
+    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
+    turn = moves.deviation * moves.acceleration
+    fit = 0.5 * moves.length * moves.acceleration
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
+        v2 = np.fmin(v2, np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half)
+        corner = limits.extruder_corner_velocity / np.abs(np.diff(extrusion))
+    inner = np.fmin(np.sqrt(v2), corner)
+    steep = np.abs(delta[:, Z]) > STEEP * np.hypot(delta[:, 0], delta[:, 1])
+    inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0
+    cruise = BELOW_CRUISE * moves.cruise
+    inner = np.minimum(inner, np.minimum(cruise[:-1], cruise[1:]))
+    return np.concatenate([cruise[:1], inner, cruise[-1:]])
+
+
+def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integers, Array]:
+    """Vertices that end runs, and the speeds there; the last vertex is passed at ``last``."""
+    caps2 = np.square(caps)
+    caps2[-1] = last * last
+    a = FEASIBLE * moves.acceleration
+    reach2 = np.concatenate([[0.0], np.cumsum(2.0 * a * moves.length)])
+    braking = np.minimum.accumulate((caps2 + reach2)[::-1])[::-1] - reach2
+    v2 = np.minimum.accumulate(np.minimum(braking, caps2) - reach2) + reach2
+    v2 = np.clip(v2, 0.0, caps2)
+    v2[0] = caps2[0]
+    rounding = ROUNDING * reach2[-1]  # of v2, whatever its size
+    ends = np.flatnonzero(_limiting(moves, caps, v2 >= (1.0 - 1e-6) * caps2 - rounding))
+    s = moves.s[ends]
+    speed = np.sqrt(v2[ends])
+    length, acceleration, j = np.diff(s), a[ends[:-1]], FEASIBLE * jerk
+    _take_back(speed[::-1], length[::-1], acceleration[::-1], j)
+    speed[0] = caps[0]  # settled before, with the share of FEASIBLE to spare
+    _take_back(speed, length, acceleration, j)
+    return ends, speed
+
+
+def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
+    """Rule 3: the vertices at which a run must end, of those whose cap is ``reached``.
+
+    So that a long way at cruise speed becomes final piece by piece, it ends runs too, at
+    every PLATEAU-th vertex.
+    """
+    limiting = np.ones(len(caps), dtype=bool)
+    cruise, a = moves.cruise, moves.acceleration
+    slowed = caps[1:-1] < (1.0 - 2e-4) * np.minimum(cruise[:-1], cruise[1:])
+    slowed[PLATEAU - 1 :: PLATEAU] = True
+    change = (cruise[:-1] != cruise[1:]) | (a[:-1] != a[1:])
+    limiting[1:-1] = (slowed & reached[1:-1]) | change
+    return limiting
+
+
+def _take_back(speed: Array, length: Array, acceleration: Array, jerk: float) -> None:
+    """Lowers speed[i + 1] to what can be reached from speed[i], along the whole chain."""
+    active = np.arange(len(length))
+    while len(active):
+        top = reach(speed[active], length[active], acceleration[active], jerk)
+        lower = top < speed[active + 1]
+        active, top = active[lower] + 1, top[lower]
+        speed[active] = top
+        active = active[active < len(length)]
+
+
+def reach(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
+    """Greatest speed reached from ``v0`` within ``length``, from zero to zero acceleration.
+
+    Speeding up by Δ takes T = Δ/a + a/j, or 2√(Δ/j) where Δ < a²/j, over (v0 + Δ/2)·T.
+    All (n,), mm and s.
+    """
+    a, j = acceleration, jerk
+    # full acceleration: Δ²/2a + Δ(v0/a + a/2j) + v0·a/j − length = 0
+    b = v0 / a + a / (2.0 * j)
+    c = length - v0 * a / j
+    full = a * (np.sqrt(np.maximum(b * b + 2.0 * c / a, 0.0)) - b)
+    # never at full acceleration: u³ + 2·v0·u − length·√j = 0 with u = √Δ
+    q = length * math.sqrt(j)
+    p = np.maximum(2.0 * v0, 1e-12)
+    r = np.sqrt(p / 3.0)
+    u = 2.0 * r * np.sinh(np.arcsinh(1.5 * q / (p * r)) / 3.0)
+    return v0 + np.where(full >= a * a / j, full, np.minimum(u * u, a * a / j))
+
+
+def _agreement(one: tuple[Integers, Array], other: tuple[Integers, Array]) -> int:
+    """Index of the last run's end up to which two plans are the same; 0 for none."""
+    n = min(len(one[0]), len(other[0]))
+    same = (one[0][:n] == other[0][:n]) & (one[1][:n] == other[1][:n])
+    return int(np.argmin(same)) - 1 if not same.all() else n - 1

@@ -1,0 +1,70 @@
+"""Canvas and style of every figure, PNG and SVG: the one door to matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hframe_post.arrays import Array, Complex
+from hframe_post.errors import HframeError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = {"none": "#888888", "fbs": "#c05020", "racking": "#2060a0"}
+DPI = 110
+TINY = 1e-12  # magnitude that is as good as none
+STYLE = {
+    "font.size": 9.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "svg.hashsalt": "hframe-post",  # equal drawings give equal files
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.5,
+}
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a .png or .svg without what changes from run to run."""
+    volatile = ("Date", "Creator") if path.suffix == ".svg" else ("Software",)
+    figure.savefig(path, dpi=DPI, metadata=dict.fromkeys(volatile))
+
+
+def ready(folder: Path) -> None:
+    """Makes the folder, and raises HframeError before any work if matplotlib is missing."""
+    canvas(1, 1, (1.0, 1.0))
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def save_all(drawings: Mapping[str, Figure], folder: Path) -> None:
+    """Each as PNG and SVG under its name."""
+    for name, drawing in drawings.items():
+        for kind in ("png", "svg"):
+            save(drawing, folder / f"{name}.{kind}")
+
+
+def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:
+    """A figure with its axes. Raises HframeError without matplotlib."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise HframeError("drawing needs matplotlib: pip install 'hframe-post[plot]'") from None
+    style: Any = matplotlib.rcParams
+    style.update(STYLE)
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def decibel(H: Complex) -> Array:
+    """Magnitude of ``H`` in dB."""
+    decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), TINY))
+    return decibel
+
+
+def degrees(H: Complex) -> Array:
+    """Phase of ``H`` in degrees, unwrapped."""
+    return np.degrees(np.unwrap(np.angle(H)))

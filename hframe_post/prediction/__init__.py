@@ -1,0 +1,1 @@
+"""Where the nozzle goes, how far off the path, and the figures of that."""

@@ -1,0 +1,103 @@
+"""Figures that run along with a stream: for the whole of it, by layer and by feature.
+
+Nothing here grows with the length of the print: sums, peaks and histograms with fine
+logarithmic bins, one set a layer and feature.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hframe_post.arrays import TS, Array
+from hframe_post.model.kinematics import Kinematics
+
+BINS_PER_E = 100  # bins of 1 % for the percentiles
+BINS = 22 * BINS_PER_E  # up to 0.3 m
+SMALLEST = 1e-7  # mm; errors below share the first bin
+DECIMALS = 4
+
+
+@dataclass
+class ErrorStatistics:
+    """RMS, percentiles and peak of a stream of errors (mm)."""
+
+    count: int = 0
+    squares: float = 0.0
+    peak: float = 0.0
+    histogram: NDArray[np.int32] = field(default_factory=lambda: np.zeros(BINS, np.int32))
+
+    def add(self, errors: Array) -> None:
+        """Takes the next errors, (n,), none negative."""
+        if len(errors):
+            self.count += len(errors)
+            self.squares += float(errors @ errors)
+            self.peak = max(self.peak, float(errors.max()))
+            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
+            top = len(self.histogram) - 1
+            self.histogram += np.bincount(np.minimum(bins.astype(np.int64), top), minlength=top + 1)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square, mm."""
+        return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
+
+    def percentile(self, share: float) -> float:
+        """The error (mm) that ``share`` of all stay below, to 1 %."""
+        if not self.count:
+            return 0.0
+        k = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
+        return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
+
+    def micrometres(self) -> dict[str, float]:
+        """RMS, 95th percentile and peak in µm."""
+        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
+        return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
+
+
+@dataclass
+class Figures:
+    """One strategy in one part of the print.
+
+    tracking: sum of squares of x and y off the desired place at the same time, mm².
+    velocity, acceleration: greatest of any belt, mm/s, mm/s².
+    """
+
+    contour: ErrorStatistics = field(default_factory=ErrorStatistics)
+    tracking: Array = field(default_factory=lambda: np.zeros(2))
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+    def add_errors(self, contour: Array, tracking: Array) -> None:
+        """Takes contour errors (n,) and tracking errors (n, 2)."""
+        self.contour.add(contour)
+        self.tracking += np.square(tracking).sum(axis=0)
+
+    def add_rates(self, velocity: Array, acceleration: Array) -> None:
+        """Takes speeds and accelerations of the faster belt, (n,) each."""
+        self.velocity = max(self.velocity, float(velocity.max(initial=0.0)))
+        self.acceleration = max(self.acceleration, float(acceleration.max(initial=0.0)))
+
+    def tracking_rms(self) -> Array:
+        """Root mean square of the tracking error in x and y, (2,), mm."""
+        return np.sqrt(self.tracking / max(self.contour.count, 1))
+
+    def as_json(self) -> dict[str, Any]:
+        """Lengths in µm, belts in mm/s and mm/s²."""
+        x, y = (self.tracking_rms() * 1e3).tolist()
+        return {
+            "contour_error_um": self.contour.micrometres(),
+            "tracking_error_um": {"x": round(x, DECIMALS), "y": round(y, DECIMALS)},
+            "peak_belt_speed": round(self.velocity, 3),
+            "peak_belt_acceleration": round(self.acceleration, 1),
+        }
+
+
+def belt_rates(command: Array, kinematics: Kinematics) -> tuple[Array, Array]:
+    """Speed and acceleration (n,) of the faster belt under a command (2 + n, 2), mm, s."""
+    position = kinematics.belts(*command.T)
+    velocity, acceleration = (np.abs(np.diff(position, n=n)).max(axis=0) / TS**n for n in (1, 2))
+    return velocity[1:], acceleration

@@ -1,0 +1,1 @@
+"""Printer profiles: what they say, how they are checked, loaded and edited."""

@@ -1,0 +1,213 @@
+"""Printer profiles: TOML → frozen dataclasses, checked whole on load."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hframe_post.arrays import TS
+from hframe_post.errors import PrinterError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer.schema import (
+    checked,
+    checked_value,
+    known_keys,
+    roots,
+)
+from hframe_post.printer.settings import (
+    Compensation,
+    Firmware,
+    Limits,
+    MarlinRestore,
+    Motors,
+    Printer,
+    Restore,
+    Steps,
+    Sweep,
+    Travel,
+)
+
+
+def shipped() -> dict[str, str]:
+    """Name → TOML text of the profiles that come with the package."""
+    folder = resources.files(__package__) / "profiles"
+    found = (f for f in folder.iterdir() if f.name.endswith(".toml"))
+    return {f.name.removesuffix(".toml"): f.read_text("utf-8") for f in sorted(found, key=str)}
+
+
+def load(name_or_path: str) -> Printer:
+    """The shipped profile of that name, or the one in that file. Raises PrinterError."""
+    profiles = shipped()
+    if name_or_path in profiles:
+        return parse(profiles[name_or_path], name_or_path)
+    path = Path(name_or_path)
+    if not path.is_file():
+        known = ", ".join(profiles)
+        raise PrinterError(f"no such profile or file; shipped are: {known}", source=name_or_path)
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PrinterError(f"cannot be read: {error}", source=name_or_path) from None
+    return parse(text, path.stem, str(path))
+
+
+def parse(text: str, name: str, source: str = "") -> Printer:
+    """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
+    source = source or name
+    try:
+        document = _extended(tomllib.loads(text))
+        digest = hashlib.sha256(repr(document).encode()).hexdigest()[:12]
+        return _printer(document, name, digest)
+    except tomllib.TOMLDecodeError as error:
+        raise PrinterError(f"not valid TOML: {error}", source=source) from None
+    except PrinterError as error:
+        raise PrinterError(error.cause, error.key, source) from None
+
+
+def _extended(document: dict[str, Any]) -> dict[str, Any]:
+    """The document on top of the shipped profile that it extends, if any."""
+    if "extends" not in document:
+        return document
+    base, profiles = document["extends"], shipped()
+    if not isinstance(base, str) or base not in profiles:
+        raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", "extends")
+    own = {key: value for key, value in document.items() if key != "extends"}
+    return _merged(_extended(tomllib.loads(profiles[base])), own)
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """``own`` over ``base``, table by table; a transfer function is replaced whole."""
+    merged = dict(base)
+    for key, value in own.items():
+        tables = isinstance(value, dict) and isinstance(base.get(key), dict)
+        whole = not tables or key in ("Gxx", "Gyy", "Gxtheta")
+        merged[key] = value if whole else _merged(base[key], value)
+    return merged
+
+
+def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+    needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
+    optional = ("kinematics", "steps", "sweep")
+    known_keys(document, ("description", *optional, *needed), "")
+    for section in (*needed, *(name for name in optional if name in document)):
+        if not isinstance(document.get(section), dict):
+            raise PrinterError("the table is missing", section)
+    description = document.get("description", "")
+    if not isinstance(description, str):
+        raise PrinterError("must be text", "description")
+    compensation = checked(Compensation, document["compensation"], "compensation")
+    try:
+        _ = compensation.windows
+    except ValueError as error:
+        raise PrinterError(str(error), "compensation") from None
+    try:
+        sweep = checked(Sweep, document.get("sweep", {}), "sweep")
+    except ValueError as error:
+        raise PrinterError(str(error), "sweep") from None
+    kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
+    plant = _plant(document["plant"])
+    if plant.Gxtheta is not None and not kinematics.racks:
+        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
+        raise PrinterError(cause, "plant.Gxtheta")
+    printer = Printer(
+        name,
+        description,
+        checked(Travel, document["travel"], "travel"),
+        checked(Limits, document["limits"], "limits"),
+        kinematics,
+        checked(Motors, document["motors"], "motors"),
+        checked(Steps, document["steps"], "steps") if "steps" in document else None,
+        compensation,
+        _firmware(document["firmware"]),
+        plant,
+        sweep,
+        digest,
+    )
+    _check_dialect(printer)
+    return printer
+
+
+def _firmware(table: dict[str, Any]) -> Firmware:
+    tables = dict(table)
+    for name, kind in (("restore", Restore), ("marlin", MarlinRestore)):
+        if name in tables:
+            if not isinstance(tables[name], dict):
+                raise PrinterError("the table is missing", f"firmware.{name}")
+            tables[name] = checked(kind, tables[name], f"firmware.{name}")
+    marlin = tables.get("marlin")
+    if isinstance(marlin, MarlinRestore):
+        jerks = (*marlin.jerk, marlin.jerk_e)
+        if any(jerks) != all(jerks) or any(jerks) == bool(marlin.junction_deviation):
+            cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
+            raise PrinterError(cause, "firmware.marlin.junction_deviation")
+    return checked(Firmware, tables, "firmware")
+
+
+def played_by(printer: Printer, dialect: str) -> Printer:
+    """The printer with another firmware. Raises PrinterError if the profile does not know it."""
+    if dialect == printer.firmware.dialect:
+        return printer
+    firmware = replace(printer.firmware, dialect=dialect)
+    other = replace(printer, firmware=firmware, digest=f"{printer.digest} {dialect}")
+    try:
+        _check_dialect(other)
+    except PrinterError as error:
+        raise PrinterError(error.cause, error.key, printer.name) from None
+    return other
+
+
+def _check_dialect(printer: Printer) -> None:
+    """Raises PrinterError where a table is missing that the dialect needs."""
+    firmware = printer.firmware
+    if firmware.dialect == "klipper" and firmware.restore is None:
+        raise PrinterError("the table is missing: Klipper's own limits", "firmware.restore")
+    if firmware.dialect == "marlin" and firmware.marlin is None:
+        raise PrinterError("the table is missing: Marlin's own settings", "firmware.marlin")
+    if firmware.dialect == "marlin" and printer.steps is None:
+        raise PrinterError("the table is missing: Marlin needs whole steps", "steps")
+
+
+def _plant(table: dict[str, Any]) -> Plant:
+    known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
+    for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
+        if key not in table:
+            raise PrinterError("the key is missing", f"plant.{key}")
+    if table["Ts"] != TS:
+        raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
+    functions: dict[str, TransferFunction] = {
+        key: _transfer_function(table[key], f"plant.{key}")
+        for key in ("Gxx", "Gyy", "Gxtheta")
+        if key in table
+    }
+    for key in ("Gxx", "Gyy"):
+        if abs(functions[key].dc_gain - 1.0) > 1e-4:
+            gain = functions[key].dc_gain
+            raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
+    racking = functions.get("Gxtheta")
+    if racking is not None and abs(racking.dc_gain) > 1e-9:
+        raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
+    if racking is not None and racking.gain == 0.0:
+        racking = None
+    x_c = checked_value(float, table.get("x_c", 0.0), {}, "plant.x_c")
+    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
+
+
+def _transfer_function(table: Any, key: str) -> TransferFunction:
+    if not isinstance(table, dict):
+        raise PrinterError("must be a table of zeros, poles and gain", key)
+    known_keys(table, ("zeros", "poles", "gain"), key)
+    for name in ("zeros", "poles", "gain"):
+        if name not in table:
+            raise PrinterError("the key is missing", f"{key}.{name}")
+    zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
+    gain = checked_value(float, table["gain"], {}, f"{key}.gain")
+    try:
+        return TransferFunction(zeros, poles, gain)
+    except ValueError as error:
+        raise PrinterError(str(error), key) from None

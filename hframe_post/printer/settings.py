@@ -1,0 +1,206 @@
+"""What a profile says: frozen dataclasses, each a table of it. Lengths mm, times s."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.printer.schema import (
+    not_negative,
+    positive,
+)
+
+STRATEGIES = ("racking", "fbs", "none")
+DIALECTS = ("klipper", "marlin")
+HIGHEST_HZ = 200.0  # of a sweep: five samples a period, which are played as straight lines
+SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper keeps no more than 1000 s of acceleration
+QUIET = 0.1  # s at least: what tells the parts of a sweep from one another
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """Where the nozzle may be commanded: (least, greatest) of x and y, mm."""
+
+    x: tuple[float, float] = field(metadata={"ascending": True})
+    y: tuple[float, float] = field(metadata={"ascending": True})
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the planner may ask of the path; mm, s. See the shipped profile for each."""
+
+    velocity: float = positive()
+    acceleration: float = positive()
+    jerk: float = positive()
+    square_corner_velocity: float = not_negative()
+    z_velocity: float = positive()
+    z_acceleration: float = positive()
+    extruder_velocity: float = positive()
+    extruder_acceleration: float = positive()
+    extruder_corner_velocity: float = positive(1.0)
+    junction_deviation: float = positive(math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """What no command may exceed: speed and acceleration of the belts A and B."""
+
+    belt_velocity: float = positive()
+    belt_acceleration: float = positive()
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How the motors step: mm of x-y belt, z and filament per step, and the stepping clock.
+
+    direction_setup (s): from a change of direction to the first step after it.
+    """
+
+    belt: float = positive()
+    z: float = positive()
+    e: float = positive()
+    clock_hz: float = positive(below=1e10)
+    direction_setup: float = not_negative(0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Compensation:
+    """Strategy and window of the limited-preview filtered B-splines."""
+
+    L: int = positive()
+    n_C: int = positive()
+    n_up: int = positive()
+    effort: tuple[float, float] = not_negative()
+    strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
+    degree: int = positive(5)
+    settle_tolerance: float = positive(0.05)
+
+    @property
+    def windows(self) -> tuple[Window, Window]:
+        """The windows of x and y, which differ in effort alone."""
+        x, y = (Window(self.L, self.n_C, self.n_up, e, self.degree) for e in self.effort)
+        return x, y
+
+
+@dataclass(frozen=True, slots=True)
+class Restore:
+    """Klipper's own limits, in force outside the stream."""
+
+    velocity: float = positive()
+    acceleration: float = positive()
+    square_corner_velocity: float = not_negative(5.0)
+    minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinRestore:
+    """Marlin's own settings, in force outside the stream, and what bounds the stream.
+
+    Corners are those of ``junction_deviation`` or, in builds with CLASSIC_JERK, of ``jerk``
+    (x, y) and ``jerk_e``; the others are 0.
+    """
+
+    max_velocity: tuple[float, float] = positive()
+    max_acceleration: tuple[float, float] = positive()
+    acceleration: float = positive()
+    travel_acceleration: float = positive()
+    junction_deviation: float = not_negative(0.0)
+    jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
+    jerk_e: float = not_negative(0.0)
+    min_segment_time: float = not_negative(0.02)
+    min_velocity: float = not_negative(0.0)
+    min_travel_velocity: float = not_negative(0.0)
+    linear_advance: float = not_negative(0.0)
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
+    fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
+    lines_per_second: float = positive(250.0, below=1001.0)
+    min_steps_per_segment: int = positive(6)
+    timer_hz: float = positive(2e6, least=1e5)
+
+    @property
+    def classic_jerk(self) -> bool:
+        """Whether corners are those of jerk."""
+        return self.junction_deviation == 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Who reads the output. Macros, where named, replace Klipper's commands written otherwise.
+
+    The tables ``restore`` (Klipper) and ``marlin``: that of the dialect is there.
+    """
+
+    restore: Restore | None = None
+    dialect: str = field(default="klipper", metadata={"choices": DIALECTS})
+    begin_macro: str = ""
+    end_macro: str = ""
+    marlin: MarlinRestore | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """What is asked of the motion. Raises ValueError, as a whole, where that cannot be.
+
+    amplitude: mm/s²; stroke: mm to either side that low frequencies may take; sway: mm to
+    either side of the slow motion under it; quiet: s of standstill before, after and between
+    the parts.
+    """
+
+    start_hz: float = positive(2.0)
+    end_hz: float = positive(120.0)
+    rate_hz_per_s: float = positive(1.0)
+    amplitude: float = positive(5000.0)
+    stroke: float = positive(5.0)
+    sway: float = not_negative(2.0)
+    quiet: float = positive(1.0)
+
+    def __post_init__(self) -> None:
+        asked = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
+        if not all(0.0 < value < math.inf for value in asked):
+            raise ValueError("frequencies, rate, amplitude and stroke must be above 0")
+        if not 0.0 <= self.sway < math.inf:
+            raise ValueError(f"sway must be at least 0, it is {self.sway:g}")
+        if not self.start_hz < self.end_hz <= HIGHEST_HZ:
+            raise ValueError(
+                f"from {self.start_hz:g} to {self.end_hz:g} Hz is no sweep: end_hz must be above "
+                f"start_hz and at most {HIGHEST_HZ:g}"
+            )
+        if not self.quiet >= QUIET:
+            raise ValueError(f"quiet must be at least {QUIET:g} s, it is {self.quiet:g}")
+        if not SHORTEST <= self.seconds <= LONGEST - 4.0 * self.quiet:
+            raise ValueError(
+                f"at {self.rate_hz_per_s:g} Hz/s the sweep takes {self.seconds:g} s; between "
+                f"{SHORTEST:g} s and, with the rests, {LONGEST:g} s are possible"
+            )
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the sine alone."""
+        return (self.end_hz - self.start_hz) / self.rate_hz_per_s
+
+
+@dataclass(frozen=True, slots=True)
+class Printer:
+    """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out.
+
+    sweep: the motion by which its plant is identified, of no part in a conversion.
+    """
+
+    name: str
+    description: str
+    travel: Travel
+    limits: Limits
+    kinematics: Kinematics
+    motors: Motors
+    steps: Steps | None
+    compensation: Compensation
+    firmware: Firmware
+    plant: Plant
+    sweep: Sweep
+    digest: str

@@ -1,0 +1,1 @@
+"""What would it do? Simulation, tuning, printers that are not quite the model."""

@@ -1,0 +1,27 @@
+"""Test paths as G-code, for studies that need no sliced part."""
+
+from __future__ import annotations
+
+from hframe_post.printer.settings import Printer
+
+WIDTH = 120  # mm
+CLEAR = 5  # mm to the ends of travel, which the command needs beyond its path
+
+
+def rectangle(printer: Printer) -> list[bytes]:
+    """The paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
+
+    It begins where racking does not move the nozzle, as in the paper, unless the bed is too
+    narrow for that, and lies in the middle of the bed in y.
+    """
+    low, high = printer.travel.x
+    x = max(min(printer.plant.x_c, high - WIDTH - CLEAR), low + CLEAR)
+    y = round(sum(printer.travel.y) / 2.0) - 10
+    corners = ((x + WIDTH, y), (x + WIDTH, y + 20), (x, y + 20), (x, y))
+    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0", "G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000"]
+    lines += [";LAYER:0", ";TYPE:WALL-OUTER"]
+    lines += [
+        f"G1 X{x:g} Y{y:g} E{length:g}"
+        for (x, y), length in zip(corners, (4, 0.7, 4, 0.7), strict=True)
+    ]
+    return [line.encode() + b"\n" for line in lines]

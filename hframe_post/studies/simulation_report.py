@@ -1,0 +1,154 @@
+"""Figures of a simulation, and what is told of them: text and JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from hframe_post.conversion.report import STRATEGY_NAMES, Report
+from hframe_post.prediction.statistics import ErrorStatistics, Figures
+from hframe_post.writers.print_time import duration
+
+Group = dict[str, Figures]  # strategy → figures of one part of the print
+LAYERS_SHOWN = 5  # the worst ones, unless all are asked for
+
+
+@dataclass
+class Uncertainty:
+    """Printers whose parameters are off by up to ``share``: contour errors by strategy."""
+
+    share: float
+    printers: list[dict[str, ErrorStatistics]] = field(default_factory=list)
+
+    def rms(self, strategy: str) -> list[float]:
+        """RMS contour error (mm) of each printer."""
+        return [contour[strategy].rms for contour in self.printers if strategy in contour]
+
+    def better(self, strategy: str, than: str) -> int:
+        """Printers on which one strategy's RMS is below another's."""
+        pairs = zip(self.rms(strategy), self.rms(than), strict=True)
+        return sum(a < b for a, b in pairs)
+
+    def as_json(self, strategies: list[str]) -> dict[str, Any]:
+        """Median and worst RMS in µm, and on how many printers each beats no compensation."""
+        told: dict[str, Any] = {"share": self.share, "printers": len(self.printers)}
+        for name in strategies:
+            rms = self.rms(name) or [0.0]
+            told[name] = {
+                "median_um": round(median(rms) * 1e3, 4),
+                "worst_um": round(max(rms) * 1e3, 4),
+                "better_than_none": self.better(name, "none"),
+            }
+        return told
+
+
+@dataclass
+class SimulationReport(Report):
+    """What each strategy would do. plant: name of what was simulated."""
+
+    plant: str = ""
+    quantised: bool = False
+    whole: Group = field(default_factory=dict)
+    layers: dict[str, Group] = field(default_factory=dict)
+    features: dict[str, Group] = field(default_factory=dict)
+    model_error: list[Uncertainty] = field(default_factory=list)
+
+    @property
+    def strategies(self) -> list[str]:
+        """Those simulated, from doing nothing to doing all."""
+        return [name for name in STRATEGY_NAMES if name in self.whole]
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of a conversion, and those of a simulation."""
+        return Report.as_json(self) | {
+            "simulated_plant": self.plant,
+            "quantised": self.quantised,
+            "strategies": _figures(self.whole),
+            "features": {name: _figures(group) for name, group in self._judged(self.features)},
+            "layers": {name: _figures(group) for name, group in self._judged(self.layers)},
+            "model_error": [error.as_json(self.strategies) for error in self.model_error],
+        }
+
+    def as_text(self, all_layers: bool = False) -> str:
+        """Tables for a person."""
+        stepped = ", in whole steps" if self.quantised else ""
+        lines = [
+            f"{self.moves} moves, {duration(self.time_after)}, simulated on {self.plant}{stepped}",
+            "",
+            f"{'':21s}{'contour error, µm':>24s}{'tracking RMS, µm':>19s}{'belts, at most':>19s}",
+            f"{'':21s}{'RMS':>8s}{'95 %':>8s}{'peak':>8s}{'x':>10s}{'y':>9s}"
+            f"{'mm/s':>9s}{'mm/s²':>10s}",
+            *(_row(STRATEGY_NAMES[name], self.whole[name]) for name in self.strategies),
+        ]
+        lines += self._table("feature", list(self._judged(self.features)))
+        layers = list(self._judged(self.layers))
+        title = "layer"
+        if not all_layers and len(layers) > LAYERS_SHOWN:
+            title = f"worst of {len(layers)} layers"
+            best = self.strategies[-1]
+            layers.sort(key=lambda item: -item[1][best].contour.rms)
+            layers = layers[:LAYERS_SHOWN]
+        lines += self._table(title, layers)
+        lines += self._trust()
+        return "\n".join(lines + self.warnings())
+
+    def _judged(self, groups: dict[str, Group]) -> list[tuple[str, Group]]:
+        """Those parts in which anything moves."""
+        return [
+            (name, group)
+            for name, group in groups.items()
+            if any(figures.contour.count for figures in group.values())
+        ]
+
+    def _table(self, title: str, groups: list[tuple[str, Group]]) -> list[str]:
+        """RMS contour error by part of the print."""
+        if not groups:
+            return []
+        width = max(19, len(title), *(len(name) for name, _ in groups)) + 2
+        head = "".join(f"{name:>10s}" for name in self.strategies)
+        lines = ["", f"{title:{width}s}{head}   RMS contour error, µm"]
+        for name, group in groups:
+            cells = "".join(f"{group[s].contour.rms * 1e3:10.1f}" for s in self.strategies)
+            lines.append(f"{name:{width}s}{cells}")
+        return lines
+
+    def _trust(self) -> list[str]:
+        """Where compensation helps and where it stops to."""
+        if "none" not in self.whole or len(self.strategies) < 2:
+            return []
+        best, lines = self.strategies[-1], [""]
+        for error in self.model_error:
+            told, count = error.as_json(self.strategies), len(error.printers)
+            medians = ", ".join(f"{s} {told[s]['median_um']:.1f}" for s in self.strategies)
+            lines.append(
+                f"model off by up to {100 * error.share:g} %: "
+                f"median of {count} printers {medians} µm; "
+                f"worst {best} {told[best]['worst_um']:.1f} µm; "
+                f"better than none on {error.better(best, 'none')}"
+            )
+        harmed = [
+            f"{kind} {name}"
+            for kind, groups in (("feature", self.features), ("layer", self.layers))
+            for name, group in self._judged(groups)
+            if group[best].contour.rms >= group["none"].contour.rms
+        ]
+        gain = self.whole["none"].contour.rms > self.whole[best].contour.rms
+        if not gain:
+            lines.append("NO HELP     compensation makes the whole of this print no better")
+        elif harmed:
+            more = f" and {len(harmed) - 5} more" if len(harmed) > 5 else ""
+            lines.append(f"NO HELP     in {', '.join(harmed[:5])}{more}: no better than without")
+        return lines if len(lines) > 1 else []
+
+
+def _figures(group: Group) -> dict[str, Any]:
+    return {name: group[name].as_json() for name in STRATEGY_NAMES if name in group}
+
+
+def _row(name: str, figures: Figures) -> str:
+    um, (x, y) = figures.contour.micrometres(), figures.tracking_rms() * 1e3
+    return (
+        f"{name:21s}{um['rms']:8.1f}{um['p95']:8.1f}{um['peak']:8.0f}{x:10.1f}{y:9.1f}"
+        f"{figures.velocity:9.0f}{figures.acceleration:10.0f}"
+    )

@@ -1,0 +1,160 @@
+"""Which λ and L? Contour error against how hard the belts are driven, for one print.
+
+Every candidate compensates the same planned samples, and is judged on the printer's plant
+and on printers that are not quite it. λ is λ of x; that of y keeps the profile's ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from statistics import median
+
+import numpy as np
+
+from hframe_post.arrays import Array, X, Y
+from hframe_post.compensation.compensate import Compensator, compensate
+from hframe_post.compensation.settle import settle
+from hframe_post.conversion.pipeline import JUDGED_EVERY, rests
+from hframe_post.gcode.reader import read
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.sampling import sample
+from hframe_post.prediction.predict import judge
+from hframe_post.prediction.statistics import ErrorStatistics, belt_rates
+from hframe_post.printer.settings import Compensation, Motors, Printer
+from hframe_post.stream.chunks import branches
+from hframe_post.stream.types import Rests, Samples
+
+KNOTS = (5, 8, 10, 20)  # L, samples between knots
+EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
+PREVIEW = 440  # samples of a window, L_C: as long for every L
+ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them is taken
+
+
+@dataclass
+class Trial:
+    """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²."""
+
+    windows: tuple[Window, Window]
+    refused: str = ""
+    contour: ErrorStatistics = field(default_factory=ErrorStatistics)
+    drawn: list[ErrorStatistics] = field(default_factory=list)
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+    @property
+    def robust(self) -> float:
+        """Median RMS contour error (mm) of the drawn printers; of the model if none is drawn."""
+        return median(statistics.rms for statistics in self.drawn or [self.contour])
+
+    def within(self, motors: Motors) -> bool:
+        """Whether the motors can follow."""
+        return (
+            not self.refused
+            and self.velocity <= motors.belt_velocity
+            and self.acceleration <= motors.belt_acceleration
+        )
+
+
+def candidates(
+    compensation: Compensation, knots: Iterable[int] = KNOTS, efforts: Iterable[float] = EFFORTS
+) -> list[tuple[Window, Window]]:
+    """Windows of x and y for every L and λ."""
+    x, y = compensation.effort
+    ratio = y / x if x > 0.0 and y > 0.0 else 1.0
+    grid = []
+    for L in knots:
+        n_C = -(-PREVIEW // L)
+        for effort in efforts:
+            pair = (effort, float(f"{ratio * effort:.4g}"))
+            sizes = (L, n_C, n_C // 2)
+            grid.append(
+                (
+                    Window(*sizes, pair[X], compensation.degree),
+                    Window(*sizes, pair[Y], compensation.degree),
+                )
+            )
+    return grid
+
+
+def tune(
+    lines: Iterable[bytes],
+    printer: Printer,
+    grid: list[tuple[Window, Window]],
+    drawn: list[Plant],
+    file_limits: bool = True,
+) -> list[Trial]:
+    """A trial of every candidate, in one pass over the print. Raises HframeError."""
+    trials = [Trial(windows) for windows in grid]
+    compensators: list[tuple[Trial, Compensator]] = []
+    for trial in trials:
+        try:
+            compensators.append((trial, Compensator(printer.plant, trial.windows)))
+        except ValueError as error:
+            trial.refused = str(error)
+    offered = [rests(printer, compensator) for _, compensator in compensators] or [Rests(1, 1)]
+    longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
+    items = read(lines, printer.firmware.dialect, file_limits)
+    samples = sample(plan(items, printer.limits), printer.limits, longest)
+    running = [
+        _tried(trial, compensator, branch, printer, drawn)
+        for (trial, compensator), branch in zip(
+            compensators, branches(samples, len(compensators)), strict=True
+        )
+    ]
+    for _ in zip_longest(*running):  # in step: no block is held for a branch far behind
+        pass
+    return trials
+
+
+def recommended(trials: list[Trial], motors: Motors) -> Trial | None:
+    """The gentlest of those that are about as good as the best the motors can follow."""
+    able = [trial for trial in trials if trial.within(motors)]
+    if not able:
+        return None
+    best = min(trial.robust for trial in able)
+    good = [trial for trial in able if trial.robust <= ROUGHLY * best]
+    return min(good, key=lambda trial: trial.acceleration)
+
+
+def _tried(
+    trial: Trial,
+    compensator: Compensator,
+    samples: Iterable[Samples],
+    printer: Printer,
+    drawn: list[Plant],
+) -> Iterator[None]:
+    """Fills the trial, a block at a time."""
+    commands = compensate(samples, compensator, ("racking",))
+    tolerance = printer.compensation.settle_tolerance
+    settled = _rated(settle(commands, "racking", tolerance), trial, printer.kinematics)
+    trial.drawn = [ErrorStatistics() for _ in drawn]
+    plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
+    streams = branches(settled, len(plants))
+    judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
+    for judgements in zip(*judged, strict=True):
+        for judgement, errors in zip(judgements, statistics, strict=True):
+            for contour in judgement.contour.values():  # none where nothing moves
+                errors.add(contour)
+        yield
+
+
+def _rated(blocks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
+    """The blocks as they are; how hard the belts are driven is noted."""
+    before: Array | None = None
+    for block in blocks:
+        command = block.commands["racking"]
+        if len(command):
+            known = command[:1].repeat(2, axis=0) if before is None else before
+            whole = np.concatenate([known, command])
+            velocity, acceleration = belt_rates(whole, kinematics)
+            trial.velocity = max(trial.velocity, float(velocity.max()))
+            trial.acceleration = max(trial.acceleration, float(acceleration.max()))
+            before = whole[-2:]
+        if block.yields:
+            before = None
+        yield block

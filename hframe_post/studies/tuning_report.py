@@ -1,0 +1,51 @@
+"""What is told of a tuning: a table and JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hframe_post.studies.tuning import Trial
+
+
+def trial_as_json(trial: Trial) -> dict[str, Any]:
+    """One candidate, ready for ``json.dumps``."""
+    x, y = trial.windows
+    told: dict[str, Any] = {
+        "L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort],
+    }  # fmt: skip
+    if trial.refused:
+        return told | {"refused": trial.refused}
+    return told | {
+        "contour_error_um": trial.contour.micrometres(),
+        "median_under_model_error_um": round(trial.robust * 1e3, 4),
+        "peak_belt_speed": round(trial.velocity, 3),
+        "peak_belt_acceleration": round(trial.acceleration, 1),
+    }
+
+
+def trials_table(trials: list[Trial], best: Trial | None) -> str:
+    """All trials, the recommended one marked."""
+    lines = [
+        f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",
+        f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'model error':>14s}{'mm/s':>10s}"
+        f"{'mm/s²':>11s}",
+    ]
+    for trial in trials:
+        x, y = trial.windows
+        row = f"{'→' if trial is best else '':2s}{x.L:3d}{f'{x.effort:g}, {y.effort:g}':>16s}"
+        if trial.refused:
+            lines.append(f"{row}  refused: {trial.refused.partition(' with ')[0]}")
+        else:
+            lines.append(
+                f"{row}{trial.contour.rms * 1e3:12.2f}{trial.robust * 1e3:14.2f}"
+                f"{trial.velocity:10.0f}{trial.acceleration:11.0f}"
+            )
+    if best is not None:
+        x, y = best.windows
+        lines += [
+            "",
+            f"recommended: L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+            f"effort = [{x.effort:g}, {y.effort:g}]",
+        ]
+    return "\n".join(lines)

@@ -1,0 +1,80 @@
+"""Printers that are not quite the model: seeded draws of transfer functions.
+
+Of each transfer function a draw changes the frequency and the damping of its roots, in the
+s-plane s = ln(z)/Ts, each by a factor of its own. Poles and zeros move together, as they do
+when a belt is tighter or a carriage heavier than it was, so that a slow pole keeps the zero
+that all but cancels it. Gxx(1) = Gyy(1) = 1 stays: a standing nozzle is where its steps put
+it. The gain that is drawn is that of racking.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Complex
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+
+AXIS = 1e-12  # imaginary part below which a root is real
+STANDING = 1e-6  # distance from z = 1 of a zero that makes the gain at rest vanish
+
+
+def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
+    """``count`` plants whose parameters are off by up to ``share`` (0.05: ±5 %), uniformly.
+
+    Equal seeds give equal draws at every share: the same printers, farther off.
+    """
+    rng = np.random.default_rng(seed)
+    units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
+    return [perturbed(plant, 1.0 + share * unit) for unit in units]
+
+
+def perturbed(plant: Plant, factors: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Plant:
+    """The plant with factors (3, 3) on the frequency, damping and gain of Gxx, Gyy, Gxθ."""
+    (fx, dx, _), (fy, dy, _), (ft, dt, gain) = factors
+    Gxx, Gyy = (
+        _at_rest(_moved(G, *f), 1.0) for G, f in ((plant.Gxx, (fx, dx)), (plant.Gyy, (fy, dy)))
+    )
+    if plant.Gxtheta is None:
+        return Plant(Gxx, Gyy, None, plant.x_c)
+    slope = _slope(plant.Gxtheta)
+    Gxtheta = _moved(plant.Gxtheta, ft, dt)
+    scale = gain * slope / _slope(Gxtheta)
+    Gxtheta = TransferFunction(Gxtheta.zeros, Gxtheta.poles, Gxtheta.gain * scale)
+    return Plant(Gxx, Gyy, Gxtheta, plant.x_c)
+
+
+def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:
+    zeros, poles = (_moved_roots(roots, frequency, damping) for roots in (G.zeros, G.poles))
+    return TransferFunction(zeros, poles, G.gain)
+
+
+def _moved_roots(roots: Complex, frequency: float, damping: float) -> Complex:
+    """Roots with their natural frequency and, where they ring, damping ratio scaled.
+
+    Roots at z ≤ 0 are delays or sampling artefacts, and stay; so does a root that would pass
+    the Nyquist frequency.
+    """
+    moved = roots.copy()
+    for k, z in enumerate(roots):
+        if abs(z.imag) <= AXIS and z.real <= 0.0:
+            continue
+        s = np.log(z)
+        natural = abs(s)
+        ratio = s.real / natural if natural else 0.0
+        if abs(z.imag) > AXIS:
+            ratio = float(np.clip(damping * ratio, -0.999, 0.999))
+        new = frequency * natural * (ratio + 1j * np.sign(s.imag) * np.sqrt(1.0 - ratio * ratio))
+        if abs(new.imag) < np.pi:
+            moved[k] = np.exp(new)
+    return moved
+
+
+def _at_rest(G: TransferFunction, gain: float) -> TransferFunction:
+    return TransferFunction(G.zeros, G.poles, G.gain * gain / G.dc_gain)
+
+
+def _slope(G: TransferFunction) -> float:
+    """Gain at rest without the zeros at z = 1: θ per velocity."""
+    moving = G.zeros[np.abs(G.zeros - 1.0) > STANDING]
+    return float((G.gain * np.prod(1.0 - moving) / np.prod(1.0 - G.poles)).real)

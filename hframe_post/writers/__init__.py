@@ -1,0 +1,1 @@
+"""Out: G-code, steps and samples, and the files that hold them."""

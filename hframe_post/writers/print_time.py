@@ -1,0 +1,36 @@
+"""Print times as the output tells them."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from hframe_post.writers.gcode import Late
+
+
+def duration(seconds: float) -> str:
+    """``1h 02m 03s``."""
+    minutes, s = divmod(round(seconds), 60)
+    h, m = divmod(minutes, 60)
+    return f"{h}h {m:02d}m {s:02d}s" if h else f"{m}m {s:02d}s"
+
+
+_M73 = re.compile(rb"([PQRSC])\s*(\d+)", re.IGNORECASE)
+
+
+def late_line(late: Late, total: float) -> bytes:
+    """The line with print times as they are after compensation."""
+    left = max(total - late.elapsed, 0.0)
+    if late.line[:1] == b";":
+        head, mark, _ = late.line.partition(b"=" if b"=" in late.line else b":")
+        told = f" {duration(total)}" if mark == b"=" else str(math.ceil(total))
+        return head + mark + told.encode()
+    percent = round(100.0 * late.elapsed / total) if total else 100
+
+    def renewed(match: re.Match[bytes]) -> bytes:
+        letter = match[1].upper()
+        value = percent if letter in b"PQ" else math.ceil(left / 60.0)
+        return match[0] if letter == b"C" else letter + str(value).encode()
+
+    head, semicolon, comment = late.line.partition(b";")
+    return _M73.sub(renewed, head) + semicolon + comment

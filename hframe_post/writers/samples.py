@@ -1,0 +1,48 @@
+"""Samples → a table of numbers, one row a millisecond: path, command, predicted motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Z
+from hframe_post.model.plant import Plant, Response
+from hframe_post.stream.chunks import batches, stretches
+from hframe_post.stream.types import Samples
+from hframe_post.writers import digits
+
+# Path, command, lift and filament, prediction. s, mm, rad.
+COLUMNS = ("t", "x_d", "y_d", "x_dm", "y_dm", "z", "e", "theta", "x", "y")
+DECIMALS = (3, 6, 6, 6, 6, 6, 6, 9, 6, 6)
+ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever the blocks
+
+
+def tabulate(blocks: Iterable[Samples], written: str, plant: Plant) -> Iterator[Array]:
+    """Tables (n, len(COLUMNS)) of the command ``written``. t: the end of a sample's millisecond.
+
+    The prediction starts from rest wherever the machine may stand anew.
+    """
+    for stretch in stretches(blocks):
+        response: Response | None = None
+        for block in batches(stretch, ROWS_AT_ONCE):
+            if not len(block):
+                continue
+            command = block.commands[written]
+            response = response or Response(plant, block.xyze[0, :Z])
+            x, y, theta = response.motion(command).T
+            t = np.arange(block.first + 1, block.end + 1) * TS
+            yield np.column_stack([t, block.xyze[:, :Z], command, block.xyze[:, Z:], theta, x, y])
+
+
+def as_csv(tables: Iterable[Array]) -> Iterator[bytes]:
+    """The tables as text, the columns' names first."""
+    yield ",".join(COLUMNS).encode() + b"\n"
+    for table in tables:
+        comma, newline = digits.column(b",", len(table)), digits.column(b"\n", len(table))
+        columns = [
+            part
+            for values, decimals in zip(table.T, DECIMALS, strict=True)
+            for part in (digits.fixed(values, decimals), comma)
+        ]
+        yield digits.rows([*columns[:-1], newline])

@@ -1,0 +1,197 @@
+"""The command line as its users meet it: processes, files, exit statuses."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT, SAMPLES
+
+RECTANGLE = SAMPLES / "rectangle.gcode"
+
+
+def run(
+    *arguments: str | Path, stdin: bytes = b"", **more: str
+) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "hframe_post", *map(str, arguments)],
+        input=stdin, capture_output=True, check=False, env={**os.environ, **more},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def part(tmp_path: Path) -> Path:
+    return Path(shutil.copy(RECTANGLE, tmp_path / "part.gcode.pp"))
+
+
+def test_converts_to_a_file_and_leaves_the_input(part: Path, tmp_path: Path) -> None:
+    done = run(part, "-o", tmp_path / "out.gcode")
+    assert done.returncode == 0
+    assert part.read_bytes() == RECTANGLE.read_bytes()
+    assert (tmp_path / "out.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"contour error" in done.stderr
+    assert not done.stdout
+
+
+def test_converts_in_place_without_output_as_slicers_hooks_do(part: Path) -> None:
+    assert run(part).returncode == 0
+    assert part.read_bytes().startswith(b"; processed by hframe-post")
+    assert [path.name for path in part.parent.iterdir()] == [part.name]
+
+
+def test_relative_names_work(part: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hframe_post", part.name], cwd=part.parent, check=False,
+        capture_output=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0
+
+
+def test_streams_from_standard_input_to_standard_output(part: Path, tmp_path: Path) -> None:
+    run(part, "-o", tmp_path / "out.gcode")
+    done = run("-", "-q", stdin=RECTANGLE.read_bytes())
+    assert done.stdout == (tmp_path / "out.gcode").read_bytes()
+    assert done.stderr == b""
+
+
+def test_json_summary_has_its_keys(part: Path, tmp_path: Path) -> None:
+    run(part, "-o", tmp_path / "out.gcode", "--predict", "all", "--json", tmp_path / "s.json")
+    summary = json.loads((tmp_path / "s.json").read_text())
+    assert set(summary["contour_error_um"]) == {"none", "fbs", "racking"}
+    assert set(summary["contour_error_um"]["fbs"]) == {"rms", "p95", "peak"}
+    assert set(summary["print_time_s"]) == set(summary["filament_mm"]) == {"before", "after"}
+    assert set(summary["peak_axis_acceleration"]) == {"x", "y"}
+    assert {"moves", "lines_written", "peak_belt_speed", "peak_belt_acceleration"} <= set(summary)
+    written = (tmp_path / "out.gcode").read_bytes().count(b"\n")
+    assert summary["lines_written"] == written
+
+
+def test_prediction_can_be_off_and_of_the_chosen_strategy(part: Path) -> None:
+    off = run(part, "--dry-run", "--predict", "off", "--json", "-", "-q")
+    assert json.loads(off.stdout)["contour_error_um"] == {}
+    fbs = run(part, "--dry-run", "-c", "fbs", "--json", "-", "-q")
+    assert set(json.loads(fbs.stdout)["contour_error_um"]) == {"none", "fbs"}
+
+
+def test_dry_run_writes_nothing(part: Path) -> None:
+    assert run(part, "--dry-run").returncode == 0
+    assert part.read_bytes() == RECTANGLE.read_bytes()
+
+
+def test_every_sample_writes_a_line_a_millisecond(part: Path) -> None:
+    few = json.loads(run(part, "-n", "-q", "--json", "-").stdout)
+    many = json.loads(run(part, "-n", "-q", "--json", "-", "--every-sample").stdout)
+    assert many["lines_written"] > 3 * few["lines_written"]
+    assert many["lines_written"] > 0.8e3 * many["print_time_s"]["before"]
+
+
+def test_profile_from_a_file_and_from_the_environment(part: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('extends = "paper"\n[compensation]\nstrategy = "none"\n')
+    for done in (run(part, "-n", "-p", own), run(part, "-n", HFRAME_PRINTER=str(own))):
+        assert done.returncode == 0
+        assert b"ringing" not in done.stderr
+
+
+def test_printers_are_listed_and_shown(tmp_path: Path) -> None:
+    assert b"paper-strong" in run("printers").stdout
+    shown = run("printers", "show", "paper")
+    (tmp_path / "mine.toml").write_bytes(shown.stdout)
+    assert run(RECTANGLE, "-n", "-p", tmp_path / "mine.toml").returncode == 0
+
+
+def test_version_and_help() -> None:
+    assert run("--version").stdout.startswith(b"hframe-post, version ")
+    assert b"--on-limit" in run("convert", "--help").stdout
+    assert b"printers" in run("--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (b"", b"the file is empty"),
+        (b"GCDE\x01\x00", b"binary G-code"),
+        (b"\x7fELF\x00\x00\n", b"not a text file"),
+        (b"; only a comment\n", b"not a single move"),
+        (b"G1 X10 Y10\nG1 XNaN\n", b"line 2: "),
+        (b"G1 X10 Y10\nG1 X20\nG55\n", b"line 3: G55"),
+        (b"G1 X10 Y10\nG1 X1000\n", b"line 2: x (mm)"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_1(part: Path, text: bytes, cause: bytes) -> None:
+    part.write_bytes(text)
+    done = run(part)
+    assert done.returncode == 1
+    assert cause in done.stderr
+    assert done.stderr.count(b"\n") == 1
+    assert part.read_bytes() == text
+    assert [path.name for path in part.parent.iterdir()] == [part.name]
+
+
+def test_processing_twice_is_refused(part: Path) -> None:
+    run(part)
+    once = part.read_bytes()
+    done = run(part)
+    assert (done.returncode, part.read_bytes()) == (1, once)
+    assert b"already" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--bad"], ["-c", "nonsense"], ["--tolerance", "-1"], ["convert"], ["a", "b"]],
+)
+def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
+    assert run(*arguments).returncode == 2
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    done = run(tmp_path / "none.gcode")
+    assert done.returncode == 1
+    assert b"none.gcode: No such file" in done.stderr
+    nowhere = run(RECTANGLE, "-o", tmp_path / "no" / "out.gcode")
+    assert nowhere.returncode == 1
+    assert b"No such file" in nowhere.stderr
+    profile = run(RECTANGLE, "-n", "-p", "nobody")
+    assert profile.returncode == 1
+    assert b"shipped are: example-cartesian, example-corexy, paper" in profile.stderr
+
+
+def test_broken_profile_names_its_key(tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text('extends = "paper"\n[limits]\nvelocty = 3\n')
+    done = run(RECTANGLE, "-n", "-p", tmp_path / "bad.toml")
+    assert done.returncode == 1
+    assert b"limits.velocty: unknown key; nearest known is 'velocity'" in done.stderr
+
+
+def test_diverging_window_is_refused_with_its_radius(tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text(
+        'extends = "paper"\n[compensation]\nL = 20\nn_C = 11\nn_up = 5\neffort = [0, 0]\n'
+    )
+    done = run(RECTANGLE, "-n", "-p", tmp_path / "bad.toml")
+    assert done.returncode == 1
+    assert b"spectral radius 2.21" in done.stderr
+
+
+def test_progress_shows_on_a_terminal_only(tmp_path: Path) -> None:
+    part = tmp_path / "long.gcode"
+    part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 5_000)
+    ours, theirs = pty.openpty()
+    arguments = [sys.executable, "-m", "hframe_post", str(part), "-n"]
+    done = subprocess.run(arguments, stderr=theirs, stdout=subprocess.PIPE, check=False)
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # the terminal's end
+        while piece := os.read(ours, 4096):
+            shown += piece
+    os.close(ours)
+    assert done.returncode == 0
+    assert b"100%" in shown
+    assert b"100%" not in run(part, "-n").stderr

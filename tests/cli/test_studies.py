@@ -1,0 +1,327 @@
+"""simulate, tune and paper as their users meet them: processes, files, exit statuses."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from subprocess import PIPE, CompletedProcess, Popen
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from hframe_post.cli.main import main
+from hframe_post.cli.options import share, weight
+from hframe_post.printer.profile import load, shipped
+from tests.cli.test_main import run
+from tests.conftest import SAMPLES
+
+RECTANGLE = SAMPLES / "rectangle.gcode"
+SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0")  # one candidate on the model alone
+STRATEGIES = {"none", "fbs", "racking"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def papering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Popen[bytes], Path]]:
+    """``paper`` takes ten seconds: once, without the prism, beside this module's other tests."""
+    folder = tmp_path_factory.mktemp("paper") / "new" / "folder"
+    arguments = [sys.executable, "-m", "hframe_post", "paper", "-o", str(folder)]
+    with Popen(arguments, stdout=PIPE, stderr=PIPE) as process:
+        yield process, folder
+        process.kill()
+
+
+def told(done: CompletedProcess[bytes]) -> Any:
+    assert done.returncode == 0, done.stderr.decode()
+    return json.loads(done.stdout)
+
+
+def refused(done: CompletedProcess[bytes], status: int, cause: str) -> None:
+    """One line of cause, or click's usage; never a traceback."""
+    error = done.stderr.decode()
+    assert done.returncode == status, error
+    assert cause in error
+    assert "Traceback" not in error
+    if status == 1:
+        assert error.count("\n") == 1
+
+
+# ---------------------------------------------------------------------- simulate
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Any:
+    return told(run("simulate", RECTANGLE, "--json", "-", "-q"))
+
+
+def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulation: Any) -> None:
+    conversion = told(run(RECTANGLE, "-n", "-q", "--predict", "all", "--json", "-"))
+    assert simulation.keys() - conversion.keys() == {
+        "simulated_plant", "quantised", "strategies", "features", "layers", "model_error",
+    }  # fmt: skip
+    assert conversion.keys() <= simulation.keys()
+    written = {"lines_written", "busiest_second_lines"}
+    for key in conversion.keys() - written:
+        assert simulation[key] == conversion[key], key
+    assert [simulation[key] for key in written] == [0, 0]
+    assert simulation["simulated_plant"] == "paper"
+    assert set(simulation["layers"]) >= {"0"}
+    assert set(simulation["features"]) >= {"WALL-OUTER"}
+    for part in (simulation, *simulation["layers"].values(), *simulation["features"].values()):
+        figures = part.get("strategies", part)
+        assert set(figures) == STRATEGIES
+        for of_strategy in figures.values():
+            assert set(of_strategy) == {
+                "contour_error_um", "tracking_error_um", "peak_belt_speed",
+                "peak_belt_acceleration",
+            }  # fmt: skip
+
+
+def test_simulate_writes_nothing_but_the_summary(tmp_path: Path) -> None:
+    part = tmp_path / "part.gcode"
+    part.write_bytes(RECTANGLE.read_bytes())
+    done = run("simulate", part, "--json", tmp_path / "s.json")
+    assert done.returncode == 0
+    assert done.stdout.decode().startswith("4 moves, ")
+    assert b"WALL-OUTER" in done.stdout
+    assert not done.stderr
+    assert part.read_bytes() == RECTANGLE.read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["part.gcode", "s.json"]
+
+
+def test_simulate_reads_standard_input_and_is_quiet() -> None:
+    done = run("simulate", "-", "-q", stdin=RECTANGLE.read_bytes())
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+
+
+def test_the_path_is_the_sample_file_elsewhere_on_the_bed(simulation: Any) -> None:
+    path = told(run("simulate", "--path", "rectangle", "--json", "-", "-q"))
+    assert set(path["contour_error_um"]) == STRATEGIES
+    for name, figures in path["contour_error_um"].items():
+        assert figures == pytest.approx(simulation["contour_error_um"][name], rel=0.02)
+
+
+def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text('extends = "paper"\n[plant]\nx_c = 150.0\n')
+    arguments = ["simulate", "--path", "rectangle", "--model-error", "5%", "--model-error", "0.02"]
+    arguments += ["--draws", "3", "--steps", "--plant", str(other), "--json", "-"]
+    first, again = run(*arguments), run(*arguments)
+    assert first.stdout == again.stdout
+    summary = told(first)
+    assert (summary["simulated_plant"], summary["quantised"]) == ("other", True)
+    assert [error["share"] for error in summary["model_error"]] == [0.05, 0.02]
+    for error in summary["model_error"]:
+        assert error["printers"] == 3
+        for name in STRATEGIES:
+            assert set(error[name]) == {"median_um", "worst_um", "better_than_none"}
+            assert error[name]["median_um"] <= error[name]["worst_um"]
+    assert b"median of 3 printers" in first.stderr  # standard output is the JSON's
+
+
+# ---------------------------------------------------------------------- tune
+
+
+def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    text = shipped()["paper"]
+    mine.write_text(text, encoding="utf-8")
+    done = run(
+        "tune", "--path", "rectangle", "-p", mine, "-L", "10", "--effort", "30", "--effort", "300",
+        "--draws", "2", "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", mine,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode()
+    assert "recommended: L = 10, n_C = 44, n_up = 22" in done.stdout.decode()
+    assert done.stdout.decode().count("→") == 1
+    summary = json.loads((tmp_path / "t.json").read_text())
+    assert (summary["draws"], summary["model_error"], len(summary["trials"])) == (2, 0.05, 2)
+    best = summary["recommended"]
+    assert best in summary["trials"]
+    x, y = load(str(mine)).compensation.windows
+    assert [x.L, x.n_C, x.n_up] == [best["L"], best["n_C"], best["n_up"]]
+    assert [x.effort, y.effort] == best["effort"]
+    before, after = text.splitlines(), mine.read_text(encoding="utf-8").splitlines()
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 4
+    assert (tmp_path / "t.svg").read_text().startswith("<?xml")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: Path) -> None:
+    out = tmp_path / "out.toml"
+    arguments = ["--path", "rectangle", "-L", "10", "--effort", "0", "--effort", "100"]
+    summary = told(run("tune", *arguments, "-L", "200", "--draws", "0", "--json", "-", "-o", out))
+    refused_trials = [trial for trial in summary["trials"] if "refused" in trial]
+    assert refused_trials
+    assert summary["model_error"] == 0.0
+    assert tomllib.loads(out.read_text())["extends"] == "paper"
+    assert tomllib.loads(out.read_text())["compensation"]["L"] == summary["recommended"]["L"]
+
+
+def test_tune_recommends_nothing_that_the_motors_cannot_follow(tmp_path: Path) -> None:
+    weak, out = tmp_path / "weak.toml", tmp_path / "out.toml"
+    weak.write_text('extends = "paper"\n[motors]\nbelt_acceleration = 100.0\n')
+    done = run("tune", "--path", "rectangle", "-p", weak, *SMALL_TUNE, "-o", out)
+    refused(done, 1, "no candidate stays within the motors' limits")
+    assert b"recommended" not in done.stdout
+    assert not out.exists()
+
+
+# ---------------------------------------------------------------------- what goes wrong
+
+BOTH = pytest.mark.parametrize("command", ["simulate", "tune"])
+
+
+@pytest.mark.parametrize(
+    ("command", "text", "cause"),
+    [
+        ("simulate", None, "part.gcode: No such file"),
+        ("simulate", b"", "the file is empty"),
+        ("simulate", b"\x7fELF\x00\x00\n", "not a text file"),
+        ("tune", None, "part.gcode: No such file"),
+        ("tune", b"\x7fELF\x00\x00\n", "not a text file"),
+    ],
+)
+def test_a_bad_print_is_one_line_and_nothing_written(
+    command: str, text: bytes | None, cause: str, tmp_path: Path
+) -> None:
+    part = tmp_path / "part.gcode"
+    if text is not None:
+        part.write_bytes(text)
+    more = [*SMALL_TUNE, "-o", str(tmp_path / "out.toml")] if command == "tune" else []
+    done = run(command, part, "--json", tmp_path / "s.json", *more)
+    refused(done, 1, cause)
+    assert not done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ([part.name] if text is not None else [])
+
+
+USAGE = [
+    (["simulate"], "give either a file or --path"),
+    (["simulate", "--path", "circle"], "--path"),
+    (["simulate", "--path", "rectangle", "--model-error", "many"], "'many' is not a share"),
+    (["simulate", "--path", "rectangle", "--seed", "-1"], "--seed"),
+    (["tune"], "give either a file or --path"),
+    (["tune", "--path", "rectangle", "-L", "1"], "-L"),
+    (["simulate", "--path", "rectangle", "--draws", "0"], "--draws"),
+    (["tune", "--path", "rectangle", "--model-error", "200%"], "'200%' is not a share"),
+    (["tune", "--path", "rectangle", "--effort", "nan"], "'nan' is not a number"),
+    (["tune", "--path", "rectangle", "--figure", "a.pdf"], "--figure must end in"),
+    (["tune", "--path", "rectangle", "--seed", "-1"], "--seed"),
+    (["paper", "extra"], "unexpected extra argument"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "cause"), USAGE, ids=lambda value: str(value)[-40:])
+def test_wrong_usage_is_status_2(arguments: list[str], cause: str) -> None:
+    """In this process: what click refuses is never run."""
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 2
+    assert cause in done.stderr
+    assert not done.stdout
+
+
+@BOTH
+def test_a_file_and_a_path_at_once_are_wrong_usage(command: str) -> None:
+    refused(run(command, RECTANGLE, "--path", "rectangle"), 2, "give either a file or --path")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("5%", 0.05), ("0.05", 0.05), ("0", 0.0), ("99.9%", 0.999), (" 5%", 0.05)]
+)
+def test_shares_are_percentages_or_numbers(text: str, value: float) -> None:
+    assert share(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["", "%", "five", "-1%", "100%", "1", "nan", "nan%", "inf", "5%%"])
+def test_other_shares_are_refused(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="is not a share"):
+        share(text)
+
+
+@pytest.mark.parametrize("text", ["", "heavy", "-1", "-0.1", "nan", "inf", "1e15"])
+def test_weights_are_numbers_that_a_profile_can_hold(text: str) -> None:
+    assert (weight("0"), weight("1e3")) == (0.0, 1000.0)
+    with pytest.raises(click.BadParameter, match="is not a number"):
+        weight(text)
+
+
+def test_a_plant_that_is_no_profile(tmp_path: Path) -> None:
+    refused(run("simulate", RECTANGLE, "--plant", RECTANGLE), 1, "not valid TOML")
+
+
+def test_steps_need_their_table(tmp_path: Path) -> None:
+    before, _, rest = shipped()["paper"].partition("[steps]")
+    stepless = tmp_path / "stepless.toml"
+    stepless.write_text(before + rest[rest.index("[compensation]") :], encoding="utf-8")
+    refused(run("simulate", RECTANGLE, "-p", stepless, "--steps"), 1, "steps: the table is missing")
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "name"),
+    [
+        ("simulate", "--json", "s.json"),
+        ("tune", "--figure", "t.png"),
+        ("tune", "-o", "t.toml"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_named(
+    command: str, option: str, name: str, tmp_path: Path
+) -> None:
+    more = SMALL_TUNE if command == "tune" else ()
+    done = run(command, "--path", "rectangle", *more, option, tmp_path / "no" / name)
+    refused(done, 1, "No such file or directory")
+    assert str(tmp_path / "no") in done.stderr.decode()
+    assert not list(tmp_path.iterdir())
+
+
+def test_tune_leaves_a_profile_it_cannot_change(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('extends = "paper"\ncompensation.L = 5\n')
+    done = run("tune", "--path", "rectangle", "-p", mine, *SMALL_TUNE, "-o", mine)
+    refused(done, 1, "write these lines yourself: L = 10")
+    assert mine.read_text() == 'extends = "paper"\ncompensation.L = 5\n'
+    assert list(tmp_path.iterdir()) == [mine]
+
+
+# ---------------------------------------------------------------------- paper
+
+
+@pytest.fixture(scope="module")
+def papered(papering: tuple[Popen[bytes], Path]) -> tuple[CompletedProcess[bytes], Path]:
+    process, folder = papering
+    out, error = process.communicate()
+    return CompletedProcess(process.args, process.returncode, out, error), folder
+
+
+@pytest.mark.paper
+def test_paper_prints_its_tables(papered: tuple[CompletedProcess[bytes], Path]) -> None:
+    done, _ = papered
+    assert (done.returncode, done.stderr) == (0, b"")
+    titles = [line for line in done.stdout.decode().splitlines() if line and line[0] != "|"]
+    starts = ["Tables I, II", "Fig. 8", "Fig. 9", "Appendix C"]
+    for title, start in zip(titles, starts, strict=True):
+        assert title.startswith(start)
+
+
+@pytest.mark.paper
+def test_paper_draws_its_figures(papered: tuple[CompletedProcess[bytes], Path]) -> None:
+    done, folder = papered
+    names = {f"fig{n}.{kind}" for n in ("04", "05", "08", "09") for kind in ("png", "svg")}
+    assert {path.name for path in folder.iterdir()} == names | {"tables.md"}
+    assert (folder / "tables.md").read_bytes() == done.stdout
+    for name in names:
+        head = b"\x89PNG" if name.endswith("png") else b"<?xml"
+        assert (folder / name).read_bytes().startswith(head)
+
+
+def test_paper_tells_at_once_what_it_lacks(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    missing = run("paper", "--prism", tmp_path / "no.gcode", "-o", out)
+    refused(missing, 1, "no.gcode: No such file")
+    refused(run("paper", "-p", "example-cartesian", "-o", out), 1, "does not rack")
+    (tmp_path / "file").write_bytes(b"")
+    refused(run("paper", "-o", tmp_path / "file" / "below"), 1, "Not a directory")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

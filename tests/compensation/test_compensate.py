@@ -1,0 +1,124 @@
+"""Commands through the plant trace the path; rests are cut to what they need."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS, Array
+from hframe_post.compensation.compensate import Compensator, compensate
+from hframe_post.compensation.settle import FADE, LEAD_SHARE, settle
+from hframe_post.model.plant import Response
+from hframe_post.stream.chunks import join
+from hframe_post.stream.types import Mark, Rest, Samples
+
+
+def stroke(length: float, speed: float, rest: int, acceleration: float = 5000.0) -> Array:
+    """Positions (n,) of one trapezoidal move with rest around it."""
+    ramp = np.arange(0.0, speed + 1e-9, acceleration * TS)
+    cruise = np.full(int(length / speed / TS), speed)
+    moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
+    return np.concatenate([np.zeros(rest), moving, np.full(rest, moving[-1])])
+
+
+def block(x: Array, y: Array, first: int = 0) -> Samples:
+    xyze = np.column_stack([x, y, np.zeros((len(x), 2))])
+    return Samples(first, xyze, np.zeros(len(x), dtype=np.int64))
+
+
+def traced(compensator: Compensator, samples: Samples, strategy: str) -> Array:
+    done = join(list(compensate([samples], compensator, (strategy,))))
+    response = Response(compensator.plant, samples.xyze[0, :2])
+    return response.run(done.commands[strategy]) - samples.xyze[:, :2]
+
+
+@pytest.mark.paper
+def test_eq_12_and_19_the_nozzle_follows_where_the_lever_is_long(compensator: Compensator) -> None:
+    x = 220.0 + stroke(40, 150, 500)
+    error = traced(compensator, block(x, np.full(len(x), 50.0)), "racking")
+    assert np.sqrt(np.square(error).mean(axis=0)).max() < 0.02
+
+
+@pytest.mark.paper
+def test_racking_moves_y_only_under_fbs_and_with_the_lever(compensator: Compensator) -> None:
+    def off_y(x0: float, strategy: str) -> float:
+        x = x0 + stroke(40, 150, 500)
+        return float(
+            np.abs(traced(compensator, block(x, np.full(len(x), 50.0)), strategy)[:, 1]).max()
+        )
+
+    assert off_y(120.0, "fbs") < 0.25 * off_y(220.0, "fbs")  # levers of 20 and 120 mm
+    assert off_y(220.0, "racking") < 0.05 * off_y(220.0, "fbs")
+
+
+def test_without_racking_in_the_plant_both_strategies_are_one(compensator: Compensator) -> None:
+    rigid = Compensator(
+        replace(compensator.plant, Gxtheta=None), (compensator.x.window, compensator.y.window)
+    )
+    samples = block(100 + stroke(30, 100, 300), 20 + stroke(30, 100, 300))
+    done = join(list(compensate([samples], rigid, ("racking", "fbs"))))
+    np.testing.assert_array_equal(done.commands["racking"], done.commands["fbs"])
+
+
+def test_strategy_none_commands_the_path(compensator: Compensator) -> None:
+    samples = block(100 + stroke(30, 100, 50), 20 + stroke(30, 100, 50))
+    done = join(list(compensate([samples], compensator, ("none",))))
+    np.testing.assert_array_equal(done.commands["none"], samples.xyze[:, :2])
+
+
+@pytest.mark.parametrize("cut", [1, 7, 100, 10_000])
+def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int) -> None:
+    samples = block(100 + stroke(30, 100, 700), 20 + stroke(30, 100, 700))
+    whole = join(list(compensate([samples], compensator, ("racking",))))
+    pieces = [
+        Samples(k, samples.xyze[k : k + cut], samples.line[k : k + cut])
+        for k in range(0, len(samples), cut)
+    ]
+    done = list(compensate(pieces, compensator, ("racking",)))
+    assert [b.first for b in done] == list(np.cumsum([0] + [len(b) for b in done[:-1]]))
+    np.testing.assert_array_equal(join(done).commands["racking"], whole.commands["racking"])
+
+
+def test_rests_cover_the_fastest_stop(compensator: Compensator) -> None:
+    rests = compensator.rests(150.0, 5000.0, 140.0, 0.05)
+    x = stroke(75, 150, 1000)
+    samples = block(280.0 - x.max() + x, x)
+    done = join(list(compensate([samples], compensator, ("racking",))))
+    off = np.abs(done.commands["racking"] - samples.xyze[:, :2]).max(axis=1)
+    assert (off[-1000 + rests.settle + 5 :] < 0.06).all()
+    assert (off[: 1000 - rests.lead - 5] < 0.06).all()
+    assert off[-1000 + rests.settle - 20] > 0.04
+
+
+def with_rests(samples: Samples, lead: int, tail: int) -> Samples:
+    n = len(samples)
+    events = (
+        Rest(0, lead, False), Mark(lead, b"start"), Rest(n - tail, tail, True), Mark(n, b"end"),
+    )  # fmt: skip
+    return replace(samples, events=events)
+
+
+def test_rests_are_cut_to_what_the_command_needs(compensator: Compensator) -> None:
+    samples = with_rests(block(100 + stroke(30, 100, 400), 20 + stroke(30, 100, 400)), 400, 400)
+    commanded = join(list(compensate([samples], compensator, ("racking",))))
+    settled = join(list(settle([commanded], "racking", 0.05)))
+    lead, tail = (e for e in settled.events if isinstance(e, Rest))
+    start, end = (e for e in settled.events if isinstance(e, Mark))
+    assert FADE < lead.samples < 150
+    assert FADE < tail.samples < 300
+    assert start.index == lead.samples
+    assert end.index == len(settled) == tail.index + tail.samples
+    off = settled.commands["racking"] - settled.xyze[:, :2]
+    np.testing.assert_array_equal(off[-1], 0.0)
+    assert np.abs(off[0]).max() < LEAD_SHARE * 0.05
+    steps = np.abs(np.diff(settled.commands["racking"], n=2, axis=0)).max()
+    assert steps <= np.abs(np.diff(commanded.commands["racking"], n=2, axis=0)).max()
+
+
+def test_path_itself_needs_no_rest(compensator: Compensator) -> None:
+    samples = with_rests(block(100 + stroke(30, 100, 400), 20 + stroke(30, 100, 400)), 400, 400)
+    commanded = join(list(compensate([samples], compensator, ("none",))))
+    settled = join(list(settle([commanded], "none", 0.05)))
+    assert len(settled) == len(samples) - 800

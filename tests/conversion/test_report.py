@@ -1,0 +1,91 @@
+"""Running statistics, and output files that are whole or not there."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.writers.atomic_file import OutputFile
+from hframe_post.writers.gcode import Late
+from hframe_post.writers.print_time import duration, late_line
+
+
+def test_statistics_are_those_of_the_whole_stream() -> None:
+    errors = np.random.default_rng(0).lognormal(-6, 1, 50_000)
+    statistics = ErrorStatistics()
+    for piece in np.array_split(errors, 37):
+        statistics.add(piece)
+    assert statistics.rms == pytest.approx(np.sqrt((errors**2).mean()))
+    assert statistics.peak == errors.max()
+    assert statistics.percentile(0.95) == pytest.approx(np.quantile(errors, 0.95), rel=0.02)
+
+
+def test_statistics_of_nothing_are_zero() -> None:
+    assert ErrorStatistics().micrometres() == {"rms": 0.0, "p95": 0.0, "peak": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0m 00s"), (75, "1m 15s"), (3600, "1h 00m 00s")]
+)
+def test_duration(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("line", "elapsed", "told"),
+    [
+        (b";TIME:1106", 0.0, b";TIME:2001"),
+        (b"; estimated printing time (normal mode) = 1h 2m", 1.0,
+         b"; estimated printing time (normal mode) = 33m 20s"),
+        (b"M73 P10 R85", 500.0, b"M73 P25 R26"),
+        (b"M73 Q10 S85 ; silent", 1000.0, b"M73 Q50 S17 ; silent"),
+    ],
+)  # fmt: skip
+def test_print_times_are_told_anew(line: bytes, elapsed: float, told: bytes) -> None:
+    assert late_line(Late(line, elapsed), 2000.2) == told
+
+
+def test_late_lines_are_filled_in_at_their_place(tmp_path: Path) -> None:
+    target = tmp_path / "out.gcode"
+    with OutputFile(target, io.BytesIO()) as out:
+        out.write([b"a\n", Late(b";TIME:9", 0.0), b"b\n"], lambda: 123456.0)
+    assert [line.rstrip() for line in target.read_bytes().splitlines()] == [
+        b"a", b";TIME:123456", b"b",
+    ]  # fmt: skip
+
+
+def test_failure_leaves_what_was_there(tmp_path: Path) -> None:
+    target = tmp_path / "out.gcode"
+    target.write_bytes(b"old")
+
+    def failing() -> Iterator[bytes]:
+        yield b"new"
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError), OutputFile(target, io.BytesIO()) as out:
+        out.write(failing(), lambda: 0.0)
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
+    target = tmp_path / "out.gcode"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    with OutputFile(target, io.BytesIO()) as out:
+        out.write([b"new"], lambda: 0.0)
+    assert target.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("real")
+    with OutputFile(tmp_path / "link", io.BytesIO()) as out:
+        out.write([b"new"], lambda: 0.0)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_bytes() == b"new"

@@ -1,0 +1,311 @@
+"""What Klipper makes of a stream: its time for each segment, its junctions, its commands."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array, Flags
+from hframe_post.firmware.klipper import (
+    SQUARE_CORNER_VELOCITY,
+    Klipper,
+    StreamLimits,
+    durations,
+    junctions,
+    speeds,
+)
+from hframe_post.firmware.player import plain
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Firmware, Limits, Motors, Restore
+from hframe_post.stream.types import ModalState
+
+STREAM = StreamLimits(
+    velocity=770.0, acceleration=2.5e5, z_velocity=20.0, z_acceleration=500.0,
+    extruder_velocity=60.0, extruder_acceleration=2000.0, extruder_corner_velocity=1.0,
+)  # fmt: skip
+
+
+# ---------------------------------------------------------------------- speeds and durations
+
+
+def smooth(seed: int, period: float, n: int = 200) -> tuple[Array, Array, Flags]:
+    """A band-limited motion with up to 2e4 mm/s² from rest to rest, in equal segments."""
+    rng = np.random.default_rng(seed)
+    t = period * np.arange(n + 1)
+    envelope = np.sin(np.pi * t / t[-1]) ** 2
+    heading = rng.uniform(0.0, 2.0 * math.pi) + rng.normal() * np.sin(2.0 * math.pi * t / t[-1])
+    v = rng.uniform(20.0, 150.0) * envelope + 0.5
+    velocity = np.stack([v * np.cos(heading), v * np.sin(heading), 0 * v, 0.04 * v], axis=1)
+    delta = period * (velocity[1:] + velocity[:-1]) / 2.0
+    rest = np.zeros(n + 1, dtype=bool)
+    rest[0] = rest[-1] = True
+    return delta, np.full(n, period), rest
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 8e-3]))
+def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
+    delta, T, rest = smooth(seed, period)
+    v = speeds(delta, T, rest, 0.0, STREAM)
+    np.testing.assert_allclose(durations(delta, v, rest, 0.0, STREAM), T, rtol=1e-6)
+
+
+def test_naive_speeds_would_lose_time() -> None:
+    """What the inversion is for; it also shows that the test above can fail."""
+    delta, T, rest = smooth(1, 1e-3)
+    naive = np.linalg.norm(delta[:, :3], axis=1) / T
+    lost = durations(delta, naive, rest, 0.0, STREAM) - T
+    assert lost.min() >= -1e-12
+    assert lost.max() > 1e-6
+
+
+def test_segments_of_mixed_length_get_the_time_asked() -> None:
+    delta, T, rest = smooth(2, 1e-3, 240)
+    cuts = np.concatenate([[0], np.cumsum(np.tile([1, 2, 4, 8], 16))])
+    delta = np.stack([delta[a:b].sum(axis=0) for a, b in pairwise(cuts)])
+    T, rest = np.diff(cuts) * 1e-3, np.zeros(len(cuts), dtype=bool)
+    v = speeds(delta, T, rest, 60.0, STREAM)
+    np.testing.assert_allclose(durations(delta, v, rest, 60.0, STREAM), T, rtol=1e-6)
+
+
+def alone(delta: tuple[float, float, float, float], v: float) -> float:
+    """Duration of one segment from rest to rest."""
+    rest = np.ones(2, dtype=bool)
+    return float(durations(np.array([delta]), np.array([v]), rest, 0.0, STREAM)[0])
+
+
+def test_single_segment_is_a_trapezoid() -> None:
+    assert alone((3.0, 4.0, 0.0, 0.2), 100.0) == pytest.approx(5.0 / 100.0 + 100.0 / 2.5e5)
+
+
+def test_greatest_velocity_holds() -> None:
+    assert alone((100.0, 0.0, 0.0, 0.0), 5000.0) == pytest.approx(100.0 / 770.0 + 770.0 / 2.5e5)
+
+
+def test_rise_limits_speed_and_acceleration() -> None:
+    share = 1.0 / math.sqrt(101.0)
+    top, a = 20.0 / share, 500.0 / share
+    assert alone((100.0, 0.0, 10.0, 0.0), 50.0) == pytest.approx(10.0 / share / 50.0 + 50.0 / a)
+    assert alone((1000.0, 0.0, 100.0, 0.0), 300.0) == pytest.approx(100 / share / top + top / a)
+
+
+def test_retraction_limits_speed_and_acceleration() -> None:
+    assert alone((100.0, 0.0, 0.0, -50.0), 60.0) == pytest.approx(100.0 / 60.0 + 60.0 / 4000.0)
+    assert alone((100.0, 0.0, 0.0, -50.0), 500.0) == pytest.approx(100.0 / 120.0 + 120.0 / 4000.0)
+    assert alone((100.0, 0.0, 0.0, 50.0), 500.0) == pytest.approx(100.0 / 500.0 + 500.0 / 2.5e5)
+
+
+def test_limited_segments_get_the_time_asked() -> None:
+    """A slow spiral that rises, then one that retracts."""
+    for column, value in ((2, 2e-4), (3, -1e-3)):
+        delta, T, _ = smooth(3, 8e-3)
+        rest = np.zeros(len(T) + 1, dtype=bool)
+        d = np.linalg.norm(delta[:, :2], axis=1)
+        delta[:, 2:] = 0.0
+        delta[:, column] = value * d
+        before = float(d[0] / T[0])
+        v = speeds(delta, T, rest, before, STREAM)
+        np.testing.assert_allclose(durations(delta, v, rest, before, STREAM), T, rtol=1e-6)
+
+
+def test_neighbour_before_the_first_segment_counts() -> None:
+    delta, T = np.array([[0.1, 0.0, 0.0, 0.0]]), np.array([1e-3])
+    rest = np.zeros(2, dtype=bool)
+    rolling = durations(delta, np.array([100.0]), rest, 100.0, STREAM)
+    slower = durations(delta, np.array([100.0]), rest, 40.0, STREAM)
+    assert rolling[0] == pytest.approx(1e-3)
+    assert slower[0] == pytest.approx(1e-3 + 60.0**2 / (2 * 2.5e5) / 100.0)
+    assert speeds(delta, T, rest, 40.0, STREAM)[0] > 100.0
+
+
+# ---------------------------------------------------------------------- junctions
+
+
+def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
+    delta = np.array([first, second], dtype=float)
+    d = np.linalg.norm(delta[:, :3], axis=1)
+    caps = junctions(delta, d, np.full(2, STREAM.acceleration), STREAM)
+    assert caps[0] == caps[2] == math.inf
+    return float(caps[1])
+
+
+def test_square_corner_of_long_segments_has_the_square_corner_velocity() -> None:
+    expected = pytest.approx(SQUARE_CORNER_VELOCITY)
+    assert junction((50.0, 0, 0, 0), (0, 50.0, 0, 0)) == expected
+
+
+def test_square_corner_of_short_segments_is_slower() -> None:
+    expected = math.sqrt(0.5 * 0.02 * 2.5e5)
+    assert junction((0.02, 0, 0, 0), (0, 5.0, 0, 0)) == pytest.approx(expected)
+    assert junction((5.0, 0, 0, 0), (0, 0.02, 0, 0)) == pytest.approx(expected)
+
+
+def test_straight_on_is_free_and_reversal_a_stop() -> None:
+    assert junction((1.0, 0, 0, 0.04), (2.0, 0, 0, 0.08)) == math.inf
+    assert junction((1.0, 0, 0, 0), (-1.0, 0, 0, 0)) == 0.0
+
+
+@given(st.floats(1.0, 179.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))
+def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
+    """angle: between the segments, 180° is straight on."""
+    half = math.radians(angle) / 2.0
+    turn = math.pi - math.radians(angle)
+    r = math.sin(half) / (1.0 - math.sin(half))
+    v2 = min(
+        r * SQUARE_CORNER_VELOCITY**2 * (math.sqrt(2.0) - 1.0),
+        0.5 * min(one, other) * STREAM.acceleration * math.tan(half),
+    )
+    found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
+    assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
+
+
+def test_sudden_change_of_extrusion_is_limited() -> None:
+    assert junction((1.0, 0, 0, 0.05), (1.0, 0, 0, 0.0)) == pytest.approx(20.0)
+
+
+def test_slower_of_two_accelerations_counts() -> None:
+    delta = np.array([[50.0, 0, 0, 0], [0, 50.0, 0, 0]])
+    for a in ([1e5, 2.5e5], [2.5e5, 1e5]):
+        caps = junctions(delta, np.full(2, 50.0), np.array(a), STREAM)
+        assert caps[1] == pytest.approx(SQUARE_CORNER_VELOCITY * math.sqrt(0.4))
+
+
+# ---------------------------------------------------------------------- commands
+
+RESTORE = Restore(300.0, 3000.0)
+AT = np.array([12.5, 30.0, 0.2, 7.0])
+STATE = ModalState(True, False, 0.0, 100.0, (0.0, 0.0, 0.0))
+
+
+def end(state: ModalState = STATE, restore: Restore = RESTORE) -> list[bytes]:
+    return Klipper(Firmware(restore), STREAM).end(state, AT)
+
+
+def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
+    limits = Limits(300.0, 1e4, 5e7, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
+    stream = StreamLimits.of(limits, Motors(700.0, 5e4), Kinematics())
+    assert stream.velocity == pytest.approx(770.0)
+    assert stream.acceleration == pytest.approx(2.5e5)
+    assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)
+    assert (stream.extruder_velocity, stream.extruder_acceleration) == (60.0, 2000.0)
+    assert stream.extruder_corner_velocity == 1.5
+
+
+def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
+    assert Klipper(Firmware(RESTORE), STREAM).begin((0.0, 0.0, 0.0), AT) == [
+        b"M400",
+        b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+        b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=250000 SQUARE_CORNER_VELOCITY=100 "
+        b"MINIMUM_CRUISE_RATIO=0",
+        b"G90",
+        b"M83",
+    ]
+
+
+def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
+    assert end() == [
+        b"M400",
+        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
+        b"MINIMUM_CRUISE_RATIO=0.5",
+        b"G1 F6000",
+    ]
+
+
+def test_shaper_is_restored_where_the_user_has_one() -> None:
+    lines = end(restore=replace(RESTORE, shaper_freq_x=52.5, shaper_freq_y=38.0))
+    assert lines[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=52.5 SHAPER_FREQ_Y=38"
+    one_axis = end(restore=replace(RESTORE, shaper_freq_y=38.0))
+    assert one_axis[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=38"
+
+
+def test_macros_replace_the_limits_and_the_shaper() -> None:
+    firmware = Firmware(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
+    assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
+        b"M400",
+        b"HFRAME_BEGIN",
+        b"G90",
+        b"M83",
+    ]
+    assert Klipper(firmware, STREAM).end(STATE, AT) == [b"M400", b"HFRAME_END A=1", b"G1 F6000"]
+
+
+@pytest.mark.parametrize(
+    ("absolute", "absolute_e", "expected"),
+    [
+        (True, True, [b"M82", b"G92 E1234.56789"]),
+        (False, True, [b"M82", b"G92 E1234.56789", b"G91"]),
+        (False, False, [b"G91"]),
+        (True, False, []),
+    ],
+)
+def test_modes_of_the_file_come_back(
+    absolute: bool, absolute_e: bool, expected: list[bytes]
+) -> None:
+    state = ModalState(absolute, absolute_e, 1234.56789, 41.25, (0.0, 0.0, 0.0))
+    assert end(state)[2:] == [b"G1 F2475", *expected]
+
+
+@settings(max_examples=200)
+@given(
+    st.floats(1e-3, 1e7), st.floats(1.0, 1e8), st.floats(0.0, 1e3), st.floats(0.0, 0.999),
+    st.floats(0.0, 500.0), st.floats(-1e6, 1e6), st.floats(1e-2, 2e3),
+)  # fmt: skip
+def test_no_number_has_an_exponent(
+    velocity: float, acceleration: float, corner: float, ratio: float, shaper: float, e: float,
+    feed: float,
+) -> None:  # fmt: skip
+    restore = Restore(velocity, acceleration, corner, ratio, shaper, shaper)
+    state = ModalState(True, True, e, feed, (0.0, 0.0, 0.0))
+    stream = replace(STREAM, velocity=velocity, acceleration=acceleration)
+    dialect = Klipper(Firmware(restore), stream)
+    for row in dialect.begin((0.0, 0.0, 0.0), AT) + dialect.end(state, AT):
+        for word in row.decode().split()[1:]:
+            number = word.partition("=")[2] or word[1:]
+            assert re.fullmatch(r"-?\d+(\.\d+)?", number), row
+
+
+def test_restored_limits_are_those_of_the_user_to_a_thousandth() -> None:
+    restore = Restore(1234.567, 12345.0, 5.125, 0.0625, 52.3456, 0.0)
+    limits = end(restore=restore)[1].decode()
+    values = {key: float(value) for key, value in re.findall(r"(\w+)=([\d.]+)", limits)}
+    assert values["VELOCITY"] == pytest.approx(1234.567, rel=1e-3)
+    assert values["ACCEL"] == 12345.0
+    assert values["SQUARE_CORNER_VELOCITY"] == 5.125
+    assert values["MINIMUM_CRUISE_RATIO"] == 0.0625
+
+
+# ---------------------------------------------------------------------- plain numbers
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "expected"),
+    [
+        (0.0, 3, "0"), (-0.0, 3, "0"), (-1e-9, 3, "0"), (1.5, 3, "1.5"), (-2.0, 3, "-2"),
+        (100.0, 1, "100"), (1e7, 2, "10000000"), (1e-5, 5, "0.00001"), (1e-7, 5, "0"),
+        (0.1 + 0.2, 5, "0.3"), (100.0, 0, "100"), (0.0, 0, "0"),
+    ],
+)  # fmt: skip
+def test_plain_numbers(value: float, decimals: int, expected: str) -> None:
+    assert plain(value, decimals) == expected
+
+
+@given(st.floats(-1e9, 1e9), st.integers(1, 6))
+def test_plain_numbers_read_back(value: float, decimals: int) -> None:
+    text = plain(value, decimals)
+    assert re.fullmatch(r"-?(0|[1-9]\d*)(\.\d*[1-9])?", text)
+    assert text != "-0"
+    assert float(text) == pytest.approx(value, rel=1e-12, abs=0.5001 * 10**-decimals)
+
+
+def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
+    dialect = Klipper(Firmware(RESTORE), STREAM)
+    state = replace(STATE, offset=(10.0, 0.0, -1.0))
+    assert b"G92 X2.5 Z1.2" in dialect.end(state, AT)
+    assert dialect.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"

@@ -1,0 +1,374 @@
+"""The Marlin mode: commands, whole steps, filament, order, modes, equal bytes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.conversion.pipeline import Options, player
+from hframe_post.errors import GcodeError, PrinterError
+from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.player import Beside
+from hframe_post.gcode import reader
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.planner import sampling
+from hframe_post.printer import profile
+from hframe_post.printer.profile import load, parse, played_by, shipped
+from hframe_post.printer.settings import MarlinRestore, Printer
+from hframe_post.stream.types import ModalState
+from tests.cli.test_main import run
+from tests.conftest import SAMPLES
+from tests.conversion.test_pipeline import assert_same_stream, converted, layers, sample
+from tests.gcode_tools import WORD
+
+QUIRKS = Path(__file__).parent.parent / "quirks"
+NOWHERE = (0.0, 0.0, 0.0)
+AT = np.array([12.5, 30.0, 0.2, 7.0])
+STATE = ModalState(True, False, 0.0, 100.0, NOWHERE)
+OURS = re.compile(
+    rb"; processed by|M400$|M593 [FXY]|M900 K|M493 S|M20[1345] |G90$|M8[23]$|G92 E|G4 P"
+)
+LIMITS = re.compile(rb"M20[1345]\b|M220\b|SET_VELOCITY_LIMIT")
+
+
+@pytest.fixture(scope="module")
+def marlin() -> Printer:
+    return load("paper-marlin")
+
+
+def with_own(profile: Printer, **own: object) -> Printer:
+    assert profile.firmware.marlin is not None
+    table = replace(profile.firmware.marlin, **own)  # type: ignore[arg-type]
+    return replace(profile, firmware=replace(profile.firmware, marlin=table))
+
+
+def mode(profile: Printer) -> Marlin:
+    found = player(profile, None)
+    assert isinstance(found, Marlin)
+    return found
+
+
+# ---------------------------------------------------------------------- commands
+
+
+def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
+    assert mode(marlin).begin(NOWHERE, AT) == [
+        b"M400", b"M593 F0", b"M900 K0", b"M493 S0", b"M201 X100000 Y100000", b"M203 X770 Y770",
+        b"M204 P100000 T100000", b"M205 B0 S0 T0 J0.3", b"G90", b"M83",
+    ]  # fmt: skip
+
+
+def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
+    mine = with_own(marlin, linear_advance=0.05, shaper_freq_y=38.5, fixed_time_motion=1)
+    assert mode(mine).end(STATE, AT) == [
+        b"M400", b"M201 X10000 Y10000", b"M203 X300 Y300", b"M204 P3000 T3000",
+        b"M205 B20000 S0 T0 J0.013", b"M900 K0.05", b"M593 Y F38.5", b"M493 S1", b"G1 F6000",
+    ]  # fmt: skip
+
+
+def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
+    mine = mode(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
+    assert b"M205 B0 S0 T0 X100 Y100 E50" in mine.begin(NOWHERE, AT)
+    assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.end(STATE, AT)
+    assert mine.wait(0.0, Beside.LIFT) == (b"", 0.0)  # z has kept its own jerk
+
+
+def test_lifts_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
+    lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X120\n", b"G1 Z2 F600\n", b"G1 X140 F6000\n"]
+    text = converted(lines, marlin)[0].splitlines()
+    lift = text.index(b"G1 Z2 F600")
+    assert text[lift - 1 : lift + 2] == [b"M205 J0.013", b"G1 Z2 F600", b"M205 J0.3"]
+
+
+@pytest.mark.parametrize(
+    ("absolute", "absolute_e", "expected"),
+    [
+        (True, True, [b"M82", b"G92 E1234.56789"]), (True, False, []), (False, False, [b"G91"]),
+        (False, True, [b"G91", b"M82", b"G92 E1234.56789"]),
+    ],
+)  # fmt: skip
+def test_modes_of_the_file_come_back(
+    marlin: Printer, absolute: bool, absolute_e: bool, expected: list[bytes]
+) -> None:
+    """G91 is for E, too, so it comes before M82."""
+    state = ModalState(absolute, absolute_e, 1234.56789, 41.25, NOWHERE)
+    end = mode(marlin).end(state, AT)
+    assert end[end.index(b"G1 F2475") + 1 :] == expected
+
+
+def test_modes_of_the_stream_outlast_those_of_the_file(marlin: Printer) -> None:
+    lines = [
+        b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X110 E1\n", b"G90\n", b"M83\n",
+        b"G1 X120 E1\n", b"G91\n", b"G1 X10 E1\n", b"G90\n", b"M82\n", b"G92 E0\n", b"G1 X140 E1\n",
+    ]  # fmt: skip
+    text = converted(lines, marlin)[0]
+    absolute = relative_e = None
+    seen = 0
+    for line in text.split(b"M205 B0")[1].split(b"M400")[0].splitlines()[1:]:
+        if line in (b"G90", b"G91"):
+            absolute, relative_e = line == b"G90", line == b"G91"
+        elif line in (b"M82", b"M83"):
+            relative_e = line == b"M83"
+        elif line.startswith(b"G1"):
+            assert absolute
+            assert relative_e
+            seen += 1
+    assert seen > 20
+    assert played_filament(text) == pytest.approx(4.0, abs=1e-5)
+
+
+def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
+    assert b"G92 X2.5 Z1.2" in mode(marlin).end(replace(STATE, offset=(10.0, 0.0, -1.0)), AT)
+    assert mode(marlin).begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
+
+
+def test_machine_is_yielded_with_the_users_settings(marlin: Printer) -> None:
+    lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X120\n", b"M600\n", b"G1 X130 Y100\n", b"G1 X150\n"]
+    text = converted(lines, marlin)[0].splitlines()
+    change = text.index(b"M600")
+    assert b"M204 P3000 T3000" in text[change - 8 : change]
+    assert text[change + 1] == b"G1 X130 Y100"
+    assert text[change + 2] == b"M400"
+
+
+# ---------------------------------------------------------------------- the stream
+
+
+def played_filament(text: bytes) -> float:
+    """mm of filament, as Marlin reads it: G90 and G91 are for E, too."""
+    e = total = 0.0
+    absolute_e = True
+    for raw in text.decode("latin-1").splitlines():
+        line = raw.split(";")[0].strip()
+        command = line.split()[0] if line else ""
+        words = {letter: float(value) for letter, value in WORD.findall(line)}
+        if command in ("G90", "M82", "G91", "M83"):
+            absolute_e = command in ("G90", "M82")
+        elif command == "G92":
+            e = words.get("E", e)
+        elif command in ("G0", "G1") and "E" in words:
+            step = words["E"] - e if absolute_e else words["E"]
+            e, total = e + step, total + step
+    return total
+
+
+@pytest.fixture(scope="module")
+def cube(marlin: Printer) -> tuple[bytes, bytes]:
+    lines = layers("cube.gcode", 6)
+    return b"".join(lines), converted(lines, marlin)[0]
+
+
+def test_filament_is_conserved(cube: tuple[bytes, bytes]) -> None:
+    assert played_filament(cube[1]) == pytest.approx(played_filament(cube[0]), abs=1e-4)
+
+
+def test_lines_that_are_not_motion_pass_in_order(cube: tuple[bytes, bytes]) -> None:
+    def carried(text: bytes) -> list[bytes]:
+        lines = (line for line in text.splitlines() if not line.startswith((b"G0", b"G1")))
+        kept = (line for line in lines if not LIMITS.match(line) and not OURS.match(line))
+        return [re.sub(rb"^(;TIME\w*:).*", rb"\1", line).rstrip() for line in kept]
+
+    assert carried(cube[1]) == carried(cube[0])
+
+
+def test_segments_end_on_whole_steps_and_are_long_enough(
+    cube: tuple[bytes, bytes], marlin: Printer
+) -> None:
+    """All but what ends a motion may be short; nothing is slower than Marlin's slowest step."""
+    assert marlin.steps is not None
+    h = marlin.steps.belt
+    body = cube[1].split(b"M205 B0")[-1].split(b"M400")[0].splitlines()
+    at = [0.0, 0.0]
+    cells: list[tuple[float, ...]] = []
+    for line in body:
+        words = {a: float(v) for a, v in WORD.findall(line.decode().split(";")[0])}
+        if line.startswith(b"G1") and ("X" in words or "Y" in words):
+            at = [words.get("X", at[0]), words.get("Y", at[1])]
+            cells.append((at[0] / h, at[1] / h))
+    where = np.array(cells[1:])
+    np.testing.assert_allclose(where, np.rint(where), atol=0.0006 / h)
+    delta = np.diff(np.rint(where), axis=0)
+    assert (np.abs(delta).sum(axis=1) >= 6).mean() > 0.99
+
+
+def test_no_feed_rate_is_zero_and_nothing_waits(cube: tuple[bytes, bytes]) -> None:
+    assert b"G4" not in cube[1]
+    assert min(float(f) for f in re.findall(rb"^G1.* F([\d.]+)", cube[1], re.MULTILINE)) > 1.0
+
+
+def test_filament_is_counted_anew_before_floats_forget(marlin: Printer) -> None:
+    """Else E of a long print has steps of 0.001 mm in Marlin's floats."""
+    text = converted(layers("cube.gcode", 20), marlin)[0]
+    e = most = 0.0
+    for line in text.splitlines():
+        if line.startswith(b"G92 E"):
+            e = 0.0
+        elif line.startswith(b"G1") and b" E" in line:
+            e += float(re.findall(rb" E(-?[\d.]+)", line)[0])
+            most = max(most, abs(e))
+    assert 10.0 < most < 64.0
+
+
+def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
+    for bound in (60.0, 125.0, 500.0):
+        report = converted(sample("rectangle.gcode"), with_own(marlin, lines_per_second=bound))[1]
+        assert report.busiest_second <= bound
+        assert "TOO DENSE" not in report.as_text()
+    hops = [b"G1 X100 Y100 Z1 F6000\n"]
+    hops += [b"G1 X%d Z%d\n" % (100 + k % 2, 1 + k % 2) for k in range(4)]
+    hops += [b"G1 E%s F3600\n" % (b"0.1" if k % 2 else b"0") for k in range(300)]
+    report = converted(hops, with_own(marlin, lines_per_second=60.0))[1]
+    assert "TOO DENSE" in report.as_text()
+
+
+@pytest.mark.parametrize(
+    ("lines", "cuts"),
+    [
+        (sample("rectangle.gcode"), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
+        (layers("cube.gcode", 2), [(1, 100), (7, 10_000)]),
+    ],
+    ids=["rectangle", "cube"],
+)
+def test_output_does_not_depend_on_how_the_stream_is_cut(
+    marlin: Printer, monkeypatch: pytest.MonkeyPatch, lines: list[bytes],
+    cuts: list[tuple[int, int]],
+) -> None:  # fmt: skip
+    whole = converted(lines, marlin)[0]
+    assert converted(lines, marlin)[0] == whole
+    for moves, samples in cuts:
+        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        assert converted(lines, marlin)[0] == whole
+
+
+def test_golden_rectangle(marlin: Printer, golden: Callable[[str, bytes], bytes]) -> None:
+    """Other machines may round to another tick of the timer."""
+    now = converted(sample("rectangle.gcode"), marlin)[0]
+    assert_same_stream(now, golden("rectangle.marlin.gcode", now), feed=2e-2)
+
+
+def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -> None:
+    lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X110\n", b"M900 K0.08\n", b"G1 X120\n"]
+    text = converted(lines, marlin)[0].splitlines()
+    assert text[text.index(b"M900 K0.08") + 1] == b"M900 K0"
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in QUIRKS.iterdir()))
+def test_quirks_convert_or_are_refused_as_for_klipper(marlin: Printer, name: str) -> None:
+    lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
+    told = []
+    for each in (marlin, played_by(marlin, "klipper")):
+        try:
+            converted(lines, each, Options("racking", clamp=True))
+            told.append("")
+        except GcodeError as error:
+            told.append(str(error))
+    assert told[0] == told[1]
+
+
+# ---------------------------------------------------------------------- segments
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.sampled_from(["hbot", "corexy", "cartesian"]),
+    st.sampled_from([125.0, 250.0, 1000.0]), st.booleans(),
+)  # fmt: skip
+def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: bool) -> None:
+    """Motion with standstill and reversals: ends ascend, and all but the last have their steps."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 900))
+    v = np.cumsum(rng.normal(0.0, 0.01, (n, 2)), axis=0) * (rng.random((n, 1)) > 0.1)
+    v[n // 3 : n // 2] = 0.0
+    points = np.zeros((n + 1, 4))
+    points[1:, :2] = np.cumsum(v, axis=0)
+    paper = replace(with_own(load("paper-marlin"), lines_per_second=rate))
+    machine = mode(replace(paper, kinematics=Kinematics(kind)))
+    ends, at = machine.segments(points, np.zeros(n + 1, dtype=bool), last)
+    assert (np.diff(ends) > 0).all()
+    assert not last or ends[-1] == n
+    assert paper.steps is not None
+    cells = np.vstack([np.rint(points[:1, :2] / paper.steps.belt), at[:, :2] / paper.steps.belt])
+    motors = np.rint(cells) @ machine.kinematics.matrix.T
+    steps = np.abs(np.diff(motors, axis=0)).max(axis=1)
+    assert ((steps >= 6) | (steps == 0))[: len(steps) - 1 if last else None].all()
+
+
+# ---------------------------------------------------------------------- the profile
+
+
+def test_dialect_is_overridden_only_where_the_profile_knows_it(tmp_path: Path) -> None:
+    assert played_by(load("paper-marlin"), "klipper").firmware.dialect == "klipper"
+    with pytest.raises(PrinterError, match=r"paper: firmware\.marlin: the table is missing"):
+        played_by(load("paper"), "marlin")
+    rectangle, out = SAMPLES / "rectangle.gcode", tmp_path / "out.gcode"
+    done = run(rectangle, "-o", out, "--firmware", "marlin")
+    assert done.returncode == 1
+    assert b"firmware.marlin" in done.stderr
+    assert not out.exists()
+    assert run(rectangle, "-o", out, "-p", "paper-marlin").returncode == 0
+    assert b"M593 F0" in out.read_bytes()
+    as_klipper = run(rectangle, "-o", out, "-p", "paper-marlin", "--firmware", "klipper")
+    assert as_klipper.returncode == 0
+    assert b"SET_VELOCITY_LIMIT" in out.read_bytes()
+    assert run(rectangle, "-p", "paper-marlin", "-n", "--every-sample").returncode == 2
+
+
+def test_settings_of_another_firmware_are_stamped_otherwise(marlin: Printer) -> None:
+    first = sample("rectangle.gcode")
+    ours, theirs = (converted(first, p)[0] for p in (marlin, played_by(marlin, "klipper")))
+    assert ours.splitlines()[0] != theirs.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("junction_deviation = 0.013", "", "junction_deviation"),
+        ("linear_advance = 0.0", "jerk = [8.0, 8.0]\njerk_e = 5.0", "junction_deviation"),
+        ("junction_deviation = 0.013", "jerk = [8.0, 8.0]", "junction_deviation"),
+        ("junction_deviation = 0.013", "junction_deviation = -1", "junction_deviation"),
+        ("max_velocity = [300.0, 300.0]", "max_velocity = [0, 300.0]", "max_velocity"),
+        ("max_velocity = [300.0, 300.0]", "", "max_velocity"),
+        ("lines_per_second = 250.0", "lines_per_second = 2000.0", "lines_per_second"),
+        ("lines_per_second = 250.0", "min_steps_per_segment = 0", "min_steps_per_segment"),
+        ("lines_per_second = 250.0", "accel = 1", "accel"),
+    ],
+)  # fmt: skip
+def test_bad_settings_name_their_key(old: str, new: str, key: str) -> None:
+    text = shipped()["paper-marlin"]
+    assert old in text
+    with pytest.raises(PrinterError) as caught:
+        parse(text.replace(old, new), "mine")
+    assert caught.value.key == f"firmware.marlin.{key}"
+
+
+def test_classic_jerk_profile_loads() -> None:
+    jerks = "jerk = [8.0, 8.0]\njerk_e = 5.0"
+    text = shipped()["paper-marlin"].replace("junction_deviation = 0.013", jerks)
+    own = parse(text, "mine").firmware.marlin
+    assert isinstance(own, MarlinRestore)
+    assert own.classic_jerk
+
+
+def test_marlin_needs_the_motors_steps() -> None:
+    whole = shipped()["paper"].replace('dialect = "klipper"', 'dialect = "marlin"')
+    table = shipped()["paper-marlin"].rpartition("[firmware.marlin]")[2]
+    text = re.sub(r"^\[steps\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
+    with pytest.raises(PrinterError, match="steps"):
+        profile.parse(text + "\n[firmware.marlin]" + table, "mine")
+
+
+def test_marlin_profile_needs_no_klipper(marlin: Printer) -> None:
+    whole = shipped()["paper"].replace('dialect = "klipper"', 'dialect = "marlin"')
+    text = re.sub(r"^\[firmware.restore\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
+    table = shipped()["paper-marlin"].rpartition("[firmware.marlin]")[2]
+    mine = parse(text + "\n[firmware.marlin]" + table, "mine")
+    assert mine.firmware.marlin == marlin.firmware.marlin
+    with pytest.raises(PrinterError, match=r"firmware\.restore"):
+        played_by(mine, "klipper")

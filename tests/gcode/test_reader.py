@@ -1,0 +1,313 @@
+"""Reading: modal state, what passes, what is refused; pygcode as the oracle of plain moves."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.errors import GcodeError
+from hframe_post.gcode import arcs, reader
+from hframe_post.gcode.lexer import PLAIN_MOVE, numbers
+from hframe_post.gcode.reader import read
+from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Standing
+from tests.conftest import SAMPLES
+
+QUIRKS = Path(__file__).parent.parent / "quirks"
+HOME = ["G90", "M83", "G1 X0 Y0 Z0 F6000"]  # verbatim; all is known after it
+
+
+def items(*lines: str, firmware: str = "klipper", file_limits: bool = True) -> list[Item]:
+    return list(read([line.encode() + b"\n" for line in lines], firmware, file_limits))
+
+
+def moves(*lines: str, firmware: str = "klipper", file_limits: bool = True) -> list[Moves]:
+    found = items(*HOME, *lines, firmware=firmware, file_limits=file_limits)
+    return [item for item in found if isinstance(item, Moves)]
+
+
+def ends(*lines: str, firmware: str = "klipper") -> list[list[float]]:
+    blocks = moves(*lines, firmware=firmware)
+    return [row for block in blocks for row in block.points[1:].round(9).tolist()]
+
+
+def carried(found: list[Item]) -> list[bytes]:
+    """Text of all that passes, marks among moves included, in order."""
+    texts: list[bytes] = []
+    for item in found:
+        if isinstance(item, Moves):
+            texts += [mark.text for mark in item.marks]
+        elif isinstance(item, Passthrough):
+            texts.append(item.text)
+    return texts[:-1]  # the last is the end of the file
+
+
+# ---------------------------------------------------------------------- modal state
+
+
+def test_relative_and_absolute_positions() -> None:
+    assert ends("G1 X10 Y5", "G91", "G1 X1 Y-2", "G90", "G1 X3") == [
+        [10, 5, 0, 0], [11, 3, 0, 0], [3, 3, 0, 0],
+    ]  # fmt: skip
+
+
+def test_g90_makes_e_absolute_in_marlin_and_leaves_it_in_klipper() -> None:
+    lines = ("M83", "G91", "G90", "G1 X10 E5", "G1 X20 E5")
+    assert [row[3] for row in ends(*lines, firmware="klipper")] == [5, 10]
+    assert [row[3] for row in ends(*lines, firmware="marlin")] == [5, 5]
+
+
+def test_g91_makes_e_relative_everywhere() -> None:
+    for firmware in ("klipper", "marlin"):
+        lines = ("M82", "G92 E0", "G1 X10 E5", "G91", "G1 X10 E5")
+        assert [row[3] for row in ends(*lines, firmware=firmware)] == [5, 10]
+
+
+def test_filament_counts_on_through_g92() -> None:
+    assert [row[3] for row in ends("M82", "G92 E0", "G1 X1 E2", "G92 E0", "G1 X2 E2")] == [2, 4]
+
+
+def test_g92_renames_a_place() -> None:
+    assert ends("G1 X10", "G92 X0", "G1 X5")[-1][0] == 15
+
+
+def test_inches() -> None:
+    assert ends("G20", "G1 X1 Y2", "G21", "G1 X30")[:2] == [[25.4, 50.8, 0, 0], [30, 50.8, 0, 0]]
+
+
+def test_feed_is_modal_and_scaled_by_m220() -> None:
+    (block,) = moves("G1 X1", "G1 F3000", "G1 X2", "M220 S50", "G1 X3", "G0 X4 F600")
+    np.testing.assert_allclose(block.speed, [100, 50, 25, 5])
+
+
+def test_feed_before_any_f_is_klippers() -> None:
+    found = items("G92 X0 Y0 Z0", "G1 X5")
+    (block,) = (item for item in found if isinstance(item, Moves))
+    assert block.speed[0] == 25.0
+
+
+@pytest.mark.parametrize(
+    ("line", "klipper", "marlin"),
+    [("M204 S900", 900, 900), ("M204 P800 T700", 700, 700), ("M204 P600", math.inf, 600)],
+)
+def test_m204(line: str, klipper: float, marlin: float) -> None:
+    assert moves(line, "G1 X1")[0].acceleration[0] == klipper
+    assert moves(line, "G1 X1", firmware="marlin")[0].acceleration[0] == marlin
+
+
+def test_limits_of_the_file() -> None:
+    lines = ("M205 X8 Y6", "M201 X500 Y400 Z100 E5000", "M203 X300", "G1 X1")
+    (block,) = moves(*lines)
+    assert block.corner[0] == 6
+    assert block.limits.acceleration == (500, 400, 100, 5000)
+    assert block.limits.velocity == (300, math.inf, math.inf, math.inf)
+    (ignoring,) = moves(*lines, "M220 S50", "G1 X2", file_limits=False)
+    assert math.isinf(ignoring.corner[0])
+    assert math.isinf(ignoring.limits.velocity[0])
+    assert ignoring.speed[1] == 50
+
+
+def test_set_velocity_limit() -> None:
+    (block,) = moves(
+        "SET_VELOCITY_LIMIT ACCEL=3000 SQUARE_CORNER_VELOCITY=0 VELOCITY=120 "
+        "MINIMUM_CRUISE_RATIO=0", "G1 X1",
+    )  # fmt: skip
+    assert (block.acceleration[0], block.corner[0]) == (3000, 0)
+    assert block.limits.velocity[:2] == (120, 120)
+
+
+def test_retraction_and_lift_stand_still() -> None:
+    found = items(*HOME, "G1 X5", "G1 E-2 F2700", "G1 Z1 F600", "G1 X6")
+    standing = [item for item in found if isinstance(item, Standing)]
+    assert [(s.end[2], s.end[3], s.speed) for s in standing] == [(0, -2, 45), (1, -2, 10)]
+
+
+# ---------------------------------------------------------------------- unknown places
+
+
+def test_moves_from_unknown_places_go_to_the_firmware_as_they_stand() -> None:
+    found = items("G28", "G1 Z2 F3000", "G1 X10 Y20", "G1 X20 E1")
+    verbatim = [i for i in found if isinstance(i, Passthrough) and i.handling is Handling.YIELD]
+    assert [i.text for i in verbatim] == [b"G28", b"G1 Z2 F3000", b"G1 X10 Y20", b""]
+    (block,) = (i for i in found if isinstance(i, Moves))
+    assert block.points.tolist() == [[10, 20, 2, 0], [20, 20, 2, 1]]
+
+
+@pytest.mark.parametrize("line", ["G28", "T1", "M600", "PRINT_START BED=60", "G29", "M0 Click"])
+def test_place_is_unknown_after_what_may_move(line: str) -> None:
+    after = items(*HOME, "G1 X5", line, "G1 X7 Y7", "G1 X8")
+    assert b"G1 X7 Y7" in carried(after)
+    assert after[-2].points[0, 0] == 7 if isinstance(after[-2], Moves) else False
+
+
+def test_homing_one_axis_forgets_only_that() -> None:
+    assert b"G1 Y9" not in carried(items(*HOME, "G28 Z", "G1 Y9"))
+    assert b"G1 Y9" in carried(items(*HOME, "G28 X", "G1 Y9"))
+
+
+def test_state_of_yielded_lines_is_what_the_file_believes() -> None:
+    found = items(*HOME, "M82", "G92 E1.5", "G1 X5 E2 F1200", "G91", "T1")
+    state = next(i for i in found if isinstance(i, Passthrough) and i.text == b"T1").state
+    assert (state.absolute, state.absolute_e, state.e, state.feed) == (False, True, 2, 20)
+
+
+# ---------------------------------------------------------------------- what passes
+
+
+def test_lines_that_are_not_motion_pass_byte_for_byte_and_in_order() -> None:
+    lines = [
+        ";TYPE:FILL", "M106 S173.4", "G1 X5", "; \xe9\xff odd", "M117 Layer (2) 50%", "G1 X6",
+        "M104 S200 ; warm", "SET_PRESSURE_ADVANCE ADVANCE=0.04", "", "G1 X7", "M84 X Y E", "%",
+    ]  # fmt: skip
+    raw = [line.encode("latin-1") for line in lines]
+    found = list(read([b"G92 X0 Y0 Z0", *raw], "klipper"))
+    assert carried(found) == [b"G92 X0 Y0 Z0"] + [r for r in raw if not r.startswith(b"G1")]
+
+
+def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "MOVES_PER_BLOCK", 2)
+    lines = ("G1 X1", ";a", "G1 X2", "G1 X3", ";b", "G1 X4", ";c", "G1 X5")
+    blocks = moves(*lines)
+    assert [block.marks for block in blocks[:2]] == [(Mark(1, b";a"),), (Mark(1, b";b"),)]
+    for one, following in pairwise(blocks):
+        np.testing.assert_array_equal(one.points[-1], following.points[0])
+
+
+@pytest.mark.parametrize(
+    "name", ["bom", "checksums", "crlf", "lower_and_tight", "no_final_newline", "thumbnail"]
+)
+def test_the_same_square_in_many_spellings(name: str) -> None:
+    lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
+    (block,) = (item for item in read(lines, "klipper") if isinstance(item, Moves))
+    assert block.points.tolist() == [
+        [10, 10, 0.2, 0], [30, 10, 0.2, 1.5], [30, 30, 0.2, 3], [10, 30, 0.2, 4.5],
+        [10, 10, 0.2, 6],
+    ]  # fmt: skip
+
+
+def test_exponents_are_read_as_firmware_reads_them() -> None:
+    """X1e-3 is X1 and E-3 to Klipper and Marlin; there is no telling it from tight writing."""
+    assert ends("G1 X1e-3") == [[1, 0, 0, -3]]
+
+
+def test_comments_of_both_forms() -> None:
+    lines = (QUIRKS / "paren_comments.gcode").read_bytes().splitlines(keepends=True)
+    (block,) = (item for item in read(lines, "klipper") if isinstance(item, Moves))
+    assert block.points[:, 0].tolist() == [10, 20]
+
+
+def test_klipper_macros_pass() -> None:
+    lines = (QUIRKS / "klipper.gcode").read_bytes().splitlines()
+    kept = [line for line in lines if not line.startswith((b"SET_VELOCITY_LIMIT", b"G1 X20"))]
+    assert carried(list(read(lines, "klipper"))) == kept
+
+
+# ---------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "G1 XNaN", "G1 X1.2.3", "G1 Xabc", "G1 X", "G1 X1 F0", "G1 X1 F-5", "G1 X1 X2", "G1 S5",
+        "G1 A5", "G1 X99999999", "G53 G1 X1", "G54", "G59", "G5 X1", "G92.1",
+        "N3 G1 X5*9", "M204 S-1", "M204 S0", "M220 S0", "G2 X5 Y5", "G2 X50 I1 J0", "G2 X9 R1",
+        "; processed by hframe-post 0.1.0",
+    ],
+)  # fmt: skip
+def test_what_would_be_misread_is_an_error_with_its_line(line: str) -> None:
+    with pytest.raises(GcodeError) as caught:
+        items(*HOME, line)
+    assert caught.value.line == len(HOME) + 1
+    assert str(caught.value).startswith(f"line {len(HOME) + 1}: ")
+
+
+def test_arcs_in_other_planes_are_refused() -> None:
+    with pytest.raises(GcodeError, match="plane"):
+        items(*HOME, "G18", "G2 X5 Y5 I5")
+
+
+@pytest.mark.parametrize(
+    ("lines", "cause"),
+    [
+        ([], "empty"), (["; nothing"], "single move"), (["GCDE"], "binary"),
+        (["a\0b", "G1 X1"], "text file"),
+    ],
+)  # fmt: skip
+def test_files_that_are_no_prints_are_refused(lines: list[str], cause: str) -> None:
+    with pytest.raises(GcodeError, match=cause):
+        items(*lines)
+
+
+@pytest.mark.parametrize(("name", "line"), [("arcs", 11), ("modes", 12)])
+def test_quirks_that_cannot_be_followed_say_where(name: str, line: int) -> None:
+    with pytest.raises(GcodeError) as caught:
+        list(read((QUIRKS / f"{name}.gcode").read_bytes().splitlines(), "klipper"))
+    assert caught.value.line == line
+
+
+@given(st.lists(st.binary(max_size=40), max_size=8))
+def test_no_bytes_raise_anything_else(lines: list[bytes]) -> None:
+    with contextlib.suppress(GcodeError):
+        assert list(read([b"G1 X1 Y1 Z1", *lines], "klipper"))
+
+
+# ---------------------------------------------------------------------- arcs
+
+
+def arc_is_right(points: Array, start: tuple[float, float], centre: tuple[float, float]) -> None:
+    radius = math.dist(start, centre)
+    whole = np.vstack([start, points])
+    np.testing.assert_allclose(np.hypot(*(whole - centre).T), radius, atol=1e-9)
+    middles = (whole[1:] + whole[:-1]) / 2
+    assert (radius - np.hypot(*(middles - centre).T)).max() <= arcs.TOLERANCE + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("line", "centre", "middle"),
+    [
+        ("G2 X10 Y0 R5", (5, 0), (5, 5)),
+        ("G3 X10 Y0 R5", (5, 0), (5, -5)),
+        ("G2 X10 Y0 I5 J0", (5, 0), (5, 5)),
+        ("G3 X10 Y0 R-13", (5, -12), (5, -25)),
+        ("G2 X6 Y0 R-5", (3, 4), (3, 9)),
+    ],
+)
+def test_arcs(line: str, centre: tuple[float, float], middle: tuple[float, float]) -> None:
+    points = np.array(ends(line))[:, :2]
+    arc_is_right(points, (0.0, 0.0), centre)
+    assert np.hypot(*(points - middle).T).min() < 0.5
+
+
+def test_full_circle_and_helix_in_proportion() -> None:
+    points = np.array(ends("G3 X0 Y0 Z2 I-10 J0 E4"))
+    arc_is_right(points[:, :2], (0.0, 0.0), (-10.0, 0.0))
+    assert points[-1].tolist() == [0, 0, 2, 4]
+    np.testing.assert_allclose(points[:, 3], 2 * points[:, 2], atol=1e-9)
+    assert points[:, 0].min() == pytest.approx(-20, abs=0.05)
+
+
+# ---------------------------------------------------------------------- pygcode
+
+
+@pytest.mark.parametrize("name", ["rectangle", "cube", "prism"])
+def test_pygcode_reads_the_same_numbers(name: str) -> None:
+    from pygcode.words import text2words
+
+    lines = set((SAMPLES / f"{name}.gcode").read_bytes().splitlines())
+    moving = sorted(line for line in lines if line.split(b" ")[0] in (b"G0", b"G1", b"G92"))
+    for line in moving[:: max(len(moving) // 3000, 1)]:
+        text = line.partition(b";")[0]
+        words = {w.letter: w.value for w in text2words(text.decode())}
+        del words["G"]
+        ours = numbers(1, line, text.partition(b" ")[2], "XYZEF")
+        assert ours == words
+        if (match := PLAIN_MOVE.match(line)) is not None:
+            groups = zip("FXYZEF", match.groups()[1:], strict=True)
+            assert {letter: float(v) for letter, v in groups if v} == words

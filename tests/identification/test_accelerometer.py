@@ -1,0 +1,319 @@
+"""Accelerometer files: what is read from them, what is refused, and axes."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+
+from hframe_post.arrays import Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.accelerometer import (
+    GRAVITY,
+    Recording,
+    axis_map,
+    doubts,
+    oriented,
+    read,
+)
+from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, Sensor, spline, sweep
+
+NAMES = b"#time,accel_x,accel_y,accel_z\n"
+COLUMNS = ("t", "ax", "ay", "az")
+
+
+@pytest.fixture(scope="module")
+def rows() -> Array:
+    """Time and three accelerations of a sensor that is shaken, (n, 4)."""
+    swept = sweep(rate=60.0)
+    recording = Sensor(drift=0.004).felt(spline(swept, 0.0 * swept), (len(swept) - 1) / 1000.0)
+    return np.column_stack([recording.t, recording.a])
+
+
+def klipper(rows: Array) -> bytes:
+    """As Klipper writes it."""
+    return NAMES + b"".join(b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist())
+
+
+def file(folder: Path, text: bytes, name: str = "raw.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text)
+    return path
+
+
+def refused(path: Path, words: str, columns: tuple[str, ...] | None = None) -> None:
+    with pytest.raises(IdentificationError, match=words) as caught:
+        read(path, columns)
+    assert str(path) in str(caught.value)
+
+
+# ------------------------------------------------------------------------ files
+
+
+def test_klipper_file_is_read_and_begins_with_the_command(tmp_path: Path, rows: Array) -> None:
+    recording = read(file(tmp_path, klipper(rows)))
+    assert recording.started
+    np.testing.assert_allclose(recording.t, rows[:, 0], atol=5.1e-7)
+    np.testing.assert_allclose(recording.a, rows[:, 1:], atol=5.1e-7)
+    assert recording.period == pytest.approx(np.median(np.diff(rows[:, 0])), abs=1e-6)
+
+
+def test_klipper_file_by_its_columns_begins_anywhere(tmp_path: Path, rows: Array) -> None:
+    columns = ("#time", "accel_x", "accel_y", "accel_z")
+    assert not read(file(tmp_path, klipper(rows)), columns).started
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+@pytest.mark.parametrize("delimiter", [b",", b";", b"\t"])
+@pytest.mark.parametrize(("unit", "scale"), [("mm/s2", 1.0), ("m/s2", 1e3), ("g", GRAVITY)])
+def test_table_with_named_columns(
+    tmp_path: Path, rows: Array, delimiter: bytes, end: bytes, unit: str, scale: float
+) -> None:
+    head = b'\xef\xbb\xbf"az";note;t;ax; ay '.replace(b";", delimiter) + end
+    body = [
+        b";".join(b"%.17g" % v for v in (z / scale, 7.0, t, x / scale, y / scale))
+        for t, x, y, z in rows.tolist()
+    ]
+    text = head + end.join(line.replace(b";", delimiter) for line in body) + end + end
+    recording = read(file(tmp_path, text, "logged.txt"), COLUMNS, unit)
+    assert not recording.started
+    np.testing.assert_allclose(recording.a, rows[:, 1:], rtol=1e-12)
+    np.testing.assert_allclose(recording.t, rows[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def test_arrays_by_name(tmp_path: Path, rows: Array, suffix: str) -> None:
+    path = tmp_path / f"measured{suffix}"
+    arrays = dict(zip(COLUMNS, rows.T / GRAVITY, strict=True)) | {"t": rows[:, 0]}
+    (np.savez if suffix == ".npz" else lambda p, **a: savemat(p, a))(path, **arrays)
+    recording = read(path, COLUMNS, "g")
+    assert not recording.started
+    np.testing.assert_allclose(recording.a, rows[:, 1:], rtol=1e-12)
+    refused(path, "say which arrays .* there are: t, ax, ay, az")
+    refused(path, "there is no column b; there are: t, ax", ("t", "ax", "ay", "b"))
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array, suffix: str) -> None:
+    refused(file(tmp_path, b"", f"empty{suffix}"), "cannot be read", COLUMNS)
+    refused(file(tmp_path, bytes(range(256)) * 9, f"junk{suffix}"), "cannot be read", COLUMNS)
+    path = tmp_path / f"odd{suffix}"
+    good = dict(zip(COLUMNS, rows.T, strict=True))
+    for wrong, words in (
+        (rows[:-1, 3], "differ in length"),
+        (rows, "no list"),
+        (rows[:, 3] * 1j, "no list"),
+        (np.array(["word"] * len(rows)), "no list"),
+    ):
+        arrays = good | {"az": wrong}
+        (np.savez if suffix == ".npz" else lambda p, **a: savemat(p, a))(path, **arrays)
+        refused(path, words, COLUMNS)
+    if suffix == ".npz":
+        np.savez(path, **good | {"az": np.array([None, {}])})
+        refused(path, "cannot be read", COLUMNS)
+    else:
+        newer = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400)
+        refused(file(tmp_path, newer, "newer.mat"), "-v7", COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b"", "empty"),
+        (b" \n\n", "empty"),
+        (NAMES, "0 samples are too few"),
+        (NAMES.strip(), "0 samples are too few"),
+        (NAMES + b"1,2,3,4\n" * 50, "50 samples are too few"),
+        (b"t,x,y,z\n1,2,3,4\n", "line 1: this is no accelerometer file"),
+        (b"G28\nG1 X1\n", "line 1: this is no accelerometer file"),
+        (b"\x00\xff\xfe" * 90, "line 1: this is no accelerometer file"),
+        (b"#time,accel_x,accel_y\n1,2,3\n", "line 1: this is no accelerometer file"),
+    ],
+)
+def test_text_that_is_no_recording(tmp_path: Path, text: bytes, words: str) -> None:
+    refused(file(tmp_path, text), words)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (b"1.0,2.0,x,4.0", "line 500: this is no number: '1.0,2.0,x,4.0'"),
+        (b"1.0,2.0,,4.0", "line 500: this is no number"),
+        (b"1.0,2.0", "line 500: too few columns"),
+        (b"nan,2.0,3.0,4.0", "line 500: not a finite number"),
+        (b"1235.0,2.0,inf,4.0", "line 500: not a finite number"),
+        (b"1.0,2.0,3.0,4.0", "line 500: time does not go forwards"),
+        (b"ACCELEROMETER \xff", "line 500: too few columns"),
+    ],
+)
+def test_first_bad_line_is_named(tmp_path: Path, rows: Array, bad: bytes, words: str) -> None:
+    lines = klipper(rows).splitlines()
+    lines[499] = bad
+    lines[700] = b"this, too, is, bad" if b"2.0,x" in bad else lines[700]
+    refused(file(tmp_path, b"\n".join(lines) + b"\n"), words)
+
+
+def test_lines_are_counted_with_empty_ones(tmp_path: Path, rows: Array) -> None:
+    lines = klipper(rows).splitlines()
+    lines[499] = lines[400]
+    text = b"\n\n" + b"\n\n".join(lines)
+    refused(file(tmp_path, text), "line 1001: time does not go forwards")
+
+
+def test_file_that_is_cut_off(tmp_path: Path, rows: Array) -> None:
+    text = klipper(rows)
+    cut = text[: text.rindex(b",") - 2]
+    refused(file(tmp_path, cut), f"line {len(rows) + 1}: too few columns.*cut off")
+
+
+def test_lost_samples_are_told_with_where(tmp_path: Path, rows: Array) -> None:
+    lost = np.delete(rows, slice(1000, 1008), axis=0)
+    refused(file(tmp_path, klipper(lost)), "line 1002: samples are missing: 0.0028.* s")
+    some = np.delete(rows, slice(1000, 1003), axis=0)
+    assert len(read(file(tmp_path, klipper(some))).t) == len(some)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (("t", "x", "z", "w"), "there is no column w; there are: t, x, y, z, y"),
+        (("t", "x", "y", "z"), "y occurs twice"),
+    ],
+)
+def test_wrong_columns(tmp_path: Path, columns: tuple[str, ...], words: str) -> None:
+    refused(file(tmp_path, b"t,x,y,z,y\n1,2,3,4,5\n"), words, columns)
+
+
+def test_what_is_asked_must_make_sense(tmp_path: Path, rows: Array) -> None:
+    path = file(tmp_path, klipper(rows))
+    with pytest.raises(IdentificationError, match="none of the units"):
+        read(path, None, "furlong")
+    for columns in (("t", "x", "y"), ("t", "x", "x", "z")):
+        with pytest.raises(IdentificationError, match="name four columns"):
+            read(path, columns)
+    with pytest.raises(FileNotFoundError):
+        read(tmp_path / "none.csv")
+
+
+def test_times_that_are_no_seconds(tmp_path: Path, rows: Array) -> None:
+    slow = rows.copy()
+    slow[:, 0] = (rows[:, 0] - rows[0, 0]) * 1000.0
+    refused(file(tmp_path, klipper(slow)), "samples a second are too few.*in seconds")
+    slow[:, 0] = rows[:, 0] + 1e12
+    refused(file(tmp_path, klipper(slow)), "times are no seconds")
+
+
+@pytest.mark.parametrize("step", [SIXTEEN_BITS, THIRTEEN_BITS])
+@pytest.mark.parametrize("column", [1, 2])
+def test_clipping_is_told(tmp_path: Path, step: float, column: int) -> None:
+    swept = sweep(rate=60.0)
+    recording = Sensor(step=step).felt(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    rows = np.column_stack([recording.t, recording.a])
+    level = round(0.8 * np.abs(rows[:, column]).max() / step) * step
+    rows[:, column] = np.clip(rows[:, column], -level, level)
+    first = int(np.flatnonzero(np.abs(rows[:, column]) == level)[0])
+    with pytest.raises(IdentificationError, match=f"sensor's {'xyz'[column - 1]} is clipped") as e:
+        read(file(tmp_path, klipper(rows)))
+    line = int(str(e.value).split("line ")[1].split(":")[0])
+    assert line >= first + 2  # that line, or the next at which it stays clipped
+
+
+def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array) -> None:
+    full = rows.copy()
+    full[1000, 2] = -16.0 * GRAVITY
+    refused(file(tmp_path, klipper(full)), "line 1002: .* y is clipped at -1569")
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 5.0])
+@pytest.mark.parametrize("step", [SIXTEEN_BITS, THIRTEEN_BITS, 1e-3])
+def test_peaks_in_coarse_steps_are_not_clipping(tmp_path: Path, step: float, noise: float) -> None:
+    swept = sweep(rate=20.0)
+    sensor = Sensor(step=step, noise=noise)
+    recording = sensor.felt(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    rows = np.column_stack([recording.t, recording.a])
+    assert read(file(tmp_path, klipper(rows))).started
+
+
+# ------------------------------------------------------------------------- axes
+
+
+def test_every_rotation_and_no_reflection_is_an_axis_map() -> None:
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.diag(signs)[:, np.argsort(order)]
+            names = ("-" * (sign < 0.0) + "xyz"[k] for sign, k in zip(signs, order, strict=True))
+            text = ",".join(f"{axis}={name}" for axis, name in zip("xyz", names, strict=True))
+            if np.linalg.det(matrix) > 0.0:
+                np.testing.assert_array_equal(axis_map(text), matrix)
+            else:
+                with pytest.raises(IdentificationError, match="left-handed"):
+                    axis_map(text)
+
+
+def test_axis_map_names_the_sensors_axes() -> None:
+    """The printer's x is the sensor's −y."""
+    np.testing.assert_array_equal(axis_map("x=-y, y=+x,Z=z") @ [1.0, 2.0, 3.0], [-2.0, 1.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x=x,y=y", "x=x,y=x,z=z", "x=x,x=y,z=z", "x=x,y=y,z=w", "x=1,y=y,z=z", "xyz",
+             "x=x,y=y,z=z,z=z", "x=--x,y=y,z=z"],
+)  # fmt: skip
+def test_axis_map_that_is_none(text: str) -> None:
+    with pytest.raises(IdentificationError, match="no axis map"):
+        axis_map(text)
+
+
+def resting(turn: Rotation, then: Array, offset: Array) -> Recording:
+    """1 s of rest and then accelerations (n, 3) of the printer, as a turned sensor shows them."""
+    true = np.concatenate([np.zeros((1000, 3)), then])
+    true[:, 2] += GRAVITY
+    shown: Array = turn.inv().apply(true) + offset
+    return Recording(np.asarray(np.arange(len(shown)) * 1e-3), shown, True)
+
+
+angles = st.floats(-15.0, 15.0)
+
+
+@given(angles, angles, st.integers(0, 2**32 - 1))
+def test_tilt_and_gravity_are_removed(about_x: float, about_y: float, seed: int) -> None:
+    """Whatever the tilt, and whichever way the sensor is mounted."""
+    rng = np.random.default_rng(seed)
+    moved = rng.normal(0.0, 3000.0, (200, 3))
+    tilt = Rotation.from_rotvec([about_x, about_y, 0.0], degrees=True)
+    mounted = Rotation.from_matrix(axis_map("x=-y,y=x,z=z"))
+    found = oriented(resting(tilt * mounted, moved, np.zeros(3)), "x=-y,y=x,z=z", 1.0)
+    np.testing.assert_allclose(found.a[1000:], moved, atol=1e-6)
+    np.testing.assert_allclose(found.a[:1000], 0.0, atol=1e-6)
+
+
+def test_offset_is_removed(rows: Array) -> None:
+    moved = np.full((100, 3), 1000.0)
+    offset = np.array([150.0, -150.0, 200.0])
+    found = oriented(resting(Rotation.identity(), moved, offset))
+    np.testing.assert_allclose(found.a[:1000], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.a[1000:], moved, rtol=0.03)
+
+
+@pytest.mark.parametrize("axes", ["x=y,y=z,z=x", "x=x,y=-y,z=-z"])
+def test_map_whose_z_is_not_up_is_refused(axes: str) -> None:
+    recording = resting(Rotation.identity(), np.zeros((100, 3)), np.zeros(3))
+    with pytest.raises(IdentificationError, match=r"tilted by (90|180)°.*points up"):
+        oriented(recording, axes)
+
+
+@pytest.mark.parametrize(("scale", "shown"), [(1e-3, "0.0098"), (0.0, "0 m"), (1.3, "12.7")])
+def test_gravity_that_cannot_be_is_a_warning(scale: float, shown: str) -> None:
+    recording = resting(Rotation.identity(), np.zeros((100, 3)), np.zeros(3))
+    assert doubts(recording, 1.0) == []
+    wrong = Recording(recording.t, recording.a * scale, True)
+    (text,) = doubts(wrong, 1.0)
+    assert shown in text
+    assert "unit" in text
+    np.testing.assert_allclose(oriented(wrong).a, 0.0, atol=1e-9)

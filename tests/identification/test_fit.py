@@ -1,0 +1,175 @@
+"""The fit against the transfer functions whose responses it is given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.diagnostics import of_zeros
+from hframe_post.identification.fit import RADIUS, Fit, fit
+from hframe_post.identification.frequency_response import FrequencyResponse, estimate
+from hframe_post.identification.kautz import denominator, transfer_function
+from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.transfer_function import TransferFunction
+from tests.plants import all_of_them, at, at_rest, resonant, sweep
+
+HZ = np.arange(1.0, 100.01, 0.25)
+BAND = (1.0, 100.0)
+NAMES = [f"{who}-{what}" for who in ("paper", "1", "2", "3") for what in ("Gxx", "Gyy", "Gxtheta")]
+ALL = pytest.mark.parametrize("G", all_of_them(), ids=NAMES)
+NARROW = (-2e-4, 2e-4)
+
+
+def measured(G: TransferFunction, noise: float = 0.0, delay: float = 0.0) -> FrequencyResponse:
+    real, imaginary = np.random.default_rng(5).normal(size=(2, len(HZ))) / np.sqrt(2.0)
+    H = at(G, HZ, delay) * (1.0 + noise * (real + 1j * imaginary))
+    return FrequencyResponse(HZ, H, np.full(len(HZ), 1.0 / (1.0 + noise**2)), np.ones(len(HZ)))
+
+
+def error(found: Fit, G: TransferFunction, delay: float = 0.0) -> float:
+    hz = np.arange(5.0, 80.0, 0.1)
+    true = at(G, hz, delay)
+    return float(np.linalg.norm(found.response(hz) - true) / np.linalg.norm(true))
+
+
+@ALL
+@pytest.mark.parametrize(
+    "bounds", [NARROW, pytest.param((-3e-3, 3e-3), marks=pytest.mark.slow)], ids=["narrow", "wide"]
+)
+def test_exact_responses_give_the_function(
+    G: TransferFunction, bounds: tuple[float, float]
+) -> None:
+    found = fit(measured(G), None, at_rest(G), BAND, bounds)
+    assert error(found, G) < 1e-4
+    assert abs(found.delay) < 5e-5
+    assert found.order == G.order
+    assert not [text for text in found.warnings if "order" in text or "bound" in text]
+
+
+@pytest.mark.slow
+@ALL
+def test_noisy_responses_give_it_nearly(G: TransferFunction) -> None:
+    found = fit(measured(G, 0.01), None, at_rest(G), BAND, NARROW)
+    assert error(found, G) < 0.003
+    assert 0.7e-2 < found.residual < 1.3e-2
+
+
+@ALL
+def test_what_is_found_is_stable_and_exact_at_rest(G: TransferFunction) -> None:
+    found = fit(measured(G, 0.03), G.order, at_rest(G), BAND, NARROW).G
+    assert np.abs(found.poles).max() <= RADIUS
+    assert found.dc_gain == pytest.approx(at_rest(G), abs=1e-9)
+    assert len(found.zeros) < len(found.poles) + (at_rest(G) == 0.0)
+    if at_rest(G) == 0.0:
+        assert 1.0 in found.zeros
+
+
+@ALL
+def test_a_noisy_sweep_gives_it(G: TransferFunction) -> None:
+    u = sweep()
+    sd = 3.0 * np.sqrt(500.0) * (1.0 if at_rest(G) else np.sqrt(2.0) / 300.0)
+    noise = sd * np.random.default_rng(7).normal(size=len(u))
+    response = estimate(u, LiftedFilter(G).run(u) + noise)
+    found = fit(response, None, at_rest(G), (3.0, 115.0), NARROW)
+    assert error(found, G) < 0.003
+    assert not [text for text in found.warnings if "order" in text]
+
+
+@pytest.mark.parametrize("delay", [-1.3e-4, 1e-4, 1.8e-3])
+def test_a_delay_within_the_bounds_is_found(delay: float) -> None:
+    G = all_of_them()[0]
+    found = fit(measured(G, delay=delay), None, 1.0, BAND, (-2e-4, 2e-3))
+    assert found.delay == pytest.approx(delay, abs=5e-5)
+    assert error(found, G, delay) < 1e-4
+
+
+def texts(G: TransferFunction, order: int | None = None, **options: float) -> str:
+    return "\n".join(fit(measured(G, **options), order, at_rest(G), BAND, NARROW).warnings)
+
+
+def test_doubts_about_the_order() -> None:
+    G = all_of_them()[1]
+    assert "order 3 is too low" in texts(G, 3, noise=0.01)
+    assert "order 8 is too high" in texts(resonant(40.0, 0.1), 8, noise=0.01)
+    assert "order" not in texts(G, noise=0.01)
+
+
+def test_doubts_about_the_delay() -> None:
+    assert "delay of 0.2 ms is at its bound" in texts(all_of_them()[0], 4, delay=1e-3)
+
+
+def test_doubts_about_resonances_outside_the_band() -> None:
+    G = resonant(130.0, 0.05)
+    found = fit(measured(G), 2, 1.0, BAND)
+    assert any("a resonance at 130 Hz" in text for text in found.warnings)
+    assert "resonance" not in texts(resonant(60.0, 0.05), 2)
+
+
+def test_doubts_about_zeros_outside_the_circle_cost_their_delay() -> None:
+    """An all-pass (1 − bz)/(z − b) delays by (1 + b)/(1 − b) samples at rest."""
+    b = 0.5
+    first = resonant(50.0, 0.2)
+    G = TransferFunction(np.array([1.0 / b]), np.append(first.poles, b), -b * first.gain)
+    assert at_rest(G) == 1.0
+    found = fit(measured(G), 3, 1.0, BAND)
+    (text,) = found.notes
+    near = found.G.zeros[np.abs(found.G.zeros) < 3.0]
+    assert near == pytest.approx([1.0 / b], rel=1e-3)
+    assert "3 ms of group delay" in text
+
+
+def test_zeros_that_hardly_lie_outside_the_circle_are_doubted() -> None:
+    """What cancels a zero at 1.02 decays by 2 % a sample, backwards in time."""
+    poles = resonant(50.0, 0.2).poles
+    usual, near = (TransferFunction(np.array([zero]), poles, 1.0) for zero in (1.2, 1.02))
+    assert [len(texts) for texts in of_zeros(usual)] == [1, 0]
+    notes, warnings = of_zeros(near)
+    assert notes == ()
+    assert f"{np.log(100.0) / np.log(1.02):.0f} ms early" in warnings[0]
+
+
+def test_doubts_about_the_data() -> None:
+    response = measured(resonant(40.0, 0.1), 0.01)
+    gamma = np.where((response.hz < 3.0) | (response.hz > 90.0), 0.5, response.coherence)
+    poor = FrequencyResponse(response.hz, response.H, gamma, response.power)
+    assert "below 0.8 under 3 Hz, over 90 Hz" in fit(poor, 2, 1.0, BAND).warnings[0]
+
+
+def test_what_cannot_be_fitted_is_refused() -> None:
+    G = resonant(40.0, 0.1)
+    good = measured(G)
+    with pytest.raises(IdentificationError, match="too few"):
+        fit(good, 8, 1.0, (1.0, 3.0))
+    with pytest.raises(IdentificationError, match="order 0"):
+        fit(good, 0, 1.0, BAND)
+    for H, cause in ((good.H * np.nan, "finite"), (good.H * 0.0, "zero")):
+        with pytest.raises(IdentificationError, match=cause):
+            fit(FrequencyResponse(good.hz, H, good.coherence, good.power), 2, 1.0, BAND)
+    with pytest.raises(ValueError, match="ascend"):
+        fit(good, 2, 1.0, BAND, (1.0, 0.0))
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(st.tuples(st.floats(0.1, 0.998), st.floats(0.01, 3.1)), min_size=1, max_size=4),
+    st.lists(st.floats(-0.9, 0.998), max_size=3),
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+)
+def test_roots_of_a_sum_of_basis_functions(
+    pairs: list[tuple[float, float]], real: list[float], seed: int, direct: bool
+) -> None:
+    upper = np.array([r * np.exp(1j * angle) for r, angle in pairs])
+    den = denominator(np.concatenate([upper, upper.conj(), real]), RADIUS)
+    z = np.exp(1j * np.linspace(0.01, 3.0, 50))
+    basis, one = den.basis(z, direct), den.basis(np.ones(1, complex), direct)[0].real
+    c: Array = np.random.default_rng(seed).normal(size=(basis.shape[1],))
+    c[1] += (1.0 - c @ one) / one[1]
+    G = transfer_function(den, c, 1.0, z)
+    wanted = basis @ c
+    scale = np.abs(wanted).max()
+    np.testing.assert_allclose(G.response(np.angle(z)), wanted, rtol=1e-3, atol=1e-3 * scale)

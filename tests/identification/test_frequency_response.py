@@ -1,0 +1,99 @@
+"""Frequency responses against the transfer functions that made the samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.frequency_response import (
+    SEGMENT,
+    FrequencyResponse,
+    Method,
+    average,
+    estimate,
+    spread,
+)
+from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.transfer_function import TransferFunction
+from tests.plants import all_of_them, at, resonant, sweep
+
+BAND = (5.0, 80.0)
+
+
+def flat(H: complex, coherence: float = 1.0, power: float = 1.0) -> FrequencyResponse:
+    hz = np.arange(1.0, 101.0)
+    one = np.ones(100)
+    return FrequencyResponse(hz, np.full(100, H, complex), coherence * one, power * one)
+
+
+@pytest.mark.parametrize("G", all_of_them())
+def test_a_sweep_gives_the_response(G: TransferFunction) -> None:
+    u = sweep(4.0)
+    part = estimate(u, LiftedFilter(G).run(u)).within(BAND)
+    true = at(G, part.hz)
+    assert np.linalg.norm(part.H - true) < 0.002 * np.linalg.norm(true)
+    assert part.coherence.min() > 0.99
+
+
+def test_the_bias_at_a_sharp_resonance_is_the_one_documented() -> None:
+    hz, damping = 20.0, 0.03
+    G = resonant(hz, damping)
+    u = sweep()
+    response = estimate(u, LiftedFilter(G).run(u)).within((hz - 0.2, hz + 0.2))
+    expected = 1.0 / (3.0 * (SEGMENT * 1e-3 * damping * hz) ** 2)
+    short = 1.0 - np.abs(response.H / at(G, response.hz)).min()
+    assert 0.5 * expected < short < 1.5 * expected
+
+
+def test_the_coherence_tells_the_noise() -> None:
+    G = resonant(40.0, 0.1)
+    u = sweep(4.0)
+    noise = 60.0 * np.random.default_rng(1).normal(size=len(u))
+    part = estimate(u, LiftedFilter(G).run(u) + noise).within(BAND)
+    error = np.abs(part.H / at(G, part.hz) - 1.0) / part.noise
+    assert 0.7 < np.sqrt(np.mean(error**2)) < 1.4
+
+
+@pytest.mark.parametrize(("method", "sizes"), [("H1", 0.8), ("H2", 1.0), ("Hv", 0.8**0.5)])
+def test_noise_in_the_input_shortens_h1_and_not_h2(method: Method, sizes: float) -> None:
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=200_000)
+    noisy = u + 0.5 * rng.normal(size=len(u))
+    part = estimate(noisy, 2.0 * u, method).within(BAND)
+    assert np.mean(np.abs(part.H)) == pytest.approx(2.0 * sizes, rel=0.03)
+    assert np.mean(part.coherence) == pytest.approx(0.8, abs=0.05)
+
+
+def test_the_average_trusts_the_coherent_run() -> None:
+    good, bad = flat(1.0, 0.999), flat(3.0, 0.1)
+    mean = average([good, bad])
+    assert np.abs(mean.H - 1.0).max() < 0.01
+    assert mean.averages == 2.0
+
+
+def test_the_coherence_falls_where_runs_differ() -> None:
+    assert average([flat(1.0), flat(1.0)]).coherence == pytest.approx(1.0)
+    assert average([flat(1.0), flat(-1.0)]).coherence == pytest.approx(0.0, abs=1e-9)
+    assert average([flat(1.0), flat(1j)]).coherence == pytest.approx(0.5)
+
+
+def test_the_spread_is_relative_and_weighted() -> None:
+    assert spread([flat(1.0), flat(1.0)], BAND) == pytest.approx(0.0)
+    assert spread([flat(0.9), flat(1.1)], BAND) == pytest.approx(0.1)
+    assert spread([flat(0.9), flat(1.1, power=0.0)], BAND) == pytest.approx(0.0)
+
+
+def test_what_cannot_be_a_measurement_is_refused() -> None:
+    u = sweep(20.0)
+    wrong = [(u, u[1:]), (u[:100], u[:100]), (u, 0.0 * u), (0.0 * u, u), (u, u + np.nan)]
+    causes = ["differ in length", "too short", "response is zero", "command is zero", "not finite"]
+    for (a, b), cause in zip(wrong, causes, strict=True):
+        with pytest.raises(IdentificationError, match=cause):
+            estimate(a, b)
+    with pytest.raises(IdentificationError, match="same sweep"):
+        average([flat(1.0), flat(1.0).within(BAND)])
+    with pytest.raises(IdentificationError, match="no run"):
+        average([])
+    with pytest.raises(IdentificationError, match="no frequency"):
+        spread([flat(1.0)], (200.0, 300.0))

@@ -1,0 +1,254 @@
+"""``hframe-post sweep``: the files that its users get, and what Klipper makes of them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import HframeError, LimitError, PrinterError
+from hframe_post.identification.excitation import peaks
+from hframe_post.identification.sweep import Run, gcode, positions, runs, told
+from hframe_post.printer import profile as profiles
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.gcode import Late
+from tests.cli.test_main import run
+from tests.klipper.host import play
+
+SHORT = """
+extends = "paper"
+[sweep]
+start_hz = 4.0
+end_hz = 100.0
+rate_hz_per_s = 40.0
+quiet = 0.3
+"""
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def text(printer: Printer, planned: list[Run], chips: tuple[str, ...] = ("adxl345",)) -> str:
+    pieces = gcode(printer, planned, chips, 10.0)
+    return b"".join(p.line if isinstance(p, Late) else p for p in pieces).decode()
+
+
+def table(path: Path) -> Array:
+    assert path.read_text().startswith("t,x,y\n")
+    return np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+# ---------------------------------------------------------------------- where and what
+
+
+def test_measures_where_the_paper_did_and_inside_the_travel(paper: Printer) -> None:
+    assert positions(paper) == [(x, 147.5) for x in (80.0, 110.0, 140.0, 170.0, 200.0)]
+    off = profiles.parse('extends = "paper"\n[plant]\nx_c = 230.0\n', "off")
+    assert [x for x, _ in positions(off)] == [170.0, 200.0, 230.0, 260.0]
+    straight = profiles.load("example-corexy")
+    low, high = straight.travel.x
+    assert np.mean([x for x, _ in positions(straight)]) == (low + high) / 2.0
+
+
+def test_names_tell_the_runs_apart(paper: Printer) -> None:
+    names = [r.name for r in runs(paper, 1, [(80.0, 100.0), (80.5, 100.0)])]
+    assert names == ["y-at-80", "y-at-80_5"]
+    names = [r.name for r in runs(paper, 0, [(80.0, 100.0), (80.0, 120.5)])]
+    assert names == ["x-at-80-100", "x-at-80-120_5"]
+    with pytest.raises(HframeError, match="twice"):
+        runs(paper, 0, [(80.0, 100.0), (80.0, 100.0)])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_axis_moves_within_travel_and_motors(paper: Printer, axis: int) -> None:
+    (one,) = runs(paper, axis, [(3.0, 290.0)])
+    assert (one.command[:, 1 - axis] == one.position[1 - axis]).all()
+    for at, (low, high) in zip(one.command.T, (paper.travel.x, paper.travel.y), strict=True):
+        assert low <= at.min() <= at.max() <= high
+    for belt in paper.kinematics.belts(*(one.command - one.command[0]).T):
+        _, v, a = peaks(belt)
+        assert v <= paper.motors.belt_velocity
+        assert a <= paper.motors.belt_acceleration
+
+
+def test_what_is_less_than_asked_is_told(paper: Printer) -> None:
+    (middle,) = runs(paper, 0, [(140.0, 150.0)])
+    (edge,) = runs(paper, 0, [(1.0, 150.0)])
+    assert "LESS than the amplitude" in told(paper, middle)
+    until = [
+        float(re.search(r"below ([\d.]+) Hz", told(paper, r))[1])  # type: ignore[index]
+        for r in (middle, edge)
+    ]
+    assert until[1] > until[0]
+    gentle = profiles.parse('extends = "paper"\n[sweep]\namplitude = 500.0\n', "gentle")
+    assert "LESS" not in told(gentle, runs(gentle, 0, [(140.0, 150.0)])[0])
+
+
+@pytest.mark.parametrize("place", [(-1.0, 100.0), (100.0, 296.0), (0.0, 100.0)])
+def test_a_place_without_room_is_an_error(paper: Printer, place: tuple[float, float]) -> None:
+    with pytest.raises(LimitError, match="--position"):
+        runs(paper, 0, [place])
+
+
+def test_what_outruns_a_motor_is_an_error() -> None:
+    hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 60000.0\n', "hard")
+    with pytest.raises(LimitError, match=r"belt acceleration.*sweep\.amplitude"):
+        runs(hard, 0, [(140.0, 150.0)])
+    slow = profiles.parse('extends = "paper"\n[motors]\nbelt_velocity = 50.0\n', "slow")
+    with pytest.raises(LimitError, match=r"belt velocity.*sweep\.stroke"):
+        runs(slow, 0, [(140.0, 150.0)])
+
+
+@pytest.mark.parametrize(
+    ("line", "cause"),
+    [
+        ("end_hz = 1.0", r"sweep: .*end_hz must be above"),
+        ("amplitude = 0", r"sweep\.amplitude: must be above 0"),
+        ("ampliude = 1", r"sweep\.ampliude: unknown key"),
+        ('quiet = "long"', r"sweep\.quiet: must be a number"),
+    ],
+)
+def test_a_bad_table_is_an_error_that_names_the_key(line: str, cause: str) -> None:
+    with pytest.raises(PrinterError, match=cause):
+        profiles.parse(f'extends = "paper"\n[sweep]\n{line}\n', "bad")
+
+
+def test_the_table_must_be_one() -> None:
+    with pytest.raises(PrinterError, match="sweep"):
+        profiles.parse('sweep = 3\nextends = "paper"\n', "bad")
+
+
+# ---------------------------------------------------------------------- the stream
+
+
+def test_the_stream_begins_before_each_recording_and_ends_after_it(short: Path) -> None:
+    """No M400 between two calls: it would let Klipper's queue run empty."""
+    printer = profiles.load(str(short))
+    planned = runs(printer, 0, [(80.0, 147.5), (140.0, 147.5)])
+    lines = text(printer, planned, ("adxl345", "bed")).splitlines()
+    calls = [k for k, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
+    assert [lines[k].removeprefix("ACCELEROMETER_MEASURE ") for k in calls] == [
+        "CHIP=adxl345", "CHIP=bed", "CHIP=adxl345 NAME=x-at-80", "CHIP=bed NAME=x-at-80",
+        "CHIP=adxl345", "CHIP=bed", "CHIP=adxl345 NAME=x-at-140", "CHIP=bed NAME=x-at-140",
+    ]  # fmt: skip
+    for first, last in ((calls[0], calls[2]), (calls[4], calls[6])):
+        assert lines[first - 1].startswith("G4 P2000")
+        assert all(line.startswith(("G1 ", "G4 ")) for line in lines[first + 2 : last])
+    for k in (calls[3], calls[7]):
+        assert lines[k + 1] == "M400"
+        assert lines[k + 2].startswith("SET_VELOCITY_LIMIT VELOCITY=300")
+    assert lines[-1].startswith("RESTORE_GCODE_STATE")
+
+
+def test_equal_input_gives_equal_bytes(short: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run("sweep", "-p", short, "-q", "-o", tmp_path / f"{name}.gcode").returncode == 0
+    assert (tmp_path / "a.gcode").read_bytes() == (tmp_path / "b.gcode").read_bytes()
+
+
+def check_played(folder: Path, printer: Printer, axis: int, place: tuple[float, float]) -> None:
+    """Klipper's own motion, from call to call, is the command, and lasts as long.
+
+    The harness has no accelerometer: each call is a G4 P0, which asks for the time as it does.
+    """
+    (planned,) = runs(printer, axis, [place])
+    lines = ["G28", *text(printer, [planned]).splitlines()]
+    calls = [k for k, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
+    dwell = [float(lines[k].removeprefix("G4 P")) * 1e-3 for k in (calls[0] + 1, calls[1] - 1)]
+    for k in calls:
+        lines[k] = "G4 P0"
+    file = folder / "sweep.gcode"
+    file.write_text("\n".join(lines) + "\n")
+    playback = play(file, workdir=folder)
+    assert playback.warnings == ()
+    moves = playback.moves
+    first = float(moves["print_time"][2])  # after the lift and the way to the place
+    begin, end = first - dwell[0], playback.end + dwell[1]
+    assert end - begin == pytest.approx(planned.seconds, abs=3e-5)
+    t = begin + np.arange(len(planned.command)) * TS
+    off = playback.position(t)[:, :2] - planned.command
+    assert np.abs(off[:, 1 - axis]).max() < 1e-9
+    assert np.sqrt((off[:, axis] ** 2).mean()) < 0.0003
+    assert np.abs(off[:, axis]).max() < 0.005
+    velocity = np.gradient(planned.command[:, axis], TS)
+    for part in np.array_split(np.arange(len(t)), max(len(t) // 10_000, 1)):
+        late = -(off[part, axis] @ velocity[part]) / (velocity[part] @ velocity[part])
+        assert abs(late) < 3e-5  # s; 0.1 ms would be 3° at 80 Hz
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("axis", [0, 1])
+def test_klipper_plays_the_command(tmp_path: Path, short: Path, axis: int) -> None:
+    check_played(tmp_path, profiles.load(str(short)), axis, (140.0, 150.0))
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+def test_klipper_plays_the_whole_sweep(tmp_path: Path, paper: Printer) -> None:
+    check_played(tmp_path, paper, 0, (80.0, 147.5))
+
+
+# ---------------------------------------------------------------------- the command line
+
+
+def test_writes_gcode_and_a_command_for_each_run(short: Path, tmp_path: Path) -> None:
+    out = tmp_path / "my.sweep.gcode"
+    done = run("sweep", "-p", short, "-o", out, "--position", "80,100", "--position", "140,100")
+    assert done.returncode == 0, done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "my.sweep.gcode", "my.sweep.x-at-140.csv", "my.sweep.x-at-80.csv", "short.toml"
+    ]  # fmt: skip
+    printer = profiles.load(str(short))
+    for planned in runs(printer, 0, [(80.0, 100.0), (140.0, 100.0)]):
+        rows = table(tmp_path / f"my.sweep.{planned.name}.csv")
+        assert np.allclose(rows[:, 0], np.arange(len(rows)) * TS, atol=1e-9)
+        assert np.abs(rows[:, 1:] - planned.command).max() < 1e-6
+        assert rows[0, 1:].tolist() == rows[-1, 1:].tolist() == list(planned.position)
+        assert planned.name in done.stderr.decode()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "told"),
+    [
+        (["--position", "80"], 2, b"is not X,Y"),
+        (["--position", "nan,3"], 2, b"not on any bed"),
+        (["--axis", "z"], 2, b"'z' is not one of"),
+        (["--chip", "adxl345 hotend"], 2, b"it is hotend"),
+        (["--chip", ""], 2, b"is no name"),
+        (["--z", "-1"], 2, b"--z"),
+        (["--position", "500,100"], 1, b"x (mm) would be 500"),
+        (["--position", "80,100", "--position", "80,100"], 1, b"twice"),
+        (["-p", "missing"], 1, b"no such profile"),
+    ],
+)
+def test_mistakes_are_told_and_nothing_is_written(
+    short: Path, tmp_path: Path, arguments: list[str], status: int, told: bytes
+) -> None:
+    done = run("sweep", "-p", short, "-o", tmp_path / "out.gcode", *arguments)
+    assert done.returncode == status
+    assert told in done.stderr
+    assert b"Traceback" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["short.toml"]
+
+
+def test_no_output_and_no_folder_are_errors(short: Path, tmp_path: Path) -> None:
+    assert run("sweep", "-p", short).returncode == 2
+    done = run("sweep", "-p", short, "-o", tmp_path / "no" / "out.gcode")
+    assert done.returncode == 1
+    assert b"No such file" in done.stderr
+
+
+def test_a_sweep_is_not_compensated(short: Path, tmp_path: Path) -> None:
+    """Compensated, it would measure the printer with what is to be measured taken out."""
+    out = tmp_path / "out.gcode"
+    assert run("sweep", "-p", short, "-q", "-o", out).returncode == 0
+    done = run(out)
+    assert done.returncode == 1
+    assert b"processed" in done.stderr

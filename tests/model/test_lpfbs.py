@@ -1,0 +1,108 @@
+"""B-splines and the limited preview: equations, certificate, exact past."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from hframe_post.arrays import Array
+from hframe_post.model.lpfbs import Lpfbs, Window, bsplines, uniform_basis
+from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer import profile
+
+PLANT = profile.load("paper").plant
+
+
+@pytest.mark.paper
+@pytest.mark.parametrize("degree", [2, 3, 5])
+def test_eq_6_basis_functions(degree: int) -> None:
+    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, 8), np.ones(degree)])
+    t = np.linspace(0, 1, 101)
+    expected = BSpline.design_matrix(t, knots, degree).toarray()
+    np.testing.assert_allclose(bsplines(knots, degree, t), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("L", "degree"), [(5, 5), (8, 3), (20, 5)])
+def test_uniform_basis_sums_to_one(L: int, degree: int) -> None:
+    np.testing.assert_allclose(uniform_basis(L, degree).sum(axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(  # radius that each window's recursion was seen to diverge or settle with
+    ("L", "n_C", "n_up", "effort", "radius"),
+    [
+        (20, 22, 11, 0.0, 0.086),
+        (20, 22, 11, 100.0, 0.022),
+        (10, 22, 11, 0.0, 0.18),
+        (20, 11, 5, 100.0, 0.26),
+        (10, 14, 7, 1.0, 0.11),
+    ],
+)
+def test_spectral_radius(L: int, n_C: int, n_up: int, effort: float, radius: float) -> None:
+    certified = Lpfbs(PLANT.Gxx, Window(L, n_C, n_up, effort)).radius
+    assert certified == pytest.approx(radius, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("L", "n_C", "n_up", "effort"), [(20, 11, 5, 0.0), (10, 14, 7, 0.0), (20, 11, 5, 1.0)]
+)
+def test_diverging_windows_are_refused(L: int, n_C: int, n_up: int, effort: float) -> None:
+    with pytest.raises(ValueError, match="diverges: spectral radius"):
+        Lpfbs(PLANT.Gxx, Window(L, n_C, n_up, effort))
+
+
+def test_radius_tells_how_fast_the_past_is_forgotten() -> None:
+    solver = Lpfbs(PLANT.Gxx, Window(8, 55, 27, 100.0))
+    x_d = np.zeros(10 * solver.window.stride + solver.window.L_C)
+    disturbed = solver.rest + 1e-3
+    x_dm, _ = solver.run(x_d, disturbed)
+    by_window = np.abs(x_dm.reshape(-1, solver.window.stride)).max(axis=1)
+    assert by_window[6] < 1e-12 < by_window[0]
+
+
+def test_run_does_not_depend_on_how_many_windows_come_at_once() -> None:
+    solver = Lpfbs(PLANT.Gyy, Window(5, 88, 44, 100.0))
+    T, preview = solver.window.stride, solver.window.L_C - solver.window.stride
+    x_d = np.cumsum(np.random.default_rng(0).normal(size=9 * T + preview)) * 0.01
+    whole, _ = solver.run(x_d, solver.rest)
+    s, pieces = solver.rest, []
+    for w in range(9):
+        piece, s = solver.run(x_d[w * T : (w + 1) * T + preview], s)
+        pieces.append(piece)
+    np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-10)
+
+
+@pytest.mark.paper
+def test_eq_30_minimises_error_and_effort_in_its_window() -> None:
+    """No other control points of the first window do better from rest."""
+    window = Window(10, 22, 22, 30.0)
+    solver = Lpfbs(PLANT.Gxx, window)
+    t = np.arange(window.L_C)
+    x_d = 5 * (1 - np.cos(np.pi * np.minimum(t, 150) / 150)) / 2
+    x_dm, _ = solver.run(x_d, solver.rest)
+
+    def cost(command: Array) -> float:
+        error = x_d - LiftedFilter(PLANT.Gxx).run(command)
+        bend = np.diff(command, n=2, prepend=[0.0, 0.0])
+        return float(error @ error + window.effort * bend @ bend)
+
+    knots = np.arange(-50, 10 * (23 + 5), 10, dtype=np.float64)
+    N = bsplines(knots, 5, t.astype(float))[:, 5:27]
+    best = cost(x_dm)
+    rng = np.random.default_rng(1)
+    for scale in (1e-1, 1e-3):
+        for _ in range(50):
+            assert cost(x_dm + N @ rng.normal(size=22) * scale) > best
+
+
+def test_window_that_cannot_be_solved_is_refused() -> None:
+    slow = TransferFunction(np.zeros(0, complex), np.array([0.5] * 12, complex), 0.5**12)
+    with pytest.raises(ValueError, match="rank deficient"):
+        Lpfbs(slow, Window(2, 40, 20, 0.0))
+
+
+@pytest.mark.parametrize(("L", "n_C", "n_up"), [(1, 10, 5), (5, 10, 0), (5, 10, 11)])
+def test_windows_of_impossible_size_are_refused(L: int, n_C: int, n_up: int) -> None:
+    with pytest.raises(ValueError, match="window"):
+        Window(L, n_C, n_up, 1.0)

@@ -1,0 +1,140 @@
+"""Transfer functions and their lifted form against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from hframe_post.arrays import Array, Complex
+from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.recursion import Recursion
+from hframe_post.model.transfer_function import BLOCK_SAMPLES, TransferFunction
+from hframe_post.printer import profile
+
+
+def functions() -> list[TransferFunction]:
+    plant = profile.load("paper").plant
+    assert plant.Gxtheta is not None
+    return [plant.Gxx, plant.Gyy, plant.Gxtheta]
+
+
+ALL = pytest.mark.parametrize("G", functions(), ids=["Gxx", "Gyy", "Gxtheta"])
+
+
+def by_scipy(G: TransferFunction, u: Array) -> Array:
+    """scipy's sections count a missing zero as one at the origin: they lack the delay."""
+    delay = len(G.poles) - len(G.zeros)
+    ahead = signal.sosfilt(signal.zpk2sos(G.zeros, G.poles, G.gain), u)
+    return np.concatenate([np.zeros(delay), np.asarray(ahead)])[: len(u)]
+
+
+@pytest.mark.paper
+@ALL
+def test_eq_4_impulse_response(G: TransferFunction) -> None:
+    pulse = np.zeros(600)
+    pulse[0] = 1.0
+    np.testing.assert_allclose(G.impulse(600), by_scipy(G, pulse), atol=1e-9)
+
+
+@ALL
+def test_frequency_response(G: TransferFunction) -> None:
+    omega = np.linspace(0.001, 3.0, 200)
+    _, expected = signal.freqz_zpk(G.zeros, G.poles, G.gain, worN=omega)
+    np.testing.assert_allclose(G.response(omega), expected, rtol=1e-9)
+
+
+@pytest.mark.paper
+def test_appendix_a_lifted_form_is_convolution() -> None:
+    G = functions()[0]
+    u = np.random.default_rng(0).normal(size=50)
+    lifted, _, _, _ = G.lifted(50)
+    np.testing.assert_allclose(lifted @ u, np.convolve(G.impulse(50), u)[:50], atol=1e-12)
+
+
+@ALL
+def test_lifted_form_carries_the_past(G: TransferFunction) -> None:
+    u = np.random.default_rng(1).normal(size=90)
+    _, _, _, R = G.lifted(40)
+    lifted, O, A_n, R_n = G.lifted(50)
+    state = R @ u[:40]
+    np.testing.assert_allclose(lifted @ u[40:] + O @ state, by_scipy(G, u)[40:], atol=1e-9)
+    np.testing.assert_allclose(A_n @ state + R_n @ u[40:], G.lifted(90)[3] @ u, atol=1e-9)
+
+
+@ALL
+def test_filter_is_exact_however_it_is_cut(G: TransferFunction) -> None:
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=3000)
+    expected = by_scipy(G, u)
+    for cuts in ([3000], [1] * 300 + [2700], [7] * 100 + [2300], [1000, 64, 1936]):
+        one = LiftedFilter(G)
+        pieces = np.split(u, np.cumsum(cuts)[:-1])
+        got = np.concatenate([one.run(piece) for piece in pieces])
+        np.testing.assert_allclose(got, expected, atol=1e-8)
+
+
+def test_cuts_at_whole_blocks_give_equal_bits() -> None:
+    u = np.random.default_rng(3).normal(size=40 * BLOCK_SAMPLES)
+    whole, halves = LiftedFilter(functions()[1]), LiftedFilter(functions()[1])
+    middle = 16 * BLOCK_SAMPLES
+    cut = np.concatenate([halves.run(u[:middle]), halves.run(u[middle:])])
+    np.testing.assert_allclose(whole.run(u), cut, rtol=0, atol=1e-12)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 40), st.integers(1, 5), st.integers(0, 2**32 - 1))
+def test_recursion_takes_the_steps_one_by_one(n: int, d: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, W, s = rng.normal(size=(d, d)) / (2 * d), rng.normal(size=(n, d)), rng.normal(size=d)
+    states, last = Recursion(A).run(W, s)
+    for k in range(n):
+        np.testing.assert_allclose(states[k], s, atol=1e-12)
+        s = A @ s + W[k]
+    np.testing.assert_allclose(last, s, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("zeros", "poles", "gain", "cause"),
+    [
+        ([], [1.01], 1.0, "unstable"),
+        ([], [0.5 + 0.1j], 1.0, "conjugate"),
+        ([0.1, 0.2], [0.5], 1.0, "more zeros"),
+        ([], [np.nan], 1.0, "finite"),
+        ([], [0.5], np.inf, "finite"),
+    ],
+)
+def test_impossible_functions_are_refused(
+    zeros: list[complex], poles: list[complex], gain: float, cause: str
+) -> None:
+    with pytest.raises(ValueError, match=cause):
+        TransferFunction(np.array(zeros, complex), np.array(poles, complex), gain)
+
+
+def test_odd_orders_and_lone_zeros_become_real_sections() -> None:
+    G = TransferFunction(
+        np.array([0.2 + 0.3j, 0.2 - 0.3j, -0.4]), np.array([0.9, 0.5, 0.3, 0.1, -0.2]), 2.0
+    )
+    u = np.random.default_rng(4).normal(size=100)
+    np.testing.assert_allclose(LiftedFilter(G).run(u), by_scipy(G, u), atol=1e-10)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
+    """However many of either, and wherever they lie: the state space has the same response."""
+    rng = np.random.default_rng(seed)
+
+    def roots(n: int, radius: float) -> Complex:
+        pairs = int(rng.integers(0, n // 2 + 1))
+        upper = radius * rng.random(pairs) * np.exp(1j * rng.uniform(0.05, 3.0, pairs))
+        real = rng.uniform(-radius, radius, n - 2 * pairs)
+        return np.concatenate([upper, upper.conj(), real])
+
+    order = int(rng.integers(1, 9))
+    G = TransferFunction(roots(int(rng.integers(0, order + 1)), 1.5), roots(order, 0.9), 1.0)
+    h = G.impulse(2048)
+    omega = np.linspace(0.1, 3.0, 7)
+    response = np.exp(-1j * np.outer(omega, np.arange(2048))) @ h
+    np.testing.assert_allclose(response, G.response(omega), rtol=1e-6, atol=1e-6)

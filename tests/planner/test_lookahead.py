@@ -1,0 +1,583 @@
+"""Look-ahead: Klipper's junctions, limits of moves, reachable speeds, no trace of the cutting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array, E, Z
+from hframe_post.planner import lookahead
+from hframe_post.planner.lookahead import plan, reach
+from hframe_post.printer.settings import Limits
+from hframe_post.stream.types import (
+    FileLimits,
+    Handling,
+    Item,
+    Mark,
+    ModalState,
+    Moves,
+    Passthrough,
+    Plan,
+    Standing,
+)
+
+INF = math.inf
+FREE = FileLimits((INF, INF, INF, INF), (INF, INF, INF, INF))
+LIMITS = Limits(
+    velocity=300.0, acceleration=1e4, jerk=5e7, square_corner_velocity=5.0, z_velocity=20.0,
+    z_acceleration=500.0, extruder_velocity=60.0, extruder_acceleration=2000.0,
+)  # fmt: skip
+STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
+
+
+# ---------------------------------------------------------------------- making streams
+
+
+def moves(
+    points: Iterable[Iterable[float]],
+    speed: float | Array = 100.0,
+    acceleration: float | Array = INF,
+    corner: float = INF,
+    limits: FileLimits = FREE,
+    marks: tuple[Mark, ...] = (),
+) -> Moves:
+    at = np.array([list(point) for point in points], dtype=float)
+    n = len(at) - 1
+    column = np.ones(n)
+    return Moves(
+        np.arange(1, n + 1), at, speed * column, acceleration * column, corner * column,
+        limits, marks,
+    )  # fmt: skip
+
+
+def cut(whole: Moves, size: int) -> list[Moves]:
+    """The same moves in blocks of ``size``; a mark between two blocks goes with the later."""
+    n = len(whole.line)
+    blocks = []
+    for a in range(0, n, size):
+        b = min(a + size, n)
+        marks = (m for m in whole.marks if a <= m.index < b or m.index == b == n)
+        blocks.append(
+            Moves(
+                whole.line[a:b], whole.points[a : b + 1], whole.speed[a:b],
+                whole.acceleration[a:b], whole.corner[a:b], whole.limits,
+                tuple(Mark(m.index - a, m.text) for m in marks),
+            )
+        )  # fmt: skip
+    return blocks
+
+
+def random_moves(seed: int, n: int, marked: float = 0.1) -> Moves:
+    """Turns of all sizes, moves from micrometres to centimetres, some z, some retraction."""
+    rng = np.random.default_rng(seed)
+    turn = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.3, n))
+    turn[rng.random(n) < 0.05] += math.pi
+    length = 10.0 ** rng.uniform(-3.0, 1.5, n)
+    heading = np.cumsum(turn)
+    e = np.where(rng.random(n) < 0.7, 0.04, rng.choice([0.0, 0.03, -0.2], n)) * length
+    z = np.where(rng.random(n) < 0.05, length * rng.normal(0.0, 0.5, n), 0.0)
+    steps = np.stack([length * np.cos(heading), length * np.sin(heading), z, e], axis=1)
+    points = np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
+    pieces = np.sort(rng.integers(0, n, 6))
+    speed = np.repeat(rng.uniform(5.0, 400.0, 7), np.diff([0, *pieces, n]))
+    asked = np.where(rng.random(n) < 0.9, INF, rng.uniform(300.0, 2e4, n))
+    marks = (Mark(int(k), b"%d" % k) for k in np.flatnonzero(rng.random(n + 1) < marked))
+    return moves(points, speed, asked, marks=tuple(marks))
+
+
+def gentle_spiral(n: int, radius: float = 30.0, step: float = 0.2, speed: float = 60.0) -> Moves:
+    """A finely segmented vase in which no vertex limits anything."""
+    angle = np.arange(n + 1) * step / radius
+    s = step * np.arange(n + 1)
+    columns = [radius * np.cos(angle), radius * np.sin(angle), 1e-4 * s, 0.04 * s]
+    return moves(np.stack(columns, axis=1), speed)
+
+
+def plans(items: Iterable[Item], limits: Limits = LIMITS) -> list[Plan]:
+    return [item for item in plan(items, limits) if isinstance(item, Plan)]
+
+
+def one(whole: Moves, limits: Limits = LIMITS) -> Plan:
+    (only,) = plans([whole], limits)
+    return only
+
+
+def line(*steps: tuple[float, float, float, float]) -> Array:
+    """Points from the origin on."""
+    return np.concatenate([np.zeros((1, 4)), np.cumsum(np.array(steps), axis=0)])
+
+
+# ---------------------------------------------------------------------- reach
+
+
+def distance(v0: float, v1: float, a: float, j: float) -> float:
+    """Path over which v0 rises to v1, by numerical integration of the acceleration."""
+    peak = min(a, math.sqrt((v1 - v0) * j))
+    ramp = peak / j
+    flat = max((v1 - v0) / peak - ramp, 0.0)
+    v, s = v0, 0.0
+    for duration, start, end in ((ramp, 0.0, peak), (flat, peak, peak), (ramp, peak, 0.0)):
+        acceleration = np.linspace(start, end, 2001)
+        dt = duration / 2000
+        rise = np.concatenate([[0.0], np.cumsum(acceleration[1:] + acceleration[:-1]) * dt / 2])
+        s += float(np.sum(2.0 * v + rise[1:] + rise[:-1]) * dt / 2)
+        v += float(rise[-1])
+    assert v == pytest.approx(v1, rel=1e-9)
+    return s
+
+
+def reached(v0: float, length: float, a: float, j: float) -> float:
+    return float(reach(np.array([v0]), np.array([length]), np.array([a]), j)[0])
+
+
+speeds = st.floats(0.0, 500.0)
+lengths = st.floats(-4.0, 3.0).map(lambda power: 10.0**power)
+accelerations = st.floats(2.0, 5.0).map(lambda power: 10.0**power)
+jerks = st.floats(4.0, 9.0).map(lambda power: 10.0**power)
+
+
+@given(speeds, lengths, accelerations, jerks)
+@example(0.0, 1e-4, 1e4, 5e7)
+@example(500.0, 1e-4, 1e2, 1e9)
+@example(0.0, 1e3, 1e5, 1e9)
+def test_reach_takes_its_length(v0: float, length: float, a: float, j: float) -> None:
+    v1 = reached(v0, length, a, j)
+    assert v1 > v0
+    assert distance(v0, v1, a, j) == pytest.approx(length, rel=1e-3)
+
+
+@given(speeds, lengths, st.floats(0.0, 1.0), accelerations, jerks)
+def test_reach_never_falls_with_length(
+    v0: float, length: float, more: float, a: float, j: float
+) -> None:
+    assert reached(v0, length * (1.0 + more), a, j) >= reached(v0, length, a, j) - 1e-9
+
+
+@given(speeds, lengths, accelerations)
+def test_reach_without_jerk_limit_is_torricellis(v0: float, length: float, a: float) -> None:
+    expected = math.sqrt(v0 * v0 + 2.0 * a * length)
+    assert reached(v0, length, a, 1e16) == pytest.approx(expected, rel=1e-4)
+
+
+def test_reach_is_continuous_where_full_acceleration_begins() -> None:
+    a, j, v0 = 1e4, 5e7, 3.0
+    edge = (v0 + a * a / j / 2.0) * 2.0 * a / j
+    below, above = reached(v0, edge * (1 - 1e-9), a, j), reached(v0, edge * (1 + 1e-9), a, j)
+    assert below == pytest.approx(v0 + a * a / j, rel=1e-6)
+    assert above == pytest.approx(below, rel=1e-6)
+
+
+# ---------------------------------------------------------------------- junctions
+
+
+def corner_speed(points: Array, limits: Limits = LIMITS, corner: float = INF) -> float:
+    """Speed at the only corner of two moves."""
+    planned = one(moves(points, corner=corner), limits)
+    assert planned.ends.tolist() == [0, 1, 2]
+    return float(planned.speed[1])
+
+
+SQUARE = line((100, 0, 0, 0), (0, 100, 0, 0))
+
+
+def test_square_corner_is_passed_at_the_square_corner_velocity() -> None:
+    assert corner_speed(SQUARE) == pytest.approx(5.0, rel=1e-12)
+
+
+def test_corner_of_45_degrees_is_passed_as_by_klipper() -> None:
+    r = math.sin(math.radians(67.5)) / (1.0 - math.sin(math.radians(67.5)))
+    expected = math.sqrt(r * (math.sqrt(2.0) - 1.0) * 25.0)
+    assert corner_speed(line((100, 0, 0, 0), (100, 100, 0, 0))) == pytest.approx(expected)
+
+
+def test_reversal_is_a_stop() -> None:
+    assert corner_speed(line((100, 0, 0, 0), (-100, 0, 0, 0))) == 0.0
+
+
+def test_straight_on_is_no_limit() -> None:
+    planned = one(moves(line((50, 20, 0, 1), (50, 20, 0, 1), (25, 10, 0, 0.5))))
+    assert planned.ends.tolist() == [0, 3]
+
+
+def test_straight_on_at_another_feed_is_passed_at_the_lower_one() -> None:
+    straight = moves(line((50, 0, 0, 0), (50, 0, 0, 0)), np.array([100.0, 40.0]))
+    assert one(straight).speed[1] == pytest.approx(40.0, rel=2e-4)
+    assert one(straight).speed[1] <= 40.0
+
+
+def test_arc_of_a_corner_must_fit_short_moves() -> None:
+    short = line((0.05, 0, 0, 0), (0, 0.05, 0, 0))
+    quick = replace(LIMITS, square_corner_velocity=100.0)
+    assert corner_speed(short, quick) == pytest.approx(math.sqrt(0.5 * 0.05 * 1e4))
+
+
+def test_arc_must_fit_the_shorter_of_the_two_moves() -> None:
+    quick = replace(LIMITS, square_corner_velocity=100.0)
+    for steps in (((0.05, 0, 0, 0), (0, 9, 0, 0)), ((9, 0, 0, 0), (0, 0.05, 0, 0))):
+        assert corner_speed(line(*steps), quick) == pytest.approx(math.sqrt(250.0))
+
+
+def test_sudden_change_of_extrusion_is_limited() -> None:
+    assert corner_speed(line((100, 0, 0, 5), (100, 0, 0, 0))) == pytest.approx(1.0 / 0.05)
+
+
+def test_junction_deviation_lowers_the_corner_and_never_raises_it() -> None:
+    r = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))
+    low = corner_speed(SQUARE, replace(LIMITS, junction_deviation=5e-4))
+    assert low == pytest.approx(math.sqrt(r * 5e-4 * 1e4))
+    assert corner_speed(SQUARE, replace(LIMITS, junction_deviation=0.1)) == pytest.approx(5.0)
+
+
+def test_file_lowers_the_corner_and_never_raises_it() -> None:
+    assert corner_speed(SQUARE, corner=2.0) == pytest.approx(2.0)
+    assert corner_speed(SQUARE, corner=20.0) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_steep_move_starts_and_ends_at_rest(first: bool) -> None:
+    steep, flat = (1, 0, 1.1, 0), (50, 0, 0, 0)
+    assert corner_speed(line(steep, flat) if first else line(flat, steep)) == 0.0
+
+
+def test_corner_that_allows_almost_nothing_is_a_stop() -> None:
+    assert corner_speed(SQUARE, corner=0.009) == 0.0
+    assert corner_speed(SQUARE, corner=0.011) == pytest.approx(0.011)
+
+
+# ---------------------------------------------------------------------- limits of moves
+
+
+def limited(
+    step: tuple[float, float, float, float], speed: float = 100.0, acceleration: float = INF
+) -> tuple[float, float]:
+    """Cruise speed and acceleration of one move."""
+    planned = one(moves(line(step), speed, acceleration))
+    return float(planned.cruise[0]), float(planned.acceleration[0])
+
+
+def test_move_keeps_what_it_asks_below_the_printers_limits() -> None:
+    assert limited((50, 0, 0, 2), speed=80.0, acceleration=700.0) == (80.0, 700.0)
+
+
+def test_file_never_raises_the_printers_limits() -> None:
+    assert limited((50, 0, 0, 2), speed=1e5, acceleration=1e9) == (300.0, 1e4)
+
+
+def test_rise_limits_speed_and_a_third_of_acceleration() -> None:
+    cruise, acceleration = limited((10, 0, 1, 0), speed=300.0)
+    assert cruise == pytest.approx(20.0 * math.sqrt(101.0))
+    assert acceleration == pytest.approx(500.0 / 3.0 * math.sqrt(101.0))
+    assert limited((10, 0, -1, 0), speed=300.0) == (cruise, acceleration)
+
+
+def test_retraction_while_moving_is_limited() -> None:
+    cruise, acceleration = limited((10, 0, 0, -5), speed=300.0)
+    assert cruise == pytest.approx(60.0 * 2.0)
+    assert acceleration == pytest.approx(2000.0 / 3.0 * 2.0)
+
+
+def test_extrusion_while_moving_is_not_limited() -> None:
+    assert limited((10, 0, 0, 5), speed=300.0) == (300.0, 1e4)
+
+
+@pytest.mark.parametrize(
+    ("axis", "step", "share"),
+    [
+        (0, (30, 40, 0, 0), 0.6),
+        (1, (30, -40, 0, 0), 0.8),
+        (2, (40, 0, 0.3, 0), 0.3 / math.hypot(40, 0.3)),
+        (3, (40, 0, 0, 1), 1 / 40),
+    ],
+)
+def test_axis_limits_of_the_file_lower_the_move(
+    axis: int, step: tuple[float, float, float, float], share: float
+) -> None:
+    velocity, acceleration = [INF] * 4, [INF] * 4
+    velocity[axis], acceleration[axis] = 50.0 * share, 600.0 * share
+    asked = FileLimits(tuple(velocity), tuple(acceleration))  # type: ignore[arg-type]
+    planned = one(moves(line(step), 300.0, limits=asked))
+    assert planned.cruise[0] == pytest.approx(50.0)
+    assert planned.acceleration[0] == pytest.approx(600.0)
+
+
+def test_axis_limits_of_the_file_never_raise() -> None:
+    high = FileLimits((1e4, 1e4, 1e4, 1e4), (1e6, 1e6, 1e6, 1e6))
+    planned = one(moves(line((30, 40, 1, 2)), 300.0, limits=high))
+    free = one(moves(line((30, 40, 1, 2)), 300.0))
+    assert planned.cruise[0] == free.cruise[0]
+    assert planned.acceleration[0] == free.acceleration[0]
+
+
+# ---------------------------------------------------------------------- whole plans
+
+
+def klipper_cap(before: Array, after: Array, limits: list[tuple[float, float]]) -> float:
+    """Greatest speed between two steps with (cruise, acceleration) each, after Klipper's text."""
+    lengths = [float(np.linalg.norm(step[:E])) for step in (before, after)]
+    cap2 = min(cruise for cruise, _ in limits) ** 2
+    change = abs(after[E] / lengths[1] - before[E] / lengths[0])
+    if change:
+        cap2 = min(cap2, (LIMITS.extruder_corner_velocity / change) ** 2)
+    cosine = -float(before[:E] @ after[:E]) / (lengths[0] * lengths[1])
+    sine = math.sqrt(max(0.5 * (1.0 - cosine), 0.0))
+    rest = math.sqrt(max(0.5 * (1.0 + cosine), 0.0))
+    if sine < 1.0 and rest > 0.0:
+        for length, (_, a) in zip(lengths, limits, strict=True):
+            jd = LIMITS.square_corner_velocity**2 * (math.sqrt(2.0) - 1.0) / a
+            cap2 = min(cap2, sine / (1.0 - sine) * jd * a, 0.5 * length * a * sine / rest)
+    return math.sqrt(cap2)
+
+
+def move_limits(step: Array, speed: float, asked: float) -> tuple[float, float]:
+    length = float(np.linalg.norm(step[:E]))
+    cruise, a = min(speed, LIMITS.velocity), min(asked, LIMITS.acceleration)
+    if step[Z]:
+        cruise = min(cruise, LIMITS.z_velocity * length / abs(step[Z]))
+        a = min(a, LIMITS.z_acceleration / 3.0 * length / abs(step[Z]))
+    if step[E] < 0.0:
+        cruise = min(cruise, LIMITS.extruder_velocity * length / -step[E])
+        a = min(a, LIMITS.extruder_acceleration / 3.0 * length / -step[E])
+    return cruise, a
+
+
+def caps(whole: Moves) -> Array:
+    """Greatest speed at each vertex, (n + 1,), one by one; the ends are free."""
+    steps = np.diff(whole.points, axis=0)
+    asked = zip(steps, whole.speed.tolist(), whole.acceleration.tolist(), strict=True)
+    own = [move_limits(*row) for row in asked]
+    inner = [klipper_cap(steps[k - 1], steps[k], own[k - 1 : k + 1]) for k in range(1, len(steps))]
+    return np.array([INF, *inner, INF])
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds, st.integers(1, 120), jerks)
+def test_plan_can_be_driven(seed: int, n: int, jerk: float) -> None:
+    whole = random_moves(seed, n)
+    limits = replace(LIMITS, jerk=jerk)
+    planned = one(whole, limits)
+    v, ends = planned.speed, planned.ends
+    length = np.diff(planned.s[ends])
+    assert v[0] == v[-1] == 0.0
+    assert ends[0] == 0
+    assert ends[-1] == n
+    assert (np.diff(ends) > 0).all()
+    assert (v <= caps(whole)[ends] * (1 + 1e-6)).all()
+    assert (v[:-1] <= planned.cruise).all()
+    assert (v[1:] <= planned.cruise).all()
+    ahead = reach(v[:-1], length, planned.acceleration, limits.jerk)
+    back = reach(v[1:], length, planned.acceleration, limits.jerk)
+    assert (v[1:] <= ahead).all()
+    assert (v[:-1] <= back).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds, st.integers(1, 60))
+def test_limits_are_constant_along_a_run(seed: int, n: int) -> None:
+    whole = random_moves(seed, n)
+    planned = one(whole)
+    steps = np.diff(whole.points, axis=0)
+    for run, (a, b) in enumerate(zip(planned.ends[:-1], planned.ends[1:], strict=True)):
+        for k in range(a, b):
+            cruise, acceleration = move_limits(
+                steps[k], float(whole.speed[k]), float(whole.acceleration[k])
+            )
+            assert cruise == pytest.approx(planned.cruise[run])
+            assert acceleration == pytest.approx(planned.acceleration[run])
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds, st.integers(1, 60))
+def test_plan_covers_all_moves_and_keeps_marks(seed: int, n: int) -> None:
+    whole = random_moves(seed, n, marked=0.5)
+    planned = one(whole)
+    np.testing.assert_array_equal(planned.line, whole.line)
+    np.testing.assert_array_equal(planned.points, whole.points)
+    assert planned.marks == whole.marks
+    steps = np.linalg.norm(np.diff(whole.points[:, :E], axis=0), axis=1)
+    np.testing.assert_allclose(np.diff(planned.s), steps, rtol=1e-9, atol=1e-12)
+
+
+def test_long_move_cruises_and_short_one_does_not_stop() -> None:
+    planned = one(moves(line((100, 0, 0, 0), (0, 0.2, 0, 0), (100, 0, 0, 0))))
+    assert planned.speed.tolist() == pytest.approx([0.0, 5.0, 5.0, 0.0])
+
+
+# ---------------------------------------------------------------------- other items
+
+
+def carried(text: bytes) -> Passthrough:
+    return Passthrough(9, text, Handling.CARRY, STATE)
+
+
+def test_carried_line_becomes_a_mark_where_it_stands() -> None:
+    first, second = cut(moves(line((5, 0, 0, 0), (5, 0, 0, 0))), 1)
+    items = list(plan([first, carried(b"A"), second, carried(b"B")], LIMITS))
+    (planned,) = items
+    assert isinstance(planned, Plan)
+    assert planned.marks == (Mark(1, b"A"), Mark(2, b"B"))
+
+
+def test_carried_line_at_rest_passes_as_it_is() -> None:
+    assert list(plan([carried(b"A")], LIMITS)) == [carried(b"A")]
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        Standing(3, (5, 0, 0, 0), (5, 0, 0, -1), 30.0),
+        Passthrough(3, b"M400", Handling.REST, STATE),
+        Passthrough(3, b"G28", Handling.YIELD, STATE),
+    ],
+)
+def test_what_happens_at_rest_follows_a_stop(item: Item) -> None:
+    first, second = cut(moves(line((5, 0, 0, 0), (5, 0, 0, 0))), 1)
+    before, between, after = plan([first, item, second], LIMITS)
+    assert between == item
+    assert isinstance(before, Plan)
+    assert isinstance(after, Plan)
+    assert before.speed[-1] == after.speed[0] == after.speed[-1] == 0.0
+
+
+def test_nothing_gives_nothing() -> None:
+    assert list(plan([], LIMITS)) == []
+
+
+# ---------------------------------------------------------------------- cutting
+
+
+def bits(planned: list[Plan]) -> list[tuple[bytes, ...]]:
+    return [
+        (
+            p.line.tobytes(), p.points.tobytes(), p.s.tobytes(), p.ends.tobytes(),
+            p.speed.tobytes(), p.cruise.tobytes(), p.acceleration.tobytes(),
+            repr(p.marks).encode(),
+        )
+        for p in planned
+    ]  # fmt: skip
+
+
+def assert_continuous(planned: list[Plan], whole: Moves) -> None:
+    np.testing.assert_array_equal(np.concatenate([p.line for p in planned]), whole.line)
+    assert planned[0].speed[0] == planned[-1].speed[-1] == 0.0
+    for one_plan, following in pairwise(planned):
+        assert one_plan.speed[-1] == following.speed[0]
+        np.testing.assert_array_equal(one_plan.points[-1], following.points[0])
+    first, marks = 0, []
+    for p in planned:
+        marks += [Mark(m.index + first, m.text) for m in p.marks]
+        first += len(p.line)
+    assert tuple(marks) == whole.marks
+
+
+def test_plan_does_not_depend_on_how_moves_are_cut() -> None:
+    whole = random_moves(1, 9000)
+    expected = plans([whole])
+    assert len(expected) >= 3
+    assert_continuous(expected, whole)
+    for size in (1, 7, 100, 8999):
+        assert bits(plans(cut(whole, size))) == bits(expected)
+
+
+def test_mark_between_two_blocks_may_go_with_either() -> None:
+    whole = random_moves(2, 5000, marked=0.5)
+    late = cut(whole, 50)
+    early = [block.marks for block in late]
+    for k in range(1, len(early)):
+        moved = [Mark(50, m.text) for m in early[k] if m.index == 0]
+        early[k - 1] += tuple(moved)
+        early[k] = tuple(m for m in early[k] if m.index)
+    assert early != [block.marks for block in late]
+    blocks = [replace(block, marks=marks) for block, marks in zip(late, early, strict=True)]
+    assert bits(plans(blocks)) == bits(plans([whole]))
+
+
+def slow_giant(n: int) -> Moves:
+    """A gentle spiral so quick for its acceleration that braking takes thousands of moves."""
+    return replace(gentle_spiral(n, 500.0, 0.05, 300.0), acceleration=np.full(n, 100.0))
+
+
+@pytest.mark.parametrize("size", [100, 10_000])
+def test_queue_that_must_grow_does_not_depend_on_cuts(size: int) -> None:
+    whole = slow_giant(20_000)
+    speed = whole.speed.copy()
+    speed[::1500] = 200.0
+    whole = replace(whole, speed=speed)
+    expected = plans([whole])
+    assert max(len(p.line) for p in expected) > lookahead.BATCH
+    assert_continuous(expected, whole)
+    assert bits(plans(cut(whole, size))) == bits(expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1, 7])
+def test_queue_that_must_grow_does_not_depend_on_tiny_cuts(size: int) -> None:
+    test_queue_that_must_grow_does_not_depend_on_cuts(size)
+
+
+def test_longest_queue_does_not_depend_on_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lookahead, "BATCH", 16)
+    monkeypatch.setattr(lookahead, "LONGEST_QUEUE", 64)
+    whole = slow_giant(300)
+    whole = replace(whole, marks=tuple(Mark(k, b"%d" % k) for k in range(301)))
+    expected = plans([whole])
+    assert len(expected) > 1
+    assert_continuous(expected, whole)
+    for size in (1, 7, 32, 64, 100):
+        assert bits(plans(cut(whole, size))) == bits(expected), size
+
+
+def test_smooth_path_of_any_length_is_driven_without_a_stop() -> None:
+    """A vase of 70 000 small moves with no corner: the queue is bounded, the motion is not."""
+    planned = plans(cut(gentle_spiral(70_000), 10_000))
+    inside = np.concatenate([p.speed for p in planned])[1:-1]
+    assert (inside > 0.99 * 60.0).all()
+
+
+def test_batches_give_the_speeds_of_one_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = random_moves(3, 3000)
+    at_once = run_ends(plans([whole]))
+    monkeypatch.setattr(lookahead, "BATCH", 50)
+    batched = plans([whole])
+    assert len(batched) > 10
+    in_parts = run_ends(batched)
+    common = at_once.keys() & in_parts.keys()
+    assert len(common) > 0.99 * len(in_parts)
+    for vertex in common:
+        assert in_parts[vertex] == pytest.approx(at_once[vertex], rel=1e-6, abs=1e-4)
+
+
+def run_ends(planned: list[Plan]) -> dict[int, float]:
+    """Vertex → speed there, of every end of a run."""
+    first = 0
+    found: dict[int, float] = {}
+    for p in planned:
+        found |= dict(zip((first + p.ends).tolist(), p.speed.tolist(), strict=True))
+        first += len(p.line)
+    return found
+
+
+def test_sharp_corner_after_a_long_way_ends_a_run() -> None:
+    way = line((30_000, 0, 0, 0), (-50, 0.035, 0, 0))
+    assert corner_speed(way) == pytest.approx(0.0602133, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_sharp_corner_far_along_the_queue_is_slow(seed: int) -> None:
+    """Corners below 0.2 mm/s must end runs, however large v² + 2as has grown before them."""
+    whole = random_moves(seed, 4000)
+    cap = caps(whole)
+    found = run_ends(plans([whole]))
+    sharp = np.flatnonzero((cap > 0.0101) & (cap < 0.2))
+    assert len(sharp) > 20
+    assert [int(k) for k in sharp if int(k) not in found] == []
+    assert all(found[int(k)] <= cap[k] * (1 + 1e-6) for k in sharp)

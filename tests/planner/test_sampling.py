@@ -1,0 +1,552 @@
+"""Profiles and samples: on the path, within the limits, on the clock, no trace of the cutting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array, E, Z
+from hframe_post.errors import HframeError
+from hframe_post.planner import lookahead, sampling
+from hframe_post.planner.jerk_profile import Profiler, integrated, ramps
+from hframe_post.planner.lookahead import plan, reach
+from hframe_post.planner.sampling import sample
+from hframe_post.printer.settings import Limits
+from hframe_post.stream.types import (
+    Handling,
+    Item,
+    Mark,
+    Moves,
+    Passthrough,
+    Pause,
+    Plan,
+    Rest,
+    Rests,
+    Samples,
+    Standing,
+)
+from tests.planner.test_lookahead import (
+    LIMITS,
+    STATE,
+    bits,
+    caps,
+    carried,
+    cut,
+    gentle_spiral,
+    jerks,
+    line,
+    moves,
+    one,
+    plans,
+    random_moves,
+    seeds,
+)
+
+RESTS = Rests(settle=7, lead=3)
+DRIFT = 1.5e-6  # mm; what a run may miss its end by
+BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
+
+
+def sampled(items: Iterable[Item], limits: Limits = LIMITS, rests: Rests = RESTS) -> list[Samples]:
+    return list(sample(plan(items, limits), limits, rests))
+
+
+def whole(blocks: list[Samples]) -> tuple[Array, list[object]]:
+    """All samples and all events."""
+    return np.concatenate([b.xyze for b in blocks]), [e for b in blocks for e in b.events]
+
+
+def measured(item: Moves, rate: float = 0.04) -> Moves:
+    """The moves with filament in proportion to the path, so that e tells the place on it."""
+    steps = np.linalg.norm(np.diff(item.points[:, :E], axis=0), axis=1)
+    points = item.points.copy()
+    points[:, E] = rate * np.concatenate([[0.0], np.cumsum(steps)])
+    return replace(item, points=points)
+
+
+# ---------------------------------------------------------------------- samples of motion
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds, st.integers(1, 80), jerks)
+def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -> None:
+    item = measured(random_moves(seed, n, marked=0.0))
+    xyze, _ = whole(sampled([item], replace(LIMITS, jerk=jerk)))
+    assert np.isfinite(xyze).all()
+    assert (np.diff(xyze[:, E]) >= -0.04 * DRIFT).all()
+    for axis in range(E):
+        on_path = np.interp(xyze[:, E], item.points[:, E], item.points[:, axis])
+        np.testing.assert_allclose(xyze[:, axis], on_path, atol=1e-8)
+    np.testing.assert_array_equal(xyze[: RESTS.lead], np.tile(item.points[0], (RESTS.lead, 1)))
+    np.testing.assert_array_equal(xyze[-1], item.points[-1])
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds, st.integers(1, 80), jerks)
+def test_speed_and_acceleration_along_the_path_are_limited(seed: int, n: int, jerk: float) -> None:
+    item = measured(random_moves(seed, n, marked=0.0), 1.0)
+    limits = replace(LIMITS, jerk=jerk, extruder_corner_velocity=1e9)
+    planned = one(item, limits)
+    s = whole(sampled([item], limits))[0][:, E]
+    assert np.diff(s).max() / TS <= planned.cruise.max() * (1 + 1e-6) + DRIFT / TS
+    acceleration = np.abs(np.diff(s, 2)) / TS**2
+    assert acceleration.max() <= planned.acceleration.max() * (1 + 1e-6) + 2 * DRIFT / TS**2
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds, st.floats(10.0, 300.0), st.floats(500.0, 1e4))
+def test_straight_path_keeps_speed_acceleration_and_jerk(
+    seed: int, speed: float, acceleration: float
+) -> None:
+    steps = np.random.default_rng(seed).uniform(0.01, 20.0, 12)
+    straight = moves(line(*((0.6 * d, 0.8 * d, 0.0, d) for d in steps)), speed, acceleration)
+    jerk = 20.0 * acceleration / 0.2
+    s = whole(sampled([straight], replace(LIMITS, jerk=jerk)))[0][:, E]
+    assert np.diff(s).max() / TS <= speed * (1 + 1e-6)
+    assert np.abs(np.diff(s, 2)).max() / TS**2 <= acceleration * (1 + 1e-6)
+    assert np.abs(np.diff(s, 3)).max() / TS**3 <= jerk * (1 + 1e-3)
+
+
+def test_straight_move_takes_the_time_of_its_jerk_limited_profile() -> None:
+    """100 mm at 100 mm/s: v/a + a/j more than at full speed throughout."""
+    limits = replace(LIMITS, acceleration=1000.0, jerk=2e4)
+    xyze, _ = whole(sampled([moves(line((100, 0, 0, 4)))], limits))
+    exact = 100.0 / 100.0 + 100.0 / 1000.0 + 1000.0 / 2e4
+    assert len(xyze) - RESTS.lead == math.ceil(exact / TS - 1e-3)
+
+
+def passing_speeds(item: Moves, limits: Limits) -> Array:
+    """Speed at each vertex, (n + 1,), from densely sampled phases."""
+    found = []
+    for planned in plans([item], limits):
+        t, j = Profiler().profiles(planned, limits.jerk)
+        a, v, steps = integrated(t, j, planned.speed[:-1])
+        start = planned.s[planned.ends[:-1], None] + np.cumsum(steps, axis=1) - steps
+        tau = np.linspace(0.0, 1.0, 200) * t[..., None]
+        path = start[..., None] + tau * (
+            v[..., None] + tau * (a[..., None] / 2 + tau * j[..., None] / 6)
+        )
+        speed = v[..., None] + tau * (a[..., None] + tau * j[..., None] / 2)
+        order = np.argsort(path.ravel(), kind="stable")
+        at = np.interp(planned.s, path.ravel()[order], speed.ravel()[order])
+        at[planned.ends] = planned.speed
+        found.append(at[:-1])
+    return np.concatenate([*found, [0.0]])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds, st.integers(2, 80), jerks)
+def test_no_vertex_is_passed_faster_than_its_junction_allows(
+    seed: int, n: int, jerk: float
+) -> None:
+    item = random_moves(seed, n)
+    cap = caps(item)
+    assert (passing_speeds(item, replace(LIMITS, jerk=jerk)) <= cap * (1 + 1e-3) + 0.05).all()
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_no_vertex_far_along_is_passed_faster_than_its_junction_allows(seed: int) -> None:
+    item = random_moves(seed, 4000)
+    excess = passing_speeds(item, LIMITS) - caps(item) * (1 + 1e-3) - 0.05
+    assert excess.max() <= 0.0, f"vertex {int(np.argmax(excess))}: {excess.max():.3g} mm/s over"
+
+
+def test_stop_inside_a_path_is_a_sample_at_the_vertex() -> None:
+    xyze, _ = whole(sampled([moves(line((10, 0, 0, 1), (-7, 0, 0, 1), (5, 0, 0, 1)))]))
+    for vertex in ((10, 0, 0, 1), (3, 0, 0, 2), (8, 0, 0, 3)):
+        near = np.abs(xyze - np.array(vertex, dtype=float)).max(axis=1)
+        assert near.min() <= 1e-6
+    assert xyze[:, 0].max() == pytest.approx(10.0, abs=1e-6)
+
+
+def test_line_of_each_sample_is_that_of_its_move() -> None:
+    blocks = sampled([moves(line((10, 0, 0, 1), (0, 10, 0, 1)))])
+    xyze, lines = whole(blocks)[0], np.concatenate([b.line for b in blocks])
+    np.testing.assert_array_equal(lines[xyze[:, 1] > 0.001], 2)
+    np.testing.assert_array_equal(lines[xyze[:, 0] < 9.999], 1)
+
+
+# ---------------------------------------------------------------------- marks
+
+
+def marks_of(blocks: list[Samples]) -> list[Mark]:
+    return [e for e in whole(blocks)[1] if isinstance(e, Mark)]
+
+
+def test_filament_at_marks_is_that_of_their_vertex(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the mark lies between the last sample of one plan and the first of the next."""
+    monkeypatch.setattr(lookahead, "BATCH", 100)
+    n = 3000
+    item = gentle_spiral(n, step=0.03)
+    item = replace(item, marks=tuple(Mark(k, b"%d" % k) for k in range(0, n + 1, 3)))
+    item = replace(item, speed=np.where(np.arange(n) // 34 % 2, 50.0, 60.0))
+    assert len(plans([item])) > 20
+    blocks = sampled([item])
+    xyze, marks = whole(blocks)[0], marks_of(blocks)
+    assert [m.text for m in marks] == [m.text for m in item.marks]
+    off = [abs(xyze[m.index, E] - item.points[int(m.text), E]) for m in marks]
+    assert max(off) <= 1e-12, f"vertex {3 * int(np.argmax(off))}"
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds, st.integers(1, 80))
+def test_marks_are_at_the_first_sample_from_their_vertex_on(seed: int, n: int) -> None:
+    item = measured(random_moves(seed, n, marked=0.4), 1.0)
+    limits = replace(LIMITS, extruder_corner_velocity=1e9)
+    plain = whole(sampled([replace(item, marks=())], limits))[0][:, E]
+    blocks = sampled([item], limits)
+    marks = marks_of(blocks)
+    assert [m.text for m in marks] == [m.text for m in item.marks]
+    assert all(a.index <= b.index for a, b in pairwise(marks))
+    for mark in marks:
+        vertex = item.points[int(mark.text), E]
+        assert plain[mark.index] >= vertex - DRIFT
+        if int(mark.text):
+            assert plain[mark.index - 1] <= vertex + DRIFT
+
+
+def test_marked_vertex_just_before_a_stop_leaves_the_end_exact() -> None:
+    """The last move is so short that the mark before it falls on the sample of the stop."""
+    item = moves(line((10, 0, 0, 1), (0.0005, 0, 0, 0.001)), marks=(Mark(1, b";TYPE:SKIN"),))
+    blocks = sampled([item, Standing(9, (10.0005, 0, 0, 1.001), (10.0005, 0, 0, 0), 30.0)])
+    xyze, events = whole(blocks)
+    (pause,) = (e for e in events if isinstance(e, Pause))
+    np.testing.assert_array_equal(xyze[pause.index - 1], [10.0005, 0, 0, 1.001])
+
+
+def test_carried_line_at_rest_is_at_the_present_sample() -> None:
+    blocks = sampled([moves(line((5, 0, 0, 0))), Passthrough(2, b"G4", Handling.REST, STATE),
+                      carried(b"M106")])  # fmt: skip
+    n = len(whole(blocks)[0])
+    assert marks_of(blocks) == [Mark(n, b"M106")]
+
+
+# ---------------------------------------------------------------------- rests and pauses
+
+RETRACT = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
+YIELD = Passthrough(5, b"G28", Handling.YIELD, STATE)
+DWELL = Passthrough(6, b"G4 P12.5", Handling.REST, STATE, seconds=0.0125)
+
+
+def there(start: float = 0.0) -> Moves:
+    return moves([(start, 0, 0.2, 2), (start + 50, 0, 0.2, 2)])
+
+
+def test_motion_is_offered_a_lead_and_a_pause_time_to_settle() -> None:
+    events = whole(sampled([there(), RETRACT]))[1]
+    lead, settle, pause = events
+    assert lead == Rest(0, RESTS.lead, settling=False)
+    assert isinstance(settle, Rest)
+    assert (settle.samples, settle.settling) == (RESTS.settle, True)
+    assert isinstance(pause, Pause)
+    assert pause.index == settle.index + RESTS.settle
+    assert pause.action is RETRACT
+
+
+def test_pauses_in_a_row_are_offered_one_rest() -> None:
+    xyze, events = whole(sampled([there(), RETRACT, DWELL, there(50.0)]))
+    kinds = [(e.settling if isinstance(e, Rest) else e) for e in events]
+    assert kinds[0] is False
+    assert kinds[1] is True
+    assert [type(e) for e in events] == [Rest, Rest, Pause, Pause, Rest]
+    first, second, lead = events[2:]
+    assert isinstance(first, Pause)
+    assert isinstance(second, Pause)
+    assert isinstance(lead, Rest)
+    assert (lead.samples, lead.settling) == (RESTS.lead, False)
+    assert second.index == first.index + first.samples
+    assert lead.index == second.index + second.samples
+    assert len(xyze) == whole(sampled([there(), RETRACT, DWELL, there(50.0)]))[0].shape[0]
+
+
+def test_machine_stands_during_rests() -> None:
+    xyze, events = whole(sampled([there(), DWELL, there(50.0)]))
+    for event in events:
+        if isinstance(event, Rest | Pause):
+            # (0, 0) before the first motion, (50, 0) later
+            expected = 0.0 if event.index == 0 else 50.0
+            part = xyze[event.index : event.index + event.samples]
+            assert len(part) == event.samples
+            assert (part[:, 0] == expected).all()
+
+
+def test_nothing_is_offered_before_the_first_motion() -> None:
+    events = whole(sampled([RETRACT]))[1]
+    assert [type(e) for e in events] == [Pause]
+
+
+def test_dwell_lasts_whole_samples_and_tells_its_exact_time() -> None:
+    (pause,) = (e for e in whole(sampled([there(), DWELL]))[1] if isinstance(e, Pause))
+    assert (pause.samples, pause.exact) == (13, 0.0125)
+
+
+def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() -> None:
+    blocks = sampled([there(), YIELD, there(70.0)])
+    assert [b.yields for b in blocks].count(True) == 1
+    first = next(k for k, b in enumerate(blocks) if b.yields)
+    after = blocks[first + 1]
+    assert after.events[0] == Rest(after.first, RESTS.lead, settling=False)
+    np.testing.assert_array_equal(after.xyze[0], [70.0, 0, 0.2, 2])
+
+
+def standing(start: Array, end: Array, speed: float) -> tuple[Pause, Array]:
+    action = Standing(1, tuple(start.tolist()), tuple(end.tolist()), speed)
+    blocks = sampled([action])
+    xyze, events = whole(blocks)
+    pause = events[0]
+    assert isinstance(pause, Pause)
+    return pause, xyze[pause.index : pause.index + pause.samples]
+
+
+ORIGIN = np.array([10.0, 20.0, 1.0, 5.0])
+
+
+def trapezoid(length: float, speed: float, acceleration: float) -> float:
+    if length < speed**2 / acceleration:
+        return 2.0 * math.sqrt(length / acceleration)
+    return length / speed + speed / acceleration
+
+
+@pytest.mark.parametrize(
+    ("dz", "de", "asked", "expected"),
+    [
+        (0.0, -0.8, 45.0, trapezoid(0.8, 45.0, 2000.0)),
+        (0.0, 6.0, 45.0, trapezoid(6.0, 45.0, 2000.0)),
+        (0.0, -5.0, 500.0, trapezoid(5.0, 60.0, 2000.0)),
+        (0.0, 0.001, 45.0, trapezoid(0.001, 45.0, 2000.0)),
+        (0.2, 0.0, 10.0, trapezoid(0.2, 10.0, 500.0)),
+        (-5.0, 0.0, 10.0, trapezoid(5.0, 10.0, 500.0)),
+        (15.0, 0.0, 300.0, trapezoid(15.0, 20.0, 500.0)),
+        (1.0, -6.0, 20.0, trapezoid(1.0, 10.0, 2000.0 / 6.0)),
+        # Klipper limits any extrusion in a move without x and y, not retraction alone
+        (1.0, 6.0, 20.0, trapezoid(1.0, 10.0, 2000.0 / 6.0)),
+    ],
+)
+def test_standing_move_takes_a_trapezoids_time(
+    dz: float, de: float, asked: float, expected: float
+) -> None:
+    end = ORIGIN + np.array([0.0, 0.0, dz, de])
+    pause, xyze = standing(ORIGIN, end, asked)
+    assert pause.exact == pytest.approx(expected)
+    assert pause.samples == math.ceil(expected / TS - 1e-9)
+    np.testing.assert_array_equal(xyze[-1], end)
+
+
+@given(
+    st.floats(-30.0, 30.0).filter(lambda d: abs(d) > 1e-5),
+    st.sampled_from([Z, E]),
+    st.floats(0.1, 200.0),
+)
+def test_standing_move_keeps_its_axis_limits(distance: float, axis: int, speed: float) -> None:
+    end = ORIGIN.copy()
+    end[axis] += distance
+    _, xyze = standing(ORIGIN, end, speed)
+    path = np.concatenate([[ORIGIN[axis]], xyze[:, axis]])
+    steps = np.diff(path) * math.copysign(1.0, distance)
+    top, a = (20.0, 500.0) if axis == Z else (60.0, 2000.0)
+    assert (steps >= -1e-12).all()
+    assert steps.max() <= min(top, speed) * TS * (1 + 1e-9)
+    assert np.abs(np.diff(steps)).max(initial=0.0) <= a * TS**2 * (1 + 1e-6)
+    assert path[-1] == end[axis]
+    others = [k for k in range(4) if k != axis]
+    assert (xyze[:, others] == ORIGIN[others]).all()
+
+
+# ---------------------------------------------------------------------- cutting
+
+
+def mixed() -> list[Item]:
+    """Paths of several plans each, with pauses of all kinds between them."""
+    items: list[Item] = []
+    at = np.zeros(4)
+    rng = np.random.default_rng(0)
+    for k, n in enumerate((5200, 3, 700, 1, 200)):
+        turn = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.0, n))
+        length = 10.0 ** rng.uniform(-2.0, 0.3, n)
+        heading = np.cumsum(turn)
+        zero = np.zeros(n)
+        steps = np.stack(
+            [length * np.cos(heading), length * np.sin(heading), zero, 0.04 * length], axis=1
+        )
+        points = at + np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
+        marks = tuple(Mark(int(m), b"%d" % m) for m in np.flatnonzero(rng.random(n + 1) < 0.2))
+        speed = np.repeat(rng.uniform(20.0, 300.0, n // 40 + 1), 40)[:n]
+        items.append(moves(points, speed, marks=marks))
+        at = points[-1]
+        start = (float(at[0]), float(at[1]), float(at[2]), float(at[3]))
+        end = (start[0], start[1], start[2] + 0.2, start[3] - 0.3 * k)
+        items += [Standing(k, start, end, 20.0), DWELL, carried(b";LAYER")]
+        at = np.array(end)
+        if k == 1:
+            items.append(YIELD)
+    return items
+
+
+def recut(items: list[Item], size: int) -> list[Item]:
+    found: list[Item] = []
+    for item in items:
+        found += cut(item, size) if isinstance(item, Moves) else [item]
+    return found
+
+
+def stream_bits(blocks: list[Samples]) -> tuple[bytes, bytes, list[object]]:
+    xyze, events = whole(blocks)
+    return xyze.tobytes(), np.concatenate([b.line for b in blocks]).tobytes(), events
+
+
+def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
+    items = mixed()
+    expected = stream_bits(sampled(recut(items, 10_000)))
+    assert len(plans(items)) > 5
+    for size in (1, 7, 100):
+        assert bits(plans(recut(items, size))) == bits(plans(items))
+        assert stream_bits(sampled(recut(items, size))) == expected
+
+
+@pytest.mark.parametrize("size", [7, 100, 10_000])
+def test_samples_do_not_depend_on_the_size_of_blocks(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    items = mixed()
+    expected = stream_bits(sampled(items))
+    monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", size)
+    assert stream_bits(sampled(items)) == expected
+
+
+def test_blocks_are_contiguous_finite_and_read_only() -> None:
+    blocks = sampled(mixed())
+    index = 0
+    for block in blocks:
+        assert block.first == index
+        assert len(block.line) == len(block)
+        assert np.isfinite(block.xyze).all()
+        assert not block.xyze.flags.writeable
+        indices = [event.index for event in block.events]
+        assert indices == sorted(indices)
+        assert all(block.first <= k <= block.end for k in indices)
+        index = block.end
+
+
+def test_filament_and_places_of_rest_are_those_of_the_file() -> None:
+    items = mixed()
+    xyze, events = whole(sampled(items))
+    stands = [item for item in items if isinstance(item, Standing)]
+    pauses = [e for e in events if isinstance(e, Pause) and isinstance(e.action, Standing)]
+    assert [p.action for p in pauses] == stands
+    for pause in pauses:
+        assert isinstance(pause.action, Standing)
+        np.testing.assert_array_equal(xyze[pause.index - 1, :2], pause.action.start[:2])
+        np.testing.assert_array_equal(xyze[pause.index + pause.samples - 1], pause.action.end)
+    assert xyze[-1, E] == stands[-1].end[E]
+
+
+# ---------------------------------------------------------------------- single profiles
+
+
+def shortest(v0: Array, v1: Array, a: Array, jerk: float) -> Array:
+    """Path over which v0 becomes v1 at the latest."""
+    change = np.abs(v1 - v0)
+    time = np.where(change > a * a / jerk, change / a + a / jerk, 2.0 * np.sqrt(change / jerk))
+    return np.asarray(time * (v0 + v1) / 2.0)
+
+
+def random_runs(seed: int, n: int, jerk: float) -> Plan:
+    """n feasible runs from speed to speed, each followed by a long one to the next's start."""
+    rng = np.random.default_rng(seed)
+    v0, v1 = (rng.choice([0.0, 1.0], n, p=[0.1, 0.9]) * 10.0 ** rng.uniform(-2, 2.7, n)
+              for _ in range(2))  # fmt: skip
+    kind = rng.integers(0, 5, n)
+    v1 = np.where(
+        kind == 0, v0, np.where(kind == 1, v0 * (1 + 10.0 ** rng.uniform(-12, -2, n)), v1)
+    )
+    a = 10.0 ** rng.uniform(2.0, 5.0, n)
+    share = np.where(rng.random(n) < 0.4, 0.0, 10.0 ** rng.uniform(-9.0, 3.0, n))
+    length = shortest(v0, v1, (1 - 1e-6) * a, (1 - 1e-6) * jerk) * (1 + share) + 1e-4
+    longer = np.maximum(length, 10.0 ** rng.uniform(-4.0, 2.0, n))
+    length = np.where(kind == 2, longer, length)
+    above = np.where(rng.random(n) < 0.5, 1.0001001, 1 + 10.0 ** rng.uniform(-3.9, 2.0, n))
+    cruise = np.maximum(np.maximum(v0, v1) * above, 0.1)
+
+    speed = np.append(np.stack([v0, v1], axis=1).ravel(), 0.0)
+    top = np.maximum(v1, np.append(v0[1:], 0.0)) * 1.01 + 1.0
+    filler = 10.0 + 4.0 * shortest(v1, np.append(v0[1:], 0.0), np.full(n, 1e3), jerk)
+    s = np.concatenate([[0.0], np.cumsum(np.stack([length, filler], axis=1).ravel())])
+    count = 2 * n
+    points = np.zeros((count + 1, 4))
+    points[:, 0] = s
+    return Plan(
+        np.arange(count), points, s, np.arange(count + 1), speed,
+        np.stack([cruise, top], axis=1).ravel(),
+        np.stack([a, np.full(n, 1e3)], axis=1).ravel(), (),
+    )  # fmt: skip
+
+
+def assert_profiles_fit(planned: Plan, jerk: float) -> None:
+    t, j = Profiler().profiles(planned, jerk)
+    a, v, steps = integrated(t, j, planned.speed[:-1])
+    length = np.diff(planned.s[planned.ends])
+    assert (t >= 0.0).all()
+    np.testing.assert_allclose(steps.sum(axis=1), length, rtol=0.0, atol=DRIFT)
+    end = v[:, -1] + t[:, -1] * (a[:, -1] + t[:, -1] * j[:, -1] / 2.0)
+    np.testing.assert_allclose(end, planned.speed[1:], rtol=1e-5, atol=1e-3)
+    share = np.linspace(0.0, 1.0, 12) * t[..., None]
+    inside = v[..., None] + share * (a[..., None] + share * j[..., None] / 2.0)
+    step = share * (v[..., None] + share * (a[..., None] / 2.0 + share * j[..., None] / 6.0))
+    path = (np.cumsum(steps, axis=1) - steps)[..., None] + step
+    assert np.diff(path.reshape(len(path), -1), axis=1).min() >= -BACK
+    top = planned.cruise * (1 + 1e-5) + 1e-3
+    assert (inside.max(axis=(1, 2)) <= top).all()
+    assert (np.abs(a).max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
+    assert np.abs(j).max() <= jerk * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("jerk", [1e5, 5e6, 5e7, 1e9])
+def test_every_run_gets_a_profile_within_its_limits(jerk: float) -> None:
+    assert_profiles_fit(random_runs(1, 2500, jerk), jerk)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 10))
+@pytest.mark.parametrize("jerk", [1e4, 1e5, 1e6, 5e6, 5e7, 1e8, 1e9])
+def test_every_run_of_many_gets_a_profile_within_its_limits(jerk: float, seed: int) -> None:
+    assert_profiles_fit(random_runs(seed, 20_000, jerk), jerk)
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds, st.integers(1, 100), jerks)
+def test_every_planned_run_gets_a_profile_within_its_limits(seed: int, n: int, jerk: float) -> None:
+    assert_profiles_fit(one(random_moves(seed, n), replace(LIMITS, jerk=jerk)), jerk)
+
+
+@given(st.floats(0.01, 300.0), st.floats(0.01, 300.0), st.floats(1.0, 50.0))
+def test_ramp_uses_the_whole_length_with_the_least_acceleration(
+    v0: float, v1: float, share: float
+) -> None:
+    start, end = np.array([v0]), np.array([v1])
+    length = shortest(start, end, np.array([1e4]), 5e7) * share + 1e-6
+    t, j, acceleration = ramps(start, end, length, 5e7)
+    _, _, steps = integrated(t, j, start)
+    assert steps.sum() == pytest.approx(float(length[0]), rel=1e-6)
+    assert acceleration[0] <= 1e4 * (1 + 1e-6)
+    low, high = min(v0, v1), max(v0, v1)
+    # with a little less acceleration the change would need more than the length
+    if high - low > 1e-3:
+        less = reach(np.array([low]), length, acceleration * (1 - 1e-4), 5e7)
+        assert less[0] <= high * (1 + 1e-9)
+
+
+def test_end_that_cannot_be_reached_is_an_error_with_its_line() -> None:
+    impossible = Plan(
+        np.array([41, 42]), np.array([[0.0] * 4, [5.0, 0, 0, 0], [5.1, 0, 0, 0]]),
+        np.array([0.0, 5.0, 5.1]), np.array([0, 1, 2]), np.array([0.0, 100.0, 0.0]),
+        np.array([100.0, 100.0]), np.array([1e4, 1e4]), (),
+    )  # fmt: skip
+    with pytest.raises(HframeError, match=r"line 42: no .* fits"):
+        Profiler().profiles(impossible, 5e7)

@@ -1,0 +1,169 @@
+"""Layers and features of every sample, as the slicer's comments tell."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.prediction.labels import BEFORE, TRAVEL, Labels
+from hframe_post.stream.chunks import part
+from hframe_post.stream.types import (
+    Handling,
+    Mark,
+    ModalState,
+    Passthrough,
+    Pause,
+    Samples,
+    Standing,
+)
+
+STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
+Named = tuple[list[str], list[str]]
+
+
+def block(
+    e: list[float] | Array, *comments: tuple[int, bytes], first: int = 0, paused: bool = False
+) -> Samples:
+    """Samples whose filament is e, with comments before samples: marks, or lines at rest."""
+    xyze = np.zeros((len(e), 4))
+    xyze[:, 3] = e
+    events = tuple(
+        Pause(first + k, 0, Passthrough(1, text, Handling.REST, STATE))
+        if paused
+        else Mark(first + k, text)
+        for k, text in comments
+    )
+    return Samples(first, xyze, np.zeros(len(e), np.int64), events)
+
+
+def names(blocks: list[Samples], labels: Labels | None = None) -> Named:
+    """Layer and feature of each sample, by name."""
+    labels = labels or Labels()
+    layers: list[str] = []
+    features: list[str] = []
+    for each in blocks:
+        layer, feature = labels.of(each)
+        assert len(layer) == len(feature) == len(each)
+        layers += [labels.layers[k] for k in layer]
+        features += [labels.features[k] for k in feature]
+    return layers, features
+
+
+def printing(n: int) -> Array:
+    """Filament of n samples that all extrude."""
+    return np.arange(1.0, n + 1)
+
+
+def test_comments_hold_from_their_sample_on() -> None:
+    comments = [(1, b";LAYER:0\n"), (2, b";TYPE:SKIRT\n"), (4, b";LAYER:1\n"), (5, b";TYPE:FILL\n")]
+    layers, features = names([block(printing(6), *comments)])
+    assert layers == [BEFORE, "0", "0", "0", "1", "1"]
+    assert features == [BEFORE, BEFORE, "SKIRT", "SKIRT", "SKIRT", "FILL"]
+
+
+@pytest.mark.parametrize(
+    ("text", "layer"),
+    [
+        (b";LAYER:12", "12"),
+        (b";LAYER:-3\r\n", "-3"),
+        (b"; LAYER: 7\n", "7"),
+        (b"  ;LAYER:7\n", "7"),
+        (b";LAYER_CHANGE\r\n", "0"),
+        (b"; CHANGE_LAYER\n", "0"),
+    ],
+)
+def test_layers_as_slicers_write_them(text: bytes, layer: str) -> None:
+    assert names([block(printing(1), (0, text))])[0] == [layer]
+
+
+@pytest.mark.parametrize(
+    ("text", "feature"),
+    [
+        (b";TYPE:WALL-OUTER\n", "WALL-OUTER"),
+        (b";TYPE:External perimeter\r\n", "External perimeter"),
+        (b"; FEATURE: Outer wall \n", "Outer wall"),
+        (b";TYPE:Au\xc3\x9fen\n", "Außen"),
+        (b";TYPE:\xff\n", "\ufffd"),
+    ],
+)
+def test_features_as_slicers_write_them(text: bytes, feature: str) -> None:
+    assert names([block(printing(1), (0, text))])[1] == [feature]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b";LAYER_COUNT:40", b";LAYER:", b";LAYER:first", b";LAYERS:3", b";LAYER_CHANGED", b";Z:0.2",
+        b";HEIGHT:0.2", b";TYPE:", b";TYPE: \n", b"LAYER:3", b"M117 ;LAYER:3", b";type:FILL",
+        b";", b"",
+    ],
+)  # fmt: skip
+def test_other_lines_name_nothing(text: bytes) -> None:
+    assert names([block(printing(1), (0, text))]) == ([BEFORE], [BEFORE])
+
+
+def test_layers_without_a_number_are_counted() -> None:
+    """As PrusaSlicer writes them: a change, the height, the feature."""
+    comments = [
+        (k, text)
+        for k in range(4)
+        for text in (b";LAYER_CHANGE\n", b";Z:%.1f\n" % (0.2 * k), b";HEIGHT:0.2\n")
+    ]
+    assert names([block(printing(5), *comments)])[0] == ["0", "1", "2", "3", "3"]
+
+
+def test_a_layer_without_a_number_follows_the_one_before() -> None:
+    comments = [(0, b";LAYER:6"), (1, b";LAYER_CHANGE"), (2, b";LAYER:6"), (3, b";LAYER_CHANGE")]
+    assert names([block(printing(4), *comments)])[0] == ["6", "7", "6", "7"]
+
+
+def test_a_number_too_long_for_a_layer_is_none() -> None:
+    comments = [(0, b";LAYER:" + b"9" * 5000), (1, b";LAYER_CHANGE")]
+    assert names([block(printing(2), *comments)])[0] == [BEFORE, "0"]
+
+
+def test_motion_without_filament_is_travel_whatever_the_comment() -> None:
+    e = [1.0, 2.0, 2.0, 1.5, 1.6, 1.6]
+    features = names([block(e, (0, b";TYPE:FILL"))])[1]
+    assert features == ["FILL", "FILL", TRAVEL, TRAVEL, "FILL", TRAVEL]
+
+
+def test_comments_between_stops_count_like_those_in_motion() -> None:
+    comments = [(1, b";LAYER:2"), (2, b";TYPE:FILL")]
+    marked, paused = (names([block(printing(4), *comments, paused=p)]) for p in (False, True))
+    assert marked == paused
+    retraction = Pause(0, 0, Standing(1, (0, 0, 0, 1), (0, 0, 0, 0), 30.0))
+    still = Samples(0, np.ones((1, 4)), np.zeros(1, np.int64), (retraction,))
+    assert names([still]) == ([BEFORE], [BEFORE])
+
+
+def test_names_are_numbered_once_and_in_order() -> None:
+    labels = Labels()
+    comments = [(k, b";TYPE:%s" % name) for k, name in enumerate([b"A", b"B", b"A", b"TRAVEL"])]
+    assert names([block(printing(4), *comments)], labels)[1] == ["A", "B", "A", TRAVEL]
+    assert labels.features == [TRAVEL, BEFORE, "A", "B"]
+
+
+TEXTS = st.sampled_from(
+    [b";LAYER:0", b";LAYER:5", b";LAYER_CHANGE", b";TYPE:FILL", b"; FEATURE: Wall", b";Z:3", b"M1"]
+)
+
+
+@given(
+    st.lists(st.sampled_from([-1.0, 0.0, 0.0, 1.0, 1.0]), min_size=1, max_size=20),
+    st.lists(st.tuples(st.integers(0, 20), TEXTS), max_size=12),
+    st.lists(st.integers(0, 20), max_size=8),
+)
+def test_cuts_change_no_label(
+    steps: list[float], comments: list[tuple[int, bytes]], cuts: list[int]
+) -> None:
+    n = len(steps)
+    known = sorted(((k, text) for k, text in comments if k <= n), key=lambda comment: comment[0])
+    whole = block(np.cumsum(steps), *known, first=7)
+    edges = [0, *sorted(c for c in cuts if c <= n), n]
+    assert names([part(whole, *edge) for edge in pairwise(edges)]) == names([whole])

@@ -1,0 +1,132 @@
+"""Commands in whole steps: never more than half a step beside what was asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.prediction.quantise import quantise, stepped
+from hframe_post.printer.settings import Steps
+from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
+
+STEPS = Steps(belt=0.0206, z=0.0025, e=0.0024, clock_hz=40_000.0)
+STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
+KINEMATICS = [
+    Kinematics("hbot"),
+    Kinematics("corexy", signs=(1.0, -1.0)),
+    Kinematics("cartesian"),
+    Kinematics("cartesian", swap=True, signs=(-1.0, 1.0)),
+]
+TYPES = pytest.mark.parametrize("kinematics", KINEMATICS, ids=lambda k: f"{k.type}-{k.swap}")
+
+
+def curve(n: int, seed: int = 0) -> Array:
+    """A smooth command of up to some hundred mm/s, (n, 2), with rest at both ends."""
+    rng = np.random.default_rng(seed)
+    speed = np.cumsum(rng.normal(size=(n, 2)), axis=0) * 5.0
+    speed[: n // 5] = speed[-n // 5 :] = 0.0
+    return np.asarray(100.0 + np.cumsum(speed, axis=0) * TS)
+
+
+def exact_mean(belt: Array, ticks: int) -> tuple[Array, Array]:
+    """Mean of a belt's position over the ticks of each millisecond, as it is and in steps."""
+    n = len(belt)
+    at = np.arange(n)[:, None] + (np.arange(ticks) + 0.5) / ticks - 0.5
+    position = np.interp(at, np.arange(n), belt)
+    whole = np.floor(position / STEPS.belt + 0.5) * STEPS.belt
+    return position.mean(axis=1), whole.mean(axis=1)
+
+
+@TYPES
+def test_each_belt_stays_within_half_a_step(kinematics: Kinematics) -> None:
+    command = curve(500)
+    asked, got = (kinematics.belts(*xy.T) for xy in (command, stepped(command, kinematics, STEPS)))
+    for belt_asked, belt_got in zip(asked, got, strict=True):
+        mean, in_steps = exact_mean(belt_asked, 40)
+        np.testing.assert_allclose(belt_got, in_steps, atol=STEPS.belt / 39)  # a tie may fall over
+        assert np.abs(belt_got - mean).max() <= STEPS.belt / 2 + 1e-9
+        assert np.abs(belt_got - mean).max() > STEPS.belt / 4  # and it is stepped at all
+
+
+@TYPES
+@given(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
+def test_at_rest_each_belt_is_at_the_nearest_step(
+    kinematics: Kinematics, x: float, y: float
+) -> None:
+    command = np.tile([x, y], (3, 1))
+    belts = kinematics.belts(*stepped(command, kinematics, STEPS).T)
+    np.testing.assert_allclose(belts / STEPS.belt, np.rint(belts / STEPS.belt), atol=1e-6)
+    assert np.abs(belts - kinematics.belts(*command.T)).max() <= STEPS.belt / 2 + 1e-9
+
+
+def test_a_command_in_whole_steps_stays() -> None:
+    kinematics = Kinematics("cartesian")
+    command = np.full((10, 2), 1234 * STEPS.belt)
+    np.testing.assert_allclose(stepped(command, kinematics, STEPS), command, rtol=1e-12)
+
+
+def test_a_slow_clock_steps_once_a_sample() -> None:
+    """One tick a millisecond or less: the nearest step of each sample."""
+    command, kinematics = curve(200), Kinematics("cartesian")
+    for clock_hz in (1000.0, 400.0):
+        got = stepped(command, kinematics, replace(STEPS, clock_hz=clock_hz))
+        np.testing.assert_allclose(got, np.rint(command / STEPS.belt) * STEPS.belt, atol=1e-9)
+
+
+def test_a_faster_clock_and_finer_steps_come_nearer() -> None:
+    kinematics = Kinematics("hbot")
+    command = np.arange(400)[:, None] * [0.013, 0.007]  # where a sample is the mean around it
+
+    def off(table: Steps) -> float:
+        got = stepped(command, kinematics, table) - command
+        return float(np.sqrt(np.square(got[1:-1]).mean()))
+
+    assert off(replace(STEPS, clock_hz=1e5)) < off(replace(STEPS, clock_hz=1000.0))
+    assert off(replace(STEPS, belt=STEPS.belt / 16)) < off(STEPS) / 8
+
+
+def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
+    """A command under two strategies, cut; the machine is yielded after one of the blocks."""
+    command, first, cut = curve(sum(sizes)), 0, []
+    line = Passthrough(1, b"G28", Handling.YIELD, STATE)
+    for number, n in enumerate(sizes):
+        xy = command[first : first + n]
+        events = (Pause(first + n, 0, line),) if number == yields else ()
+        xyze, lines = np.pad(xy, ((0, 0), (0, 2))), np.zeros(n, np.int64)
+        cut.append(Samples(first, xyze, lines, events, {"racking": xy, "none": xy + 0.003}))
+        first += n
+    return cut
+
+
+@pytest.mark.parametrize("size", [1, 7, 100])
+def test_cuts_change_no_bit(size: int) -> None:
+    (whole,) = quantise(blocks([300]), Kinematics(), STEPS)
+    cut = list(quantise(blocks([size] * (300 // size) + [300 % size]), Kinematics(), STEPS))
+    for name, command in whole.commands.items():
+        joined = np.concatenate([block.commands[name] for block in cut])
+        np.testing.assert_array_equal(joined, command)
+        assert not command.flags.writeable
+
+
+def test_all_else_passes() -> None:
+    before = blocks([50, 0, 70], yields=1)
+    after = list(quantise(before, Kinematics(), STEPS))
+    assert [(b.first, b.events) for b in after] == [(b.first, b.events) for b in before]
+    for one, other in zip(before, after, strict=True):
+        assert other.xyze is one.xyze
+        assert other.line is one.line
+        assert other.commands.keys() == one.commands.keys()
+
+
+def test_what_comes_after_a_yield_is_a_command_of_its_own() -> None:
+    both = blocks([80, 120], yields=0)
+    got = list(quantise(both, Kinematics(), STEPS))
+    for one, block in zip(both, got, strict=True):
+        expected = stepped(one.commands["none"], Kinematics(), STEPS)
+        np.testing.assert_array_equal(block.commands["none"], expected)

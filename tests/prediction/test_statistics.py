@@ -1,0 +1,125 @@
+"""Running figures against numpy on the whole, however the stream was cut."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.prediction.statistics import (
+    BINS_PER_E,
+    SMALLEST,
+    ErrorStatistics,
+    Figures,
+    belt_rates,
+)
+
+ERRORS = st.lists(st.floats(0.0, 300.0), min_size=1, max_size=60).map(np.array)
+CUTS = st.lists(st.integers(0, 60), max_size=5)
+BIN = np.exp(1.0 / BINS_PER_E)
+
+
+def statistics(errors: Array, cuts: list[int] | None = None) -> ErrorStatistics:
+    gathered = ErrorStatistics()
+    for piece in np.split(errors, sorted(min(c, len(errors)) for c in cuts or [])):
+        gathered.add(piece)
+    return gathered
+
+
+@given(ERRORS)
+def test_rms_and_peak_are_exact(errors: Array) -> None:
+    gathered = statistics(errors)
+    assert gathered.count == len(errors)
+    assert gathered.rms == pytest.approx(np.sqrt(np.square(errors).mean()), rel=1e-12)
+    assert gathered.peak == errors.max()
+
+
+@given(ERRORS, st.floats(0.01, 1.0))
+def test_percentiles_are_within_their_bin(errors: Array, share: float) -> None:
+    """Never below the true one and at most a bin above; nothing is told below the smallest."""
+    true = np.quantile(errors, share, method="inverted_cdf")
+    got = statistics(errors).percentile(share)
+    rounding = 1.0 + 1e-9
+    assert got <= max(true, SMALLEST) * BIN * rounding
+    assert got * rounding >= true
+    assert got <= errors.max()
+
+
+@given(ERRORS, CUTS)
+def test_cuts_change_nothing_but_the_rounding_of_the_sum(errors: Array, cuts: list[int]) -> None:
+    one, other = statistics(errors), statistics(errors, cuts)
+    assert (one.count, one.peak) == (other.count, other.peak)
+    np.testing.assert_array_equal(one.histogram, other.histogram)
+    assert one.squares == pytest.approx(other.squares, rel=1e-12)
+
+
+def test_micrometres() -> None:
+    errors = np.linspace(0.001, 0.1, 1000)
+    told = statistics(errors).micrometres()
+    assert told["rms"] == pytest.approx(1e3 * np.sqrt(np.square(errors).mean()), abs=1e-4)
+    assert told["p95"] == pytest.approx(1e3 * np.quantile(errors, 0.95), rel=0.011)
+    assert told["peak"] == 100.0
+
+
+def test_size_does_not_grow_with_the_stream() -> None:
+    gathered = ErrorStatistics()
+    size = gathered.histogram.nbytes
+    for _ in range(50):
+        gathered.add(np.full(1000, 0.01))
+    assert (gathered.histogram.nbytes, gathered.histogram.sum()) == (size, 50_000)
+
+
+@given(CUTS)
+def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
+    rng = np.random.default_rng(4)
+    contour, tracking = rng.uniform(0, 0.1, 60), rng.normal(0, 0.1, (60, 2))
+    velocity, acceleration = rng.uniform(0, 300, 60), rng.uniform(0, 1e4, 60)
+    figures = Figures()
+    edges = [0, *sorted(cuts), 60]
+    for a, b in pairwise(edges):
+        figures.add_errors(contour[a:b], tracking[a:b])
+        figures.add_rates(velocity[a:b], acceleration[a:b])
+    np.testing.assert_allclose(
+        figures.tracking_rms(), np.sqrt(np.square(tracking).mean(axis=0)), rtol=1e-12
+    )
+    assert (figures.velocity, figures.acceleration) == (velocity.max(), acceleration.max())
+    told = figures.as_json()
+    x, y = 1e3 * np.sqrt(np.square(tracking).mean(axis=0))
+    assert told["tracking_error_um"] == pytest.approx({"x": x, "y": y}, abs=1e-4)
+    assert told["peak_belt_speed"] == pytest.approx(velocity.max(), abs=1e-3)
+    assert told["contour_error_um"] == figures.contour.micrometres()
+
+
+def test_figures_of_nothing_are_zero() -> None:
+    told = Figures().as_json()
+    assert told["tracking_error_um"] == {"x": 0.0, "y": 0.0}
+    assert told["peak_belt_speed"] == told["peak_belt_acceleration"] == 0.0
+
+
+@pytest.mark.parametrize("kind", ["hbot", "corexy", "cartesian"])
+def test_belt_rates_are_those_of_the_faster_belt(kind: str) -> None:
+    rng = np.random.default_rng(5)
+    command = 100 + np.cumsum(rng.normal(size=(50, 2)), axis=0) * 0.1
+    velocity, acceleration = belt_rates(command, Kinematics(kind))
+    x, y = command.T
+    belts = (x, y) if kind == "cartesian" else (x + y, x - y)
+    for k in range(2, 50):
+        speeds = [(abs(b[k] - b[k - 1]) / TS) for b in belts]
+        changes = [abs(b[k] - 2 * b[k - 1] + b[k - 2]) / TS**2 for b in belts]
+        assert velocity[k - 2] == pytest.approx(max(speeds))
+        assert acceleration[k - 2] == pytest.approx(max(changes), abs=1e-5)
+    assert len(velocity) == len(acceleration) == 48
+
+
+def test_belt_rates_of_a_known_motion() -> None:
+    """x at 3 mm/s² from rest: on an H-bot both belts alike, y stands."""
+    t = np.arange(102) * TS
+    command = np.column_stack([1.5 * t**2, np.full(102, 7.0)])
+    velocity, acceleration = belt_rates(command, Kinematics("hbot"))
+    np.testing.assert_allclose(acceleration, 3.0, rtol=1e-6)
+    np.testing.assert_allclose(velocity, 3.0 * (t[2:] - TS / 2), rtol=1e-9)

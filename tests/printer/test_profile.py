@@ -1,0 +1,343 @@
+"""Profiles: the shipped ones load, the bad ones say which key is wrong and why."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hframe_post.arrays import TS
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.errors import PrinterError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.profile import load, parse, shipped
+from hframe_post.printer.settings import Printer
+
+PAPER = shipped()["paper"]
+
+
+def error(text: str) -> PrinterError:
+    with pytest.raises(PrinterError) as caught:
+        parse(text, "mine")
+    assert caught.value.source == "mine"
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def edited(pattern: str, replacement: str) -> str:
+    """The paper's profile with one change."""
+    text, changes = re.subn(pattern, replacement, PAPER, count=1, flags=re.MULTILINE | re.DOTALL)
+    assert changes == 1
+    return text
+
+
+def extending(text: str) -> str:
+    return 'extends = "paper"\n' + text
+
+
+# ---------------------------------------------------------------------- good profiles
+
+
+def test_the_papers_printer_is_shipped() -> None:
+    assert {"paper", "paper-strong"} <= shipped().keys()
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_profile_loads_and_can_be_compensated(name: str) -> None:
+    profile = load(name)
+    assert profile.name == name
+    assert profile.description
+    assert prepared(profile) is not None
+
+
+def test_values_of_the_paper() -> None:
+    paper = load("paper")
+    assert paper.travel.x == (0.0, 280.0)
+    assert paper.limits.acceleration == 1e4
+    assert paper.compensation.effort == (96.0, 188.0)
+    assert paper.firmware.restore is not None
+    assert paper.firmware.restore.minimum_cruise_ratio == 0.5
+    assert paper.plant.x_c == 140.0
+    x, y = paper.compensation.windows
+    assert (x.L, x.n_C, x.n_up, x.degree, x.effort, y.effort) == (5, 88, 44, 5, 96.0, 188.0)
+
+
+def test_file_is_loaded_and_named_by_its_stem(tmp_path: Path) -> None:
+    path = tmp_path / "my printer.toml"
+    path.write_text(PAPER, encoding="utf-8")
+    profile = load(str(path))
+    assert profile.name == "my printer"
+    assert profile.digest == load("paper").digest
+
+
+def test_extension_takes_the_rest_from_its_base() -> None:
+    paper = load("paper")
+    mine = parse(extending("[limits]\nvelocity = 120\n[compensation]\neffort = [1.0, 2]"), "mine")
+    assert mine.limits.velocity == 120.0
+    assert mine.limits.acceleration == paper.limits.acceleration
+    assert mine.compensation.effort == (1.0, 2.0)
+    assert mine.compensation.n_C == paper.compensation.n_C
+    assert mine.firmware == paper.firmware
+    assert mine.description == paper.description
+
+
+def test_extension_merges_tables_within_tables() -> None:
+    mine = parse(extending("[firmware.restore]\nvelocity = 150\n"), "mine")
+    assert mine.firmware.restore is not None
+    assert mine.firmware.restore.velocity == 150.0
+    assert mine.firmware.restore.acceleration == 1e4
+
+
+def test_extension_of_an_extension_works() -> None:
+    mine = parse('extends = "paper-strong"\n[limits]\nvelocity = 100\n', "mine")
+    assert mine.motors.belt_acceleration == 1e5
+    assert mine.limits.velocity == 100.0
+    assert mine.limits.jerk == load("paper").limits.jerk
+
+
+def test_extension_replaces_a_transfer_function_whole() -> None:
+    mine = parse(extending("[plant.Gxx]\ngain = 0.5\nzeros = []\npoles = [[0.5, 0.0]]\n"), "mine")
+    assert mine.plant.Gxx.order == 1
+    assert len(mine.plant.Gxx.zeros) == 0
+
+
+def test_gantry_without_racking_needs_no_function_for_it() -> None:
+    text = edited(r"\[plant\.Gxtheta\].*\Z", "")
+    assert parse(text, "mine").plant.Gxtheta is None
+
+
+def test_lever_arm_is_needed_only_where_something_racks() -> None:
+    racking = edited(r"^x_c = [^\n]*\n", "")
+    assert error(racking).key == "plant.x_c"
+    assert "\nx_c" not in shipped()["example-corexy"]
+    assert load("example-corexy").plant.Gxtheta is None
+
+
+def test_kinematics_are_those_of_an_h_frame_unless_stated() -> None:
+    assert load("paper").kinematics == Kinematics("hbot", False, (1.0, 1.0))
+    mine = parse(extending("[kinematics]\nswap = true\nsigns = [1, -1]"), "mine")
+    assert mine.kinematics == Kinematics("hbot", True, (1.0, -1.0))
+    assert load("example-cartesian").kinematics.type == "cartesian"
+
+
+def test_optional_values_have_defaults() -> None:
+    text = edited(r"^settle_tolerance[^\n]*\n", "")
+    assert parse(text, "mine").compensation.settle_tolerance == 0.05
+    assert load("paper").limits.junction_deviation == float("inf")
+
+
+def test_whole_number_may_be_written_with_a_point() -> None:
+    L = parse(extending("[compensation]\nL = 5.0"), "mine").compensation.L
+    assert L == 5
+    assert isinstance(L, int)
+
+
+# ---------------------------------------------------------------------- digest
+
+
+def digest(text: str) -> str:
+    return parse(text, "mine").digest
+
+
+def test_digest_changes_with_content_and_with_nothing_else() -> None:
+    assert digest(PAPER) == digest("# a comment\n" + PAPER) == load("paper").digest
+    assert digest(extending("")) == load("paper").digest
+    changes = (
+        "[limits]\nvelocity = 299.0",
+        "[plant]\nx_c = 141.0",
+        "[firmware]\nbegin_macro = 'BEGIN'",
+        "[compensation]\nsettle_tolerance = 0.051",
+    )
+    assert len({digest(PAPER), *(digest(extending(change)) for change in changes)}) == 5
+
+
+# ---------------------------------------------------------------------- bad values
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "cause"),
+    [
+        ("colour = 3", "colour", "unknown key"),
+        ("[limits]\nvelocty = 3", "limits.velocty", "nearest known is 'velocity'"),
+        ("[firmware.restore]\naccelaration = 3", "firmware.restore.accelaration",
+         "nearest known is 'acceleration'"),
+        ("[plant]\nGxt = 3", "plant.Gxt", "nearest known is 'G"),
+        ("[plant.Gyy]\npole = []", "plant.Gyy.pole", "nearest known is 'poles'"),
+        ("[limits]\nvelocity = 'fast'", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = true", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = [1.0]", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = nan", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = inf", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = 1979-05-27", "limits.velocity", "must be a number"),
+        ("[limits]\nvelocity = 0", "limits.velocity", "above 0"),
+        ("[limits]\nvelocity = -5.0", "limits.velocity", "above 0"),
+        ("[limits]\nsquare_corner_velocity = -1", "limits.square_corner_velocity", "at least 0"),
+        ("[limits]\nvelocity = 1" + 400 * "0", "limits.velocity", "must be a number"),
+        ("[travel]\nx = [0.0]", "travel.x", "list of two"),
+        ("[travel]\nx = 280", "travel.x", "list of two"),
+        ("[travel]\nx = [280, 0]", "travel.x", "not below"),
+        ("[travel]\ny = [10, 10]", "travel.y", "not below"),
+        ("[travel]\ny = [0, false]", "travel.y", "must be a number"),
+        ("[travel]\ny = [-inf, 10]", "travel.y", "must be a number"),
+        ("[compensation]\nL = 5.5", "compensation.L", "whole number"),
+        ("[compensation]\nL = true", "compensation.L", "whole number"),
+        ("[compensation]\nL = inf", "compensation.L", "whole number"),
+        ("[compensation]\nn_C = 0", "compensation.n_C", "above 0"),
+        ("[compensation]\nn_up = 89", "compensation", "n_up ≤ n_C"),
+        ("[compensation]\neffort = [1.0, -1.0]", "compensation.effort", "at least 0"),
+        ("[compensation]\nstrategy = 'best'", "compensation.strategy", "racking, fbs, none"),
+        ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
+        ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
+        ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
+        ("[firmware]\nbegin_macro = 3", "firmware.begin_macro", "must be text"),
+        ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
+        ("[firmware.restore]\nminimum_cruise_ratio = 1.0",
+         "firmware.restore.minimum_cruise_ratio", "below 1"),
+        ("[kinematics]\ntype = 'delta'", "kinematics.type", "hbot, corexy, cartesian"),
+        ("[kinematics]\nswap = 1", "kinematics.swap", "true or false"),
+        ("[kinematics]\nsigns = [1, 2]", "kinematics.signs", "one of -1, 1"),
+        ("[kinematics]\nsigns = [1]", "kinematics.signs", "list of two"),
+        ("[kinematics]\nsign = [1, 1]", "kinematics.sign", "nearest known is 'signs'"),
+        ("kinematics = 'hbot'", "kinematics", "table is missing"),
+        ("[kinematics]\ntype = 'corexy'", "plant.Gxtheta", "does not rack"),
+        ("[kinematics]\ntype = 'cartesian'", "plant.Gxtheta", "does not rack"),
+        ("[steps]\nbelt = 0", "steps.belt", "above 0"),
+        ("[steps]\nclock_hz = 1e11", "steps.clock_hz", "below 1e+10"),
+        ("[steps]\ndirection_setup = -1e-6", "steps.direction_setup", "at least 0"),
+        ("steps = 3", "steps", "table is missing"),
+        ("description = 3", "description", "must be text"),
+        ("limits = 3", "limits", "table is missing"),
+        ("[plant]\nTs = 0.002", "plant.Ts", "must be 0.001"),
+        ("[plant]\nTs = '0.001'", "plant.Ts", "must be 0.001"),
+        ("[plant]\nx_c = nan", "plant.x_c", "must be a number"),
+        ("[plant]\nx_c = true", "plant.x_c", "must be a number"),
+        ("[plant]\nGxx = 1.0", "plant.Gxx", "must be a table"),
+    ],
+)  # fmt: skip
+def test_bad_value_is_an_error_with_its_key(text: str, key: str, cause: str) -> None:
+    found = error(extending(text))
+    assert (found.key, cause in found.cause) == (key, True), str(found)
+
+
+def function(gain: str, zeros: str, poles: str) -> PrinterError:
+    return error(extending(f"[plant.Gxx]\ngain = {gain}\nzeros = {zeros}\npoles = {poles}\n"))
+
+
+@pytest.mark.parametrize(
+    ("gain", "zeros", "poles", "cause"),
+    [
+        ("0.0", "[]", "[[1.0, 0.0]]", "unstable"),
+        ("1.0", "[]", "[[-1.5, 0.0]]", "unstable"),
+        ("1.0", "[]", "[[0.8, 0.7], [0.8, -0.7]]", "unstable"),
+        ("0.6", "[]", "[[0.5, 0.0]]", "gain at rest must be 1, it is 1.2"),
+        ("1.0", "[]", "[[0.5, 0.1]]", "conjugate pairs"),
+        ("1.0", "[[0.5, 0.1]]", "[[0.5, 0.0]]", "conjugate pairs"),
+        ("1.0", "[[0.5, 0.0]]", "[]", "more zeros than poles"),
+        ("1.0", "[]", "[[nan, 0.0]]", "number"),
+        ("nan", "[]", "[[0.5, 0.0]]", "number"),
+        ("inf", "[]", "[[0.5, 0.0]]", "number"),
+        ("0.5", "3", "[[0.5, 0.0]]", "pairs"),
+        ("0.5", "[0.1]", "[[0.5, 0.0]]", "pairs"),
+        ("0.5", "[]", "[[0.5]]", "pairs"),
+        ("0.5", "[[]]", "[[0.5, 0.0]]", "pairs"),
+        ("0.5", "[]", "[[0.5, 0.0, 0.0]]", "pairs"),
+        ("0.5", "[]", "[['0.5', '0.0']]", "number"),
+        ("0.5", "[]", "['00']", "pairs"),
+        ("0.5", "[]", "[[0.5, false]]", "number"),
+        ("'0.5'", "[]", "[[0.5, 0.0]]", "number"),
+        ("true", "[]", "[[0.5, 0.0], [0.0, 0.0]]", "number"),
+        ("'much'", "[]", "[[0.5, 0.0]]", "number"),
+        ("[0.5]", "[]", "[[0.5, 0.0]]", "number"),
+        ("1" + 400 * "0", "[]", "[[0.5, 0.0]]", "number"),
+    ],
+)
+def test_bad_transfer_function_is_an_error(gain: str, zeros: str, poles: str, cause: str) -> None:
+    found = function(gain, zeros, poles)
+    assert found.key.startswith("plant.Gxx")
+    assert cause in found.cause
+
+
+def test_standing_gantry_must_not_rack() -> None:
+    found = error(
+        extending("[plant.Gxtheta]\ngain = 0.1\nzeros = [[0.9, 0.0]]\npoles = [[0.5, 0.0]]")
+    )
+    assert found.key == "plant.Gxtheta"
+    assert "must not rack" in found.cause
+
+
+# ---------------------------------------------------------------------- missing things
+
+
+@pytest.mark.parametrize(
+    ("pattern", "key"),
+    [
+        (r"^jerk[^\n]*\n", "limits.jerk"),
+        (r"^belt_velocity[^\n]*\n", "motors.belt_velocity"),
+        (r"^effort[^\n]*\n", "compensation.effort"),
+        (r"^x = [^\n]*\n", "travel.x"),
+        (r"^Ts = [^\n]*\n", "plant.Ts"),
+        (r"^x_c = [^\n]*\n", "plant.x_c"),
+        (r"^\[plant\.Gxx\].*?(?=^\[plant\.Gyy\])", "plant.Gxx"),
+        (r"^\[plant\.Gyy\].*?(?=^\[plant\.Gxtheta\])", "plant.Gyy"),
+        (r"^gain[^\n]*\n", "plant.Gxx.gain"),
+        (r"^poles = .*?^\]\n", "plant.Gxx.poles"),
+        (r"^zeros = .*?^\]\n", "plant.Gxx.zeros"),
+        (r"^\[motors\].*?(?=^\[compensation\])", "motors"),
+        (r"^\[travel\].*?(?=^\[limits\])", "travel"),
+        (r"^\[firmware.restore\].*?(?=^\[plant\])", "firmware.restore"),
+    ],
+)
+def test_missing_key_or_table_is_an_error(pattern: str, key: str) -> None:
+    found = error(edited(pattern, ""))
+    assert (found.key, "missing" in found.cause) == (key, True)
+
+
+def test_empty_profile_misses_its_first_table() -> None:
+    assert error("").key == "travel"
+
+
+def test_extension_of_an_unknown_profile_names_the_known_ones() -> None:
+    for base in ('"papr"', "3", "['paper']"):
+        found = error(f"extends = {base}\n")
+        assert found.key == "extends"
+        assert all(name in found.cause for name in shipped())
+
+
+# ---------------------------------------------------------------------- bad files
+
+
+@pytest.mark.parametrize("text", ["[limits", "a = ", "a = 1\na = 2", "velocity 3", "\x00"])
+def test_what_is_not_toml_is_an_error(text: str) -> None:
+    assert "not valid TOML" in error(text).cause
+
+
+def failing(path: Path) -> PrinterError:
+    with pytest.raises(PrinterError) as caught:
+        load(str(path))
+    assert caught.value.source == str(path)
+    return caught.value
+
+
+def test_file_that_is_not_text_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "latin.toml"
+    path.write_bytes('description = "µ"\n'.encode("latin-1"))
+    assert "cannot be read" in failing(path).cause
+
+
+def test_missing_file_names_the_shipped_profiles(tmp_path: Path) -> None:
+    cause = failing(tmp_path / "none.toml").cause
+    assert all(name in cause for name in shipped())
+    assert "no such profile or file" in failing(tmp_path).cause
+
+
+def test_fault_in_a_file_is_told_with_file_and_key(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('extends = "paper"\n[limits]\njerk = 0\n', encoding="utf-8")
+    assert str(failing(path)) == f"{path}: limits.jerk: must be above 0, it is 0"
+
+
+def test_clock_of_profiles_is_that_of_the_stream() -> None:
+    profile: Printer = load("paper")
+    assert f"Ts = {TS}" in PAPER
+    assert profile.plant.Gxx.dc_gain == pytest.approx(1.0, abs=1e-4)

@@ -1,0 +1,243 @@
+"""Re-cutting loses no sample and no event, wherever it cuts."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.stream.chunks import branches, join, part, stretches, with_neighbours
+from hframe_post.stream.types import (
+    Event,
+    Handling,
+    Mark,
+    ModalState,
+    Passthrough,
+    Pause,
+    Samples,
+    frozen,
+)
+
+STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
+SIZES = st.lists(st.integers(0, 9), min_size=1, max_size=12)
+
+
+def stream(sizes: list[int], first: int = 5) -> list[Samples]:
+    """Blocks whose every sample tells its index, with two marks at every other index."""
+    blocks = []
+    for n in sizes:
+        index = np.arange(first, first + n)
+        events = tuple(Mark(int(k), b"%d %d" % (k, m)) for k in index[::2] for m in range(2))
+        events += (Mark(first + n, b"end"),)
+        xyze = frozen(np.repeat(index[:, None], 4, axis=1).astype(float))
+        commands = {"racking": frozen(xyze[:, :2] + 0.5), "none": xyze[:, :2]}
+        blocks.append(Samples(first, xyze, 10 * index, events, commands))
+        first += n
+    return blocks
+
+
+def assert_same(one: Samples, other: Samples) -> None:
+    assert one.first == other.first
+    np.testing.assert_array_equal(one.xyze, other.xyze)
+    np.testing.assert_array_equal(one.line, other.line)
+    assert one.events == other.events
+    assert one.commands.keys() == other.commands.keys()
+    for name, command in one.commands.items():
+        np.testing.assert_array_equal(command, other.commands[name])
+
+
+@given(SIZES)
+def test_join_keeps_samples_events_and_commands_in_order(sizes: list[int]) -> None:
+    blocks = stream(sizes)
+    joined = join(blocks)
+    assert (joined.first, len(joined)) == (5, sum(sizes))
+    np.testing.assert_array_equal(joined.xyze[:, 0], np.arange(5, 5 + sum(sizes)))
+    np.testing.assert_array_equal(joined.line, 10 * np.arange(5, 5 + sum(sizes)))
+    np.testing.assert_array_equal(joined.commands["racking"], joined.xyze[:, :2] + 0.5)
+    assert joined.events == tuple(e for b in blocks for e in b.events)
+    assert not joined.xyze.flags.writeable
+
+
+def test_join_of_one_is_itself() -> None:
+    (block,) = stream([4])
+    assert join([block]) is block
+
+
+@given(st.integers(1, 30), st.lists(st.integers(1, 29), unique=True))
+def test_parts_join_to_the_whole(n: int, cuts: list[int]) -> None:
+    (whole,) = stream([n])
+    edges = [0, *sorted(c for c in cuts if c < n), n]
+    parts = [part(whole, a, b) for a, b in pairwise(edges)]
+    assert_same(join(parts), whole)
+    for piece in parts:
+        assert all(piece.first <= e.index <= piece.end for e in piece.events)
+
+
+def test_part_leaves_the_events_of_its_end_to_the_next() -> None:
+    (whole,) = stream([8])
+    assert [e.index for e in part(whole, 2, 4).events] == [7, 7]
+    assert [e.index for e in part(whole, 4, 6).events] == [9, 9]
+    assert [e.index for e in part(whole, 6, 8).events] == [11, 11, 13]
+
+
+def test_part_cuts_the_commands_too() -> None:
+    (whole,) = stream([8])
+    piece = part(whole, 3, 6)
+    np.testing.assert_array_equal(piece.xyze[:, 0], [8.0, 9.0, 10.0])
+    np.testing.assert_array_equal(piece.line, [80, 90, 100])
+    np.testing.assert_array_equal(piece.commands["racking"][:, 1], [8.5, 9.5, 10.5])
+
+
+@given(SIZES, st.integers(0, 20), st.integers(0, 20))
+def test_neighbours_are_those_of_the_whole_stream(
+    sizes: list[int], before: int, after: int
+) -> None:
+    blocks = stream(sizes)
+    total, seen = sum(sizes), []
+    for block, wide, where in with_neighbours(blocks, before, after):
+        seen.append(block)
+        start, stop = block.first - 5, block.end - 5
+        low, high = max(start - before, 0), min(stop + after, total)
+        assert wide.first == 5 + low
+        np.testing.assert_array_equal(wide.xyze[:, 0], np.arange(5 + low, 5 + high))
+        np.testing.assert_array_equal(wide.commands["none"], wide.xyze[:, :2])
+        assert (where.start, where.stop) == (start - low, stop - low)
+        np.testing.assert_array_equal(wide.xyze[where], block.xyze)
+    assert [id(b) for b in seen] == [id(b) for b in blocks]
+
+
+@given(SIZES, st.integers(0, 20), st.integers(0, 20))
+def test_neighbours_keep_the_events_around(sizes: list[int], before: int, after: int) -> None:
+    blocks = stream(sizes)
+    every = [e for b in blocks for e in b.events]
+    for block, wide, _ in with_neighbours(blocks, before, after):
+        inside = [e for e in wide.events if wide.first < e.index < wide.end]
+        assert inside == [e for e in every if wide.first < e.index < wide.end]
+        assert set(block.events) <= set(wide.events)
+
+
+@pytest.mark.parametrize(("after", "read"), [(0, 1), (1, 2), (5, 2), (6, 3)])
+def test_neighbours_are_given_as_soon_as_they_are_known(after: int, read: int) -> None:
+    taken = []
+
+    def source() -> object:
+        for block in stream([5, 5, 5, 5]):
+            taken.append(block)
+            yield block
+
+    wide = with_neighbours(source(), 0, after)  # type: ignore[arg-type]
+    next(wide)
+    assert len(taken) == read
+
+
+# ---------------------------------------------------------------------- stretches
+
+
+def yielding(block: Samples, handling: Handling = Handling.YIELD) -> Samples:
+    action = Passthrough(1, b"G28", handling, STATE)
+    events: tuple[Event, ...] = (*block.events, Pause(block.end, 0, action))
+    return Samples(block.first, block.xyze, block.line, events, block.commands)
+
+
+@given(st.lists(st.booleans(), max_size=12))
+def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
+    blocks = [
+        yielding(block) if flag else block
+        for block, flag in zip(stream([3] * len(yields)), yields, strict=True)
+    ]
+    found = [list(stretch) for stretch in stretches(blocks)]
+    assert [id(b) for stretch in found for b in stretch] == [id(b) for b in blocks]
+    for stretch in found:
+        assert not any(block.yields for block in stretch[:-1])
+    for stretch in found[:-1]:
+        assert stretch[-1].yields
+    assert len(found) == sum(yields) + (len(yields) > 0 and not yields[-1])
+
+
+def test_pause_inside_the_stream_ends_no_stretch() -> None:
+    first, second = stream([3, 3])
+    found = [list(s) for s in stretches([yielding(first, Handling.REST), second])]
+    assert [len(stretch) for stretch in found] == [2]
+
+
+# ---------------------------------------------------------------------- branches
+
+
+@given(st.integers(0, 6), st.integers(1, 4), st.data())
+def test_every_branch_has_every_block_in_any_order_of_taking(
+    blocks: int, count: int, data: st.DataObject
+) -> None:
+    source = stream([3] * blocks)
+    taken: list[list[Samples]] = [[] for _ in range(count)]
+    running = dict(enumerate(branches(iter(source), count)))
+    while running:
+        k = data.draw(st.sampled_from(sorted(running)))
+        if (block := next(running[k], None)) is None:
+            del running[k]
+        else:
+            taken[k].append(block)
+    for blocks_of_one in taken:
+        assert [id(block) for block in blocks_of_one] == [id(block) for block in source]
+
+
+def test_no_branches_take_nothing() -> None:
+    source = iter(stream([3]))
+    assert branches(source, 0) == []
+    assert next(source, None) is not None
+
+
+Watch = list["weakref.ref[Array]"]
+
+
+def watched(made: Watch) -> Iterator[Samples]:
+    """Blocks made when they are asked for, each of whose arrays is watched."""
+    for k in range(60):
+        xyze = frozen(np.full((4, 4), float(k)))
+        made.append(weakref.ref(xyze))
+        yield Samples(4 * k, xyze, np.zeros(4, np.int64))
+        del xyze
+
+
+def held(made: Watch) -> int:
+    return sum(array() is not None for array in made)
+
+
+def test_branches_in_step_hold_but_one_block() -> None:
+    made: Watch = []
+    running = branches(watched(made), 3)
+    for k in range(60):
+        for branch in running:
+            assert next(branch).first == 4 * k
+        assert len(made) == k + 1  # nothing is read ahead
+        assert held(made) <= 1
+
+
+def test_branches_hold_what_the_slowest_has_not_taken() -> None:
+    made: Watch = []
+    fast, slow = branches(watched(made), 2)
+    for _ in range(20):
+        next(fast)
+    assert held(made) == 20
+    for k in range(20):
+        assert next(slow).first == 4 * k
+        assert held(made) <= 20 - k
+    assert len(made) == 20
+
+
+def failing() -> Iterator[Samples]:
+    yield from stream([3, 3])
+    raise RuntimeError("the source is broken")
+
+
+def test_an_exception_comes_after_the_blocks_before_it() -> None:
+    one, other = branches(failing(), 2)
+    assert [next(one).first, next(one).first] == [5, 8]
+    with pytest.raises(RuntimeError, match="broken"):
+        next(one)
+    assert [next(other).first, next(other).first] == [5, 8]

@@ -1,0 +1,217 @@
+"""Simulated prints: strategies in their order, parts that add up to the whole, any cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from statistics import median
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.report import STRATEGY_NAMES
+from hframe_post.errors import GcodeError
+from hframe_post.gcode import reader
+from hframe_post.planner import sampling
+from hframe_post.prediction.labels import BEFORE, TRAVEL
+from hframe_post.printer import profile
+from hframe_post.studies.reference_path import rectangle
+from hframe_post.studies.simulation import Study, simulate
+from hframe_post.studies.simulation_report import Group, SimulationReport
+from hframe_post.studies.uncertainty import draws
+from tests.conftest import SAMPLES
+
+ALL = tuple(STRATEGY_NAMES)
+
+
+def sample(name: str, last: int | None = None) -> list[bytes]:
+    """A sample, or its head up to a layer."""
+    lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
+    return lines if last is None else lines[: lines.index(b";LAYER:%d\n" % last)]
+
+
+def simulated(
+    lines: list[bytes], study: Study | None = None, strategies: tuple[str, ...] = ALL
+) -> SimulationReport:
+    paper = profile.load("paper")
+    report = SimulationReport("racking", plant="paper")
+    simulate(
+        iter(lines), paper, Options("racking", strategies), study or Study(paper.plant), report
+    )
+    return report
+
+
+def rms(group: Group) -> list[float]:
+    return [group[name].contour.rms for name in ALL]
+
+
+@pytest.fixture(scope="module")
+def cube() -> SimulationReport:
+    return simulated(sample("cube.gcode", 3))
+
+
+PARTS = [
+    ("rectangle.gcode", None),
+    ("cube.gcode", 3),
+    ("prism.gcode", 1),
+]
+
+
+@pytest.mark.parametrize(("name", "last"), PARTS, ids=[name for name, _ in PARTS])
+def test_each_strategy_is_better_than_the_one_before(name: str, last: int | None) -> None:
+    none, fbs, racking = rms(simulated(sample(name, last)).whole)
+    assert none > fbs > 2.0 * racking > 0.0
+
+
+def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None:
+    assert {"0", "1", "2"} <= cube.layers.keys()
+    assert {TRAVEL, "WALL-OUTER", "WALL-INNER"} <= cube.features.keys()
+    for groups in (cube.layers, cube.features):
+        for name, whole in cube.whole.items():
+            parts = [group[name] for group in groups.values()]
+            contours = [part.contour for part in parts]
+            assert sum(c.count for c in contours) == whole.contour.count > 0
+            assert sum(c.squares for c in contours) == pytest.approx(whole.contour.squares)
+            assert max(c.peak for c in contours) == whole.contour.peak
+            np.testing.assert_array_equal(
+                sum(c.histogram for c in contours), whole.contour.histogram
+            )
+            np.testing.assert_allclose(sum(part.tracking for part in parts), whole.tracking)
+            assert max(part.velocity for part in parts) == whole.velocity
+            assert max(part.acceleration for part in parts) == whole.acceleration
+
+
+def test_the_whole_is_what_a_conversion_reports(cube: SimulationReport) -> None:
+    assert cube.contour.keys() == cube.whole.keys()
+    for name, figures in cube.whole.items():
+        assert cube.contour[name].micrometres() == figures.contour.micrometres()
+    assert cube.whole["racking"].velocity == pytest.approx(cube.peaks.belt_velocity)
+    assert cube.whole["racking"].acceleration == pytest.approx(cube.peaks.belt_acceleration)
+    assert cube.filament_after == pytest.approx(cube.filament_before, abs=1e-6)
+
+
+def test_only_filament_makes_a_feature() -> None:
+    """The rectangle's one wall is one feature; coming to it is travel."""
+    report = simulated(sample("rectangle.gcode"))
+    wall = report.features["WALL-OUTER"]["none"].contour
+    assert wall.count > 0.8 * report.whole["none"].contour.count
+    dry = simulated([line.split(b" E")[0] + b"\n" for line in sample("rectangle.gcode")])
+    assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
+
+
+def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    paper = profile.load("paper")
+    study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)
+    whole = simulated(sample("rectangle.gcode"), study)
+    for moves, samples in [(1, 7), (7, 100), (100, 10_000)]:
+        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        cut = simulated(sample("rectangle.gcode"), study)
+        assert cut.layers.keys() == whole.layers.keys()
+        pairs = [(cut.whole, whole.whole)]
+        pairs += [(cut.layers[name], group) for name, group in whole.layers.items()]
+        pairs += [(cut.features[name], group) for name, group in whole.features.items()]
+        for one, other in pairs:
+            for name, figures in other.items():
+                assert one[name].contour.count == figures.contour.count
+                assert one[name].contour.rms == pytest.approx(figures.contour.rms, rel=1e-6)
+                assert one[name].acceleration == pytest.approx(figures.acceleration, rel=1e-6)
+        for name in ALL:
+            (one_error,), (other_error,) = cut.model_error, whole.model_error
+            assert one_error.rms(name) == pytest.approx(other_error.rms(name), rel=1e-6)
+
+
+def test_the_same_study_tells_the_same() -> None:
+    plant = profile.load("paper").plant
+    first, again = (
+        simulated(sample("rectangle.gcode"), Study(plant, {0.05: draws(plant, 0.05, 3, 7)}))
+        for _ in range(2)
+    )
+    assert first.as_json() == again.as_json()
+    assert first.as_text() == again.as_text()
+    other = simulated(sample("rectangle.gcode"), Study(plant, {0.05: draws(plant, 0.05, 3, 8)}))
+    assert other.model_error[0].rms("racking") != first.model_error[0].rms("racking")
+
+
+def test_a_printer_that_is_the_model_has_its_figures() -> None:
+    """A draw with no model error, judged at every fourth sample instead of every second."""
+    plant = profile.load("paper").plant
+    report = simulated(sample("rectangle.gcode"), Study(plant, {0.0: draws(plant, 0.0, 1, 0)}))
+    for name, figures in report.whole.items():
+        assert report.model_error[0].rms(name) == pytest.approx([figures.contour.rms], rel=0.02)
+
+
+@pytest.mark.paper
+def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
+    paper = profile.load("paper")
+    study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 50, 0)})
+    report = simulated(rectangle(paper), study)
+    (error,) = report.model_error
+    assert len(error.rms("racking")) == 50
+    assert median(error.rms("racking")) < report.whole["fbs"].contour.rms
+    assert error.better("racking", "none") == 50
+
+
+def test_more_model_error_is_more_error() -> None:
+    plant = profile.load("paper").plant
+    shares = {share: draws(plant, share, 10, 0) for share in (0.02, 0.05, 0.2)}
+    report = simulated(sample("rectangle.gcode"), Study(plant, shares))
+    medians = [median(error.rms("racking")) for error in report.model_error]
+    assert [error.share for error in report.model_error] == [0.02, 0.05, 0.2]
+    assert medians == sorted(medians)
+    assert medians[0] > report.whole["racking"].contour.rms
+
+
+def test_a_printer_that_does_not_rack_needs_no_racking_compensation() -> None:
+    """Simulated on another plant than is compensated for."""
+    plant = replace(profile.load("paper").plant, Gxtheta=None)
+    none, fbs, racking = rms(simulated(sample("rectangle.gcode"), Study(plant)).whole)
+    assert fbs < 0.1 * none
+    assert racking > 2.0 * fbs
+
+
+def test_steps_add_less_than_their_size() -> None:
+    paper = profile.load("paper")
+    assert paper.steps is not None
+    smooth = simulated(sample("rectangle.gcode")).whole
+    stepped = simulated(sample("rectangle.gcode"), Study(paper.plant, {}, paper.steps)).whole
+    for name, figures in stepped.items():
+        assert figures.contour.rms != smooth[name].contour.rms
+        assert abs(figures.contour.rms - smooth[name].contour.rms) < paper.steps.belt / 2
+        assert figures.acceleration == smooth[name].acceleration  # of the command asked
+
+
+def test_only_what_is_asked_is_simulated() -> None:
+    report = simulated(sample("rectangle.gcode"), strategies=())
+    assert report.strategies == ["racking"]
+    assert "fbs" not in report.as_text()
+
+
+def test_nothing_that_moves_is_told_and_not_divided_by() -> None:
+    report = simulated([b"G28\n", b"M104 S200\n", b"G1 E5 F300\n"])
+    assert "NOTHING" in report.as_text()
+    assert report.as_json()["layers"] == {}
+
+
+def test_errors_come_through() -> None:
+    with pytest.raises(GcodeError, match="line 2"):
+        simulated([b"G1 X100 Y100 F6000\n", b"G1 XNaN\n"])
+
+
+def layered(squeezed: int) -> list[bytes]:
+    """Eight layers of one stroke each; one of them is fast and so the worst."""
+    lines = [b"G28\n", b"M83\n", b"M204 S10000\n", b"G1 Z0.2 F600\n", b"G0 X140 Y100 F9000\n"]
+    for k in range(8):
+        x = 260 if k % 2 == 0 else 140
+        feed = 9000 if k == squeezed else 1200
+        lines += [b";LAYER:%d\n" % k, b";TYPE:FILL\n", b"G1 X%d E4 F%d\n" % (x, feed)]
+    return lines
+
+
+def test_text_shows_the_worst_layers_unless_all_are_asked_for() -> None:
+    report = simulated(layered(6))
+    short, long = report.as_text().splitlines(), report.as_text(all_layers=True).splitlines()
+    heading = next(k for k, line in enumerate(short) if line.startswith("worst of 8 layers"))
+    assert short[heading + 1].split()[0] == "6"
+    shown = next(k for k, line in enumerate(long) if line.startswith("layer"))
+    assert [line.split()[0] for line in long[shown + 1 : shown + 9]] == [str(k) for k in range(8)]

@@ -1,0 +1,203 @@
+"""The trade-off of window and weight, and which of them is recommended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.conversion.pipeline import Options
+from hframe_post.errors import GcodeError
+from hframe_post.gcode import reader
+from hframe_post.model.lpfbs import Window
+from hframe_post.planner import sampling
+from hframe_post.printer import profile
+from hframe_post.printer.settings import Motors, Printer
+from hframe_post.studies.reference_path import rectangle
+from hframe_post.studies.simulation import Study, simulate
+from hframe_post.studies.simulation_report import SimulationReport
+from hframe_post.studies.tuning import (
+    EFFORTS,
+    KNOTS,
+    PREVIEW,
+    ROUGHLY,
+    Trial,
+    candidates,
+    recommended,
+    tune,
+)
+from hframe_post.studies.uncertainty import draws
+
+EFFORT = (1.0, 10.0, 100.0, 1000.0)
+SLACK = 1.01  # of numbers that should be in order
+
+
+@pytest.fixture(scope="module")
+def profiled() -> Printer:
+    return profile.load("paper")
+
+
+@pytest.fixture(scope="module")
+def trials(profiled: Printer) -> list[Trial]:
+    grid = candidates(profiled.compensation, (5, 20), EFFORT)
+    return tune(rectangle(profiled), profiled, grid, draws(profiled.plant, 0.05, 2, 0))
+
+
+# ---------------------------------------------------------------------- candidates
+
+
+def test_candidates_keep_the_preview_and_the_ratio_of_the_efforts(profiled: Printer) -> None:
+    grid = candidates(profiled.compensation)
+    assert [(x.L, x.effort) for x, _ in grid] == [(L, e) for L in KNOTS for e in EFFORTS]
+    for x, y in grid:
+        assert PREVIEW <= x.L_C < PREVIEW + x.L
+        assert (x.L, x.n_C, x.n_up, x.degree) == (y.L, y.n_C, y.n_up, y.degree)
+        assert y.effort / x.effort == pytest.approx(188.0 / 96.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("effort", [(0.0, 0.0), (0.0, 5.0), (5.0, 0.0)])
+def test_candidates_of_a_profile_without_effort_are_alike_in_x_and_y(
+    profiled: Printer, effort: tuple[float, float]
+) -> None:
+    grid = candidates(replace(profiled.compensation, effort=effort), (5,), (10.0,))
+    assert [(x.effort, y.effort) for x, y in grid] == [(10.0, 10.0)]
+
+
+# ---------------------------------------------------------------------- trials
+
+
+def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) -> None:
+    for L in (5, 20):
+        usable = [t for t in trials if t.windows[0].L == L and not t.refused]
+        assert len(usable) >= 3
+        for harder, gentler in pairwise(usable):
+            assert gentler.contour.rms * SLACK >= harder.contour.rms
+            assert gentler.acceleration <= SLACK * harder.acceleration
+        hardest, gentlest = usable[0], usable[-1]
+        assert gentlest.contour.rms > 1.1 * hardest.contour.rms
+        assert gentlest.acceleration < 0.9 * hardest.acceleration
+
+
+def test_every_candidate_is_tried_on_every_printer(trials: list[Trial]) -> None:
+    assert [(t.windows[0].L, t.windows[0].effort) for t in trials] == [
+        (L, effort) for L in (5, 20) for effort in EFFORT
+    ]
+    counts = {s.count for t in trials if not t.refused for s in (t.contour, *t.drawn)}
+    assert len(counts) <= 2  # the command settles sooner or later, by candidate
+    assert min(counts) > 500
+    assert all(len(t.drawn) == 2 for t in trials if not t.refused)
+
+
+def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
+    (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
+    report = SimulationReport("racking")
+    simulate(rectangle(profiled), profiled, Options("racking"), Study(profiled.plant), report)
+    figures = report.whole["racking"]
+    assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
+    assert trial.contour.count == figures.contour.count
+    assert trial.robust == trial.contour.rms
+    assert trial.velocity == figures.velocity
+    assert trial.acceleration == figures.acceleration
+
+
+def test_a_trial_among_others_is_that_trial_alone(profiled: Printer, trials: list[Trial]) -> None:
+    among = trials[2]
+    grid, drawn = [among.windows], draws(profiled.plant, 0.05, 2, 0)
+    (alone,) = tune(rectangle(profiled), profiled, grid, drawn)
+    assert alone.acceleration == pytest.approx(among.acceleration, rel=1e-3)
+    assert alone.contour.rms == pytest.approx(among.contour.rms, rel=1e-2)
+    assert alone.robust == pytest.approx(among.robust, rel=1e-2)
+
+
+def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = candidates(profiled.compensation, (10,), (50.0,))
+    (whole,) = tune(rectangle(profiled), profiled, grid, [])
+    for moves, samples in [(1, 7), (7, 100)]:
+        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        (cut,) = tune(rectangle(profiled), profiled, grid, [])
+        assert cut.contour.count == whole.contour.count
+        assert cut.contour.rms == pytest.approx(whole.contour.rms, rel=1e-6)
+        assert cut.acceleration == pytest.approx(whole.acceleration, rel=1e-6)
+
+
+def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Printer) -> None:
+    bad = Window(20, 11, 5, 0.0)
+    good = profiled.compensation.windows
+    refused, tried = tune(rectangle(profiled), profiled, [(bad, bad), good], [])
+    assert "spectral radius" in refused.refused
+    assert not refused.within(profiled.motors)
+    assert not tried.refused
+    assert tried.contour.count > 0
+    assert recommended([refused, tried], profiled.motors) is tried
+
+
+def test_errors_of_the_print_come_through(profiled: Printer) -> None:
+    lines = [b"G1 X100 Y100 F6000\n", b"G1 XNaN\n"]
+    with pytest.raises(GcodeError, match="line 2"):
+        tune(lines, profiled, [profiled.compensation.windows], [])
+
+
+# ---------------------------------------------------------------------- recommendation
+
+
+def test_recommendation_stays_within_limits_that_bind(
+    profiled: Printer, trials: list[Trial]
+) -> None:
+    """Whatever acceleration is allowed, down to one that none of the candidates keeps."""
+    usable = [trial for trial in trials if not trial.refused]
+    errors = []
+    for allowed in sorted({trial.acceleration for trial in usable}):
+        motors = replace(profiled.motors, belt_acceleration=allowed)
+        best = recommended(trials, motors)
+        assert best is not None
+        assert best.within(motors)
+        errors.append(min(t.robust for t in usable if t.within(motors)))
+        assert best.robust <= ROUGHLY * errors[-1]
+    assert errors == sorted(errors, reverse=True)  # more is allowed, less error is possible
+    gentlest = min(trial.acceleration for trial in usable)
+    assert recommended(trials, replace(profiled.motors, belt_acceleration=0.99 * gentlest)) is None
+    slowest = min(trial.velocity for trial in usable)
+    assert recommended(trials, replace(profiled.motors, belt_velocity=0.99 * slowest)) is None
+
+
+WINDOW = Window(5, 88, 44, 1.0)
+ERROR = st.sampled_from([1.0, 1.05, 1.09, 1.2, 3.0])  # some as good as the best
+FIGURES = st.tuples(ERROR, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
+
+
+@given(st.lists(st.tuples(FIGURES, st.booleans()), max_size=8))
+def test_recommended_is_the_gentlest_of_the_good(
+    told: list[tuple[tuple[float, float, float], bool]],
+) -> None:
+    trials, motors = [], Motors(50.0, 50.0)
+    for (error, velocity, acceleration), refused in told:
+        trial = Trial((WINDOW, WINDOW), "diverges" if refused else "")
+        trial.contour.add(np.array([error]))
+        trial.velocity, trial.acceleration = velocity, acceleration
+        trials.append(trial)
+    best = recommended(trials, motors)
+    able = [t for t in trials if not t.refused and max(t.velocity, t.acceleration) <= 50.0]
+    if best is None:
+        assert not able
+    else:
+        least = min(t.contour.rms for t in able)
+        assert any(best is trial for trial in able)
+        assert best.contour.rms <= ROUGHLY * least
+        gentler = [t for t in able if t.acceleration < best.acceleration]
+        assert all(t.contour.rms > ROUGHLY * least for t in gentler)
+
+
+def test_robust_is_the_median_of_the_printers_drawn() -> None:
+    trial = Trial((WINDOW, WINDOW))
+    trial.contour.add(np.array([1.0]))
+    assert trial.robust == 1.0
+    for error in (5.0, 3.0, 4.0):
+        statistics = type(trial.contour)()
+        statistics.add(np.array([error]))
+        trial.drawn.append(statistics)
+    assert trial.robust == 4.0

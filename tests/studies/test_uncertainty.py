@@ -1,0 +1,158 @@
+"""Printers drawn around the model: repeatable, stable, at rest as they were."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array, Complex
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer import profile
+from hframe_post.studies.uncertainty import draws, perturbed
+
+PLANT = profile.load("paper").plant
+CARTESIAN = profile.load("example-cartesian").plant
+FACTORS = st.lists(st.floats(0.01, 1.99), min_size=9, max_size=9)
+
+
+def functions(plant: Plant) -> list[TransferFunction]:
+    return [G for G in (plant.Gxx, plant.Gyy, plant.Gxtheta) if G is not None]
+
+
+def same(one: Plant, other: Plant) -> bool:
+    return one.x_c == other.x_c and all(
+        np.array_equal(G.zeros, H.zeros) and np.array_equal(G.poles, H.poles) and G.gain == H.gain
+        for G, H in zip(functions(one), functions(other), strict=True)
+    )
+
+
+def ringing(roots: Complex) -> Complex:
+    """ln z of the roots that ring, those above the real axis."""
+    return np.log(roots[roots.imag > 1e-9])
+
+
+def slope(G: TransferFunction) -> float:
+    """θ per speed at rest: the derivative of G at z = 1, by a difference."""
+    omega = 1e-5
+    return float((G.response(np.array([omega]))[0] / (1j * omega)).real)
+
+
+def unit(share: float, count: int) -> Array:
+    """Frequency and damping factors of each axis, (count, 2, 2), from the drawn poles."""
+    rows = []
+    for plant in draws(PLANT, share, count, seed=3):
+        axes = []
+        for drawn, G in ((plant.Gxx, PLANT.Gxx), (plant.Gyy, PLANT.Gyy)):
+            s, s_0 = ringing(drawn.poles)[0], ringing(G.poles)[0]
+            frequency = abs(s) / abs(s_0)
+            axes.append([frequency, s.real / s_0.real / frequency])
+        rows.append(axes)
+    return np.array(rows)
+
+
+def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:
+    first, again = (draws(PLANT, 0.05, 8, seed=1) for _ in range(2))
+    assert all(same(a, b) for a, b in zip(first, again, strict=True))
+    assert not any(same(a, b) for a, b in zip(first, draws(PLANT, 0.05, 8, 2), strict=True))
+    assert not any(same(a, b) for a, b in pairwise(first))
+
+
+def test_more_draws_begin_with_the_same() -> None:
+    few, many = draws(PLANT, 0.05, 3, 0), draws(PLANT, 0.05, 9, 0)
+    assert all(same(a, b) for a, b in zip(few, many, strict=False))
+    assert (len(few), len(many), draws(PLANT, 0.05, 0, 0)) == (3, 9, [])
+
+
+@pytest.mark.parametrize("plant", [PLANT, CARTESIAN], ids=["hbot", "cartesian"])
+def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
+    for drawn in draws(plant, 0.0, 3, seed=0):
+        assert (drawn.x_c, drawn.Gxtheta is None) == (plant.x_c, plant.Gxtheta is None)
+        for G, H in zip(functions(drawn), functions(plant), strict=True):
+            np.testing.assert_allclose(G.zeros, H.zeros, atol=1e-12)
+            np.testing.assert_allclose(G.poles, H.poles, atol=1e-12)
+            assert G.gain == pytest.approx(H.gain, rel=1e-4)  # as a profile's is
+
+
+@given(FACTORS)
+def test_any_factors_leave_a_stable_real_printer_that_stands_still(factors: list[float]) -> None:
+    for plant in (PLANT, CARTESIAN):
+        drawn = perturbed(plant, np.array(factors).reshape(3, 3))
+        for G in functions(drawn):  # which a TransferFunction would refuse otherwise
+            assert np.abs(G.poles).max() < 1.0
+        assert drawn.Gxx.dc_gain == pytest.approx(1.0, abs=1e-9)
+        assert drawn.Gyy.dc_gain == pytest.approx(1.0, abs=1e-9)
+        if drawn.Gxtheta is not None:
+            assert drawn.Gxtheta.dc_gain == pytest.approx(0.0, abs=1e-9)
+
+
+@given(FACTORS)
+def test_each_transfer_function_moves_by_its_own_factors(factors: list[float]) -> None:
+    """Natural frequency and damping ratio of all that rings, poles and zeros alike."""
+    f = np.array(factors).reshape(3, 3)
+    drawn = perturbed(PLANT, f)
+    moved = zip(functions(drawn), functions(PLANT), f, strict=True)
+    for G, H, (frequency, damping, _) in moved:
+        for roots, before in ((G.poles, H.poles), (G.zeros, H.zeros)):
+            s, s_0 = ringing(roots), ringing(before)
+            s, s_0 = s[np.argsort(np.abs(s))], s_0[np.argsort(np.abs(s_0))]
+            ratio = np.clip(damping * s_0.real / np.abs(s_0), -0.999, 0.999)
+            np.testing.assert_allclose(np.abs(s), frequency * np.abs(s_0), rtol=1e-9)
+            np.testing.assert_allclose(s.real / np.abs(s), ratio, atol=1e-9)
+
+
+@given(FACTORS)
+def test_real_poles_keep_their_damping_and_delays_stay(factors: list[float]) -> None:
+    f = np.array(factors).reshape(3, 3)
+    drawn = perturbed(PLANT, f)
+    for G, H, (frequency, _, _) in zip(functions(drawn), functions(PLANT), f, strict=True):
+        real, before = (np.sort(p[np.abs(p.imag) < 1e-12].real) for p in (G.poles, H.poles))
+        np.testing.assert_allclose(np.log(real), frequency * np.log(before), rtol=1e-9)
+        assert (len(G.zeros), len(G.poles)) == (len(H.zeros), len(H.poles))
+
+
+def test_roots_that_are_no_motion_stay() -> None:
+    """Zeros on the negative real axis come of sampling."""
+    drawn = perturbed(CARTESIAN, np.full((3, 3), 1.3))
+    np.testing.assert_array_equal(np.sort(drawn.Gxx.zeros), np.sort(CARTESIAN.Gxx.zeros))
+
+
+@given(FACTORS)
+def test_gain_is_that_of_racking_at_low_speed(factors: list[float]) -> None:
+    f = np.array(factors).reshape(3, 3)
+    drawn = perturbed(PLANT, f)
+    assert drawn.Gxtheta is not None
+    assert PLANT.Gxtheta is not None
+    assert slope(drawn.Gxtheta) == pytest.approx(f[2, 2] * slope(PLANT.Gxtheta), rel=1e-3)
+
+
+def test_parameters_are_uniform_within_the_share() -> None:
+    share, count = 0.05, 400
+    off = (unit(share, count).reshape(count, 4) - 1.0) / share
+    assert np.abs(off).max() <= 1.0 + 1e-9
+    assert np.abs(off).max(axis=0).min() > 0.97
+    spread = 1.0 / np.sqrt(3.0)
+    assert np.abs(off.mean(axis=0)).max() < 4.0 * spread / np.sqrt(count)
+    np.testing.assert_allclose(off.std(axis=0), spread, rtol=0.1)
+    quartiles = np.quantile(off, [0.25, 0.5, 0.75], axis=0)
+    np.testing.assert_allclose(quartiles, np.array([[-0.5], [0.0], [0.5]]).repeat(4, 1), atol=0.15)
+    correlation = np.corrcoef(off.T) - np.eye(4)
+    assert np.abs(correlation).max() < 4.0 / np.sqrt(count)
+
+
+def test_racking_gain_is_uniform_within_the_share() -> None:
+    assert PLANT.Gxtheta is not None
+    before, share = slope(PLANT.Gxtheta), 0.1
+    after = [slope(p.Gxtheta) for p in draws(PLANT, share, 400, 0) if p.Gxtheta is not None]
+    off = (np.array(after) / before - 1.0) / share
+    assert np.abs(off).max() <= 1.001
+    assert np.quantile(off, [0.25, 0.5, 0.75]) == pytest.approx([-0.5, 0.0, 0.5], abs=0.15)
+
+
+def test_equal_seeds_are_the_same_printers_farther_off() -> None:
+    near, far = unit(0.02, 20) - 1.0, unit(0.2, 20) - 1.0
+    np.testing.assert_allclose(far, 10.0 * near, atol=1e-9)

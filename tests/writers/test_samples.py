@@ -1,0 +1,159 @@
+"""Tables of samples: what they say, and that every kind of file says the same."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from hframe_post.arrays import Array
+from hframe_post.errors import HframeError
+from hframe_post.model.plant import LiftedFilter
+from hframe_post.prediction.predict import predict
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Handling, Pause, Samples
+from hframe_post.writers.samples import COLUMNS, DECIMALS, as_csv, tabulate
+from hframe_post.writers.table_file import write_npz, write_parquet
+from tests.step_tools import block, line
+
+
+@pytest.fixture(scope="module")
+def table(paper: Printer, commands: Callable[[str], Samples]) -> Array:
+    return np.concatenate(list(tabulate([commands("racking")], "racking", paper.plant)))
+
+
+def column(table: Array, name: str) -> Array:
+    return table[:, COLUMNS.index(name)]
+
+
+def test_row_is_path_command_and_prediction(
+    paper: Printer, commands: Callable[[str], Samples], table: Array
+) -> None:
+    whole = commands("racking")
+    ((_, motion),) = predict([whole], paper.plant)
+    np.testing.assert_allclose(column(table, "t"), np.arange(1, len(whole) + 1) / 1000)
+    for k, name in enumerate(("x_d", "y_d", "z", "e")):
+        np.testing.assert_array_equal(column(table, name), whole.xyze[:, k])
+    for k, name in enumerate(("x", "y")):
+        np.testing.assert_array_equal(column(table, f"{name}_dm"), whole.commands["racking"][:, k])
+        np.testing.assert_allclose(column(table, name), motion["racking"][:, k], atol=1e-9)
+
+
+def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array) -> None:
+    """y = Gyy y_dm + (x − x_c) θ: without θ only Gyy is left."""
+    y_dm = column(table, "y_dm")
+    straight = LiftedFilter(paper.plant.Gyy).run(y_dm - y_dm[0]) + y_dm[0]
+    lever = column(table, "x") - paper.plant.x_c
+    assert np.abs(column(table, "theta")).max() > 1e-4
+    np.testing.assert_allclose(
+        column(table, "y"), straight + lever * column(table, "theta"), atol=1e-8
+    )
+
+
+def test_printer_that_does_not_rack_has_no_theta(commands: Callable[[str], Samples]) -> None:
+    plant = load("example-corexy").plant
+    tables = tabulate([commands("none")], "none", plant)
+    assert not np.concatenate([column(table, "theta") for table in tables]).any()
+
+
+def test_prediction_starts_anew_after_a_yield(paper: Printer) -> None:
+    moving = np.column_stack([np.linspace(100, 101, 50), np.full(50, 50.0), np.zeros((50, 2))])
+    home = Pause(50, 0, line(b"G28", Handling.YIELD))
+    second = moving + np.array([50.0, 0.0, 0.0, 0.0])
+    first, again = tabulate([block(moving, 0, (home,)), block(second, 50)], "none", paper.plant)
+    np.testing.assert_array_equal(column(again, "x_d"), column(first, "x_d") + 50.0)
+    np.testing.assert_allclose(column(again, "theta"), column(first, "theta"), atol=1e-15)
+    assert column(again, "t")[0] == pytest.approx(0.051)
+
+
+@pytest.mark.parametrize("size", [1, 7, 100, 10_000])
+def test_bits_do_not_depend_on_how_the_stream_is_cut(
+    paper: Printer, commands: Callable[[str], Samples], table: Array, size: int
+) -> None:
+    whole = commands("racking")
+    pieces = [
+        Samples(
+            whole.first + k, whole.xyze[k : k + size], whole.line[k : k + size], (),
+            {"racking": whole.commands["racking"][k : k + size]},
+        )
+        for k in range(0, len(whole), size)
+    ]  # fmt: skip
+    cut = np.concatenate(list(tabulate(pieces, "racking", paper.plant)))
+    np.testing.assert_array_equal(cut, table)
+
+
+# ---------------------------------------------------------------------- files
+
+
+def pieces(table: Array) -> Iterator[Array]:
+    yield from np.array_split(table, 7)
+
+
+def test_csv_is_the_table_rounded(table: Array) -> None:
+    names, *rows = b"".join(as_csv(pieces(table))).decode().splitlines()
+    assert names.split(",") == list(COLUMNS)
+    row = re.compile(
+        ",".join(rf"(?!-[0.]+(?:,|$))-?\d+\.\d{{{decimals}}}" for decimals in DECIMALS)
+    )
+    assert all(row.fullmatch(text) for text in rows)
+    numbers = np.array([[float(number) for number in text.split(",")] for text in rows])
+    assert numbers.shape == table.shape
+    assert (np.abs(numbers - table) <= 0.501 * 10.0 ** -np.array(DECIMALS)).all()
+
+
+def test_npz_is_what_numpy_would_load(tmp_path: Path, table: Array) -> None:
+    for name in "ab":
+        with (tmp_path / f"{name}.npz").open("wb") as file:
+            write_npz(file, pieces(table), COLUMNS, "made by a test", tmp_path)
+    loaded = np.load(tmp_path / "a.npz")
+    assert loaded.files == [*COLUMNS, "stamp"]
+    assert str(loaded["stamp"]) == "made by a test"
+    for k, name in enumerate(COLUMNS):
+        np.testing.assert_array_equal(loaded[name], table[:, k])
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert zipfile.ZipFile(tmp_path / "a.npz").testzip() is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_parquet_is_what_arrow_would_read(tmp_path: Path, table: Array) -> None:
+    for name in "ab":
+        with (tmp_path / f"{name}.parquet").open("wb") as file:
+            write_parquet(file, pieces(table), COLUMNS, "made by a test")
+    loaded = parquet.read_table(tmp_path / "a.parquet")
+    assert loaded.column_names == list(COLUMNS)
+    assert loaded.schema.metadata[b"stamp"] == b"made by a test"
+    for k, name in enumerate(COLUMNS):
+        np.testing.assert_array_equal(loaded[name].to_numpy(), table[:, k])
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+
+def test_missing_extra_is_named(
+    tmp_path: Path, table: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with (
+        (tmp_path / "a.parquet").open("wb") as file,
+        pytest.raises(HframeError, match=r"hframe-post\[parquet\]"),
+    ):
+        write_parquet(file, pieces(table), COLUMNS, "")
+
+
+def test_npz_does_not_hold_its_table_in_memory(tmp_path: Path) -> None:
+    def long() -> Iterator[Array]:
+        for _ in range(200):
+            yield np.zeros((1000, len(COLUMNS)))
+
+    tracemalloc.start()
+    with (tmp_path / "a.npz").open("wb") as file:
+        write_npz(file, long(), COLUMNS, "", tmp_path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (tmp_path / "a.npz").stat().st_size > 3 * peak
