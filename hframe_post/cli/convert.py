@@ -9,6 +9,8 @@ import click
 
 from hframe_post.cli.options import (
     STRATEGIES,
+    LazyChoice,
+    firmwares,
     json_option,
     limits_option,
     on_limit_option,
@@ -43,7 +45,7 @@ TOLERANCE = 0.002  # mm
     help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
 )  # fmt: skip
 @click.option(
-    "--firmware", type=click.Choice(["klipper", "marlin"]),
+    "--firmware", type=LazyChoice(firmwares),
     help="G-code: who reads the output. Default: the profile's.",
 )  # fmt: skip
 @limits_option
@@ -75,6 +77,7 @@ def convert(
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
     from hframe_post.conversion.pipeline import Options
+    from hframe_post.firmware.registry import firmware as chosen
     from hframe_post.printer.profile import load, played_by
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
@@ -88,7 +91,7 @@ def convert(
             raise click.UsageError("--tolerance and --every-sample are for G-code")
     profile = load(printer)
     profile = played_by(profile, firmware or profile.firmware.dialect)
-    if profile.firmware.dialect == "marlin" and (tolerance is not None or every_sample):
+    if not chosen(profile).decimates and (tolerance is not None or every_sample):
         raise click.UsageError("--tolerance and --every-sample are for Klipper")
     strategy = compensation or profile.compensation.strategy
     wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -17,6 +17,31 @@ if TYPE_CHECKING:
 STRATEGIES = ("racking", "fbs", "none")
 BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
 BAR_EVERY = 500  # lines between its steps
+
+
+class LazyChoice(click.Choice[str]):
+    """A choice among names that are known only where they are asked for: imports take time."""
+
+    def __init__(self, names: Callable[[], Iterable[str]]) -> None:
+        super().__init__(())
+        self._names = names
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The names."""
+        return tuple(self._names())
+
+    @choices.setter
+    def choices(self, given: tuple[str, ...]) -> None:
+        """Click's constructor has none to give."""
+
+
+def firmwares() -> Iterable[str]:
+    """Those that the output can be written for."""
+    from hframe_post.firmware.registry import FIRMWARES
+
+    return FIRMWARES
+
 
 printer_option = click.option(
     "-p", "--printer", default="paper", show_default=True, metavar="NAME|FILE",

@@ -19,9 +19,7 @@ from hframe_post.compensation.guard import clamp, guard
 from hframe_post.compensation.settle import LEAD_SHARE, settle
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.klipper import Klipper, StreamLimits
-from hframe_post.firmware.marlin import Marlin
-from hframe_post.firmware.player import Player
+from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.planner.lookahead import plan
@@ -71,29 +69,15 @@ def convert(
     """
     commands = _commands(lines, printer, options, report)
     yield b"%s %s\n" % (STAMP, stamp(printer, options).encode())
-    ledger = Ledger()
-    output = write(commands, options.strategy, player(printer, options.tolerance), ledger)
+    ledger, machine = Ledger(), player(printer, options.tolerance)
+    output = write(commands, options.strategy, machine, ledger)
     for text in output:
         report.lines_written += 1 if isinstance(text, Late) else text.count(b"\n")
         yield text
     report.lines_written += 1  # the stamp
     report.busiest_second = ledger.busiest
-    if printer.firmware.dialect == "marlin" and printer.firmware.marlin is not None:
-        report.lines_per_second = printer.firmware.marlin.lines_per_second
+    report.lines_per_second = machine.lines_per_second
     _conserved(ledger.filament, report, FILAMENT_TOLERANCE)
-
-
-def player(printer: Printer, tolerance: float | None) -> Player:
-    """The firmware that reads the output. tolerance: mm of decimation, for Klipper."""
-    if printer.firmware.dialect == "marlin":
-        assert printer.firmware.marlin is not None
-        assert printer.steps is not None
-        return Marlin(
-            printer.firmware.marlin, printer.limits, printer.motors, printer.steps,
-            printer.kinematics,
-        )  # fmt: skip
-    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-    return Klipper(printer.firmware, limits, tolerance)
 
 
 def convert_to_steps(

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints
-from hframe_post.firmware.player import Beside, named, plain
+from hframe_post.firmware.player import Dwelling, coordinates, plain
+from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.settings import Firmware, Limits, Motors
+from hframe_post.printer.firmware_tables import KlipperTable
+from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 
 ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
@@ -74,23 +77,10 @@ def _shape(delta: Array, rest: Flags, limits: StreamLimits) -> tuple[Array, Arra
     a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
     top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
     a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
-    return d, a, top, np.where(rest, 0.0, junctions(delta, d, a, limits))
-
-
-def junctions(delta: Array, d: Array, a: Array, limits: StreamLimits) -> Array:
-    """Greatest speed at the ends of the segments, (k + 1,); the outer two are free.
-
-    Klipper's square-corner formula, as in ``lookahead``, and its bound on the sudden change
-    of extrusion speed.
-    """
-    sin_half, cos_half = ramps.half_angles(delta[:, :E] / d[:, None])
-    deviation = (math.sqrt(2.0) - 1.0) * SQUARE_CORNER_VELOCITY**2 / limits.acceleration
-    v2 = ramps.rounded(sin_half, np.minimum(a[:-1], a[1:]), deviation)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fit = 0.5 * np.minimum(d[:-1] * a[:-1], d[1:] * a[1:]) * sin_half / cos_half
-        corner = limits.extruder_corner_velocity / np.abs(np.diff(delta[:, E] / d))
-    inner = np.fmin(np.sqrt(np.fmin(v2, fit)), corner)
-    return np.concatenate([[math.inf], inner, [math.inf]])
+    square = cornering.deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
+    inner = cornering.junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
+    corners = np.concatenate([[math.inf], inner, [math.inf]])  # the outer two are free
+    return d, a, top, np.where(rest, 0.0, corners)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,48 +90,60 @@ class Klipper:
     tolerance: mm by which the decimated command may miss a sample; None keeps them all.
     """
 
-    firmware: Firmware
+    own: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
 
+    @classmethod
+    def of(cls, printer: Printer, tolerance: float | None = None) -> Klipper:
+        """As that printer has it. Raises PrinterError where its profile does not know Klipper."""
+        if printer.firmware.klipper is None:
+            cause = "the table is missing: Klipper's own limits"
+            raise PrinterError(cause, "firmware.klipper", printer.name)
+        limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
+        return cls(printer.firmware.klipper, limits, tolerance)
+
+    @property
+    def lines_per_second(self) -> float:
+        """See ``Player``, as all of these. A host computer is never the bound."""
+        return math.inf
+
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """See ``Player``, as all of these."""
-        if self.firmware.begin_macro:
-            start = [self.firmware.begin_macro]
+        """Macros, where the profile names them, stand for the limits."""
+        if self.own.begin_macro:
+            start = [self.own.begin_macro]
         else:
             limits = self.limits
             start = [
                 "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
                 _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
             ]
-        return [line.encode() for line in ["M400", *start, "G90", "M83", *named(offset, at)]]
+        return [line.encode() for line in ["M400", *start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        """Macros, where the profile names them, stand for the limits."""
-        restore = self.firmware.restore
-        assert restore is not None
-        names = named(state.offset, at[:E] - state.offset)
-        if self.firmware.end_macro:
-            stop = [self.firmware.end_macro]
+        """As ``begin``."""
+        own, names = self.own, coordinates(state.offset, at[:E] - state.offset)
+        if self.own.end_macro:
+            stop = [self.own.end_macro]
         else:
             stop = [
                 _limit(
-                    restore.velocity, restore.acceleration,
-                    restore.square_corner_velocity, restore.minimum_cruise_ratio,
+                    own.velocity, own.acceleration,
+                    own.square_corner_velocity, own.minimum_cruise_ratio,
                 )
             ]  # fmt: skip
-            if restore.shaper_freq_x or restore.shaper_freq_y:
-                x, y = restore.shaper_freq_x, restore.shaper_freq_y
+            if own.shaper_freq_x or own.shaper_freq_y:
+                x, y = own.shaper_freq_x, own.shaper_freq_y
                 stop.append(
                     f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
                 )
         return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
 
-    def reassert(self, code: bytes) -> bytes:
+    def modes_after(self, code: bytes) -> bytes:
         """G90 means nothing to E."""
         return {b"91": b"G90\n", b"82": b"M83\n"}.get(code, b"")
 
-    def fresh_filament(self) -> bytes:
+    def reset_extruder(self) -> bytes:
         """Klipper counts in doubles."""
         return b""
 
@@ -152,11 +154,11 @@ class Klipper:
             ends = breakpoints(points, forced, self.tolerance)
         return ends, points[ends]
 
-    def times(self, at: Array, T: Array) -> Array:
+    def least_times(self, at: Array, T: Array) -> Array:
         """All of it."""
         return T
 
-    def speeds(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
         """Ramps in mind."""
         return speeds(np.diff(at, axis=0), T, rest, before, self.limits)
 
@@ -164,13 +166,13 @@ class Klipper:
         """Ramps and limits in mind."""
         return durations(np.diff(at, axis=0), v, rest, before, self.limits)
 
-    def wait(self, seconds: float, beside: Beside) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """G4, beside a lift even of no time.
 
         Without it Klipper would round the corner between a lift and the motion next to it,
         and be early.
         """
-        if beside is Beside.MOTION and seconds < TS / 2.0:
+        if beside is Dwelling.MOTION and seconds < TS / 2.0:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited

@@ -16,10 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
-from hframe_post.firmware.player import Beside, named, plain
+from hframe_post.firmware.player import Dwelling, coordinates, plain
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.settings import Limits, MarlinRestore, Motors, Steps
+from hframe_post.printer.firmware_tables import MarlinTable
+from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
@@ -39,22 +41,39 @@ ROUNDS = 3  # of the rates' dependence on their neighbours'
 class Marlin:
     """Marlin as a ``Player``. Lengths mm; rates are steps per second of the leading motor."""
 
-    own: MarlinRestore
+    own: MarlinTable
     limits: Limits
     motors: Motors
     steps: Steps
     kinematics: Kinematics
 
+    @classmethod
+    def of(cls, printer: Printer, tolerance: float | None = None) -> Marlin:
+        """As that printer has it. Raises PrinterError where its profile does not know Marlin.
+
+        tolerance: of no meaning, segments are as long as whole steps make them.
+        """
+        own, steps = printer.firmware.marlin, printer.steps
+        if own is None or steps is None:
+            key = "steps" if own else "firmware.marlin"
+            raise PrinterError("the table is missing: Marlin needs it", key, printer.name)
+        return cls(own, printer.limits, printer.motors, steps, printer.kinematics)
+
+    @property
+    def lines_per_second(self) -> float:
+        """See ``Player``, as all of these."""
+        return self.own.lines_per_second
+
     # ------------------------------------------------------------------ commands
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """See ``Player``, as all of these."""
+        """Shaping, linear advance and fixed-time motion go off, limits up."""
         a, v = plain(self._acceleration, 0), plain(self._velocity, 0)
         start = [
             "M400", "M593 F0", "M900 K0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
             f"M204 P{a} T{a}", f"M205 B0 S0 T0 {self._corners(False)}",
         ]  # fmt: skip
-        return [line.encode() for line in [*start, "G90", "M83", *named(offset, at)]]
+        return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """Shaping, linear advance and fixed-time motion only if the profile knows of them."""
@@ -75,27 +94,30 @@ class Marlin:
                 lines.append(f"M593 {axis} F{plain(frequency, 3)}")
         if own.fixed_time_motion:
             lines.append(f"M493 S{own.fixed_time_motion}")
-        lines += [*named(state.offset, at[:E] - state.offset), f"G1 F{plain(state.feed * 60, 1)}"]
+        lines += [
+            *coordinates(state.offset, at[:E] - state.offset),
+            f"G1 F{plain(state.feed * 60, 1)}",
+        ]
         if not state.absolute:
             lines.append("G91")  # before M82: it is for E, too
         if state.absolute_e:
             lines += ["M82", f"G92 E{plain(state.e, 5)}"]
         return [line.encode() for line in lines]
 
-    def reassert(self, code: bytes) -> bytes:
+    def modes_after(self, code: bytes) -> bytes:
         """G90 and G91 are for E, too; linear advance stays off."""
         modes = {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n", b"900": b"M900 K0\n"}
         return modes[code]
 
-    def fresh_filament(self) -> bytes:
+    def reset_extruder(self) -> bytes:
         """Marlin counts in floats, which forget the smallest moves when they have grown."""
         return b"G92 E0\n"
 
-    def wait(self, seconds: float, beside: Beside) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """None is made, nor made up for; beside lifts, corners are the user's."""
         line = b""
-        if beside is not Beside.MOTION and not self.own.classic_jerk:
-            line = b"M205 %s\n" % self._corners(users=beside is Beside.LIFT).encode()
+        if beside is not Dwelling.MOTION and not self.own.classic_jerk:
+            line = b"M205 %s\n" % self._corners(users=beside is Dwelling.BEFORE_LIFT).encode()
         return line, seconds
 
     def _corners(self, users: bool) -> str:
@@ -138,11 +160,11 @@ class Marlin:
 
     # ------------------------------------------------------------------ feed rates
 
-    def times(self, at: Array, T: Array) -> Array:
+    def least_times(self, at: Array, T: Array) -> Array:
         """No longer than the slowest steps take."""
         return np.minimum(T, self._counts(at)[0] / SLOWEST)
 
-    def speeds(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
         """Speeds that Marlin rounds up to the wanted whole steps per second."""
         n, d, _ = self._counts(at)
         rate, lost = n / T, 0.0

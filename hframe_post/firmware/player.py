@@ -9,16 +9,20 @@ from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.stream.types import ModalState
 
 
-class Beside(Enum):
-    """What a wait stands next to."""
+class Dwelling(Enum):
+    """What a dwell stands next to."""
 
     MOTION = "motion in x and y, or a retraction"
-    LIFT = "a lift that follows"
-    LIFTED = "a lift that has been"
+    BEFORE_LIFT = "a lift that follows"
+    AFTER_LIFT = "a lift that has been"
 
 
 class Player(Protocol):
-    """A firmware as the writer meets it: commands, segments, feed rates, waiting."""
+    """A firmware as the writer meets it: commands, segments, feed rates, dwells."""
+
+    @property
+    def lines_per_second(self) -> float:
+        """Lines that it can take in a second; inf where nothing bounds them."""
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         """From the user's limits and modes to the stream's.
@@ -29,34 +33,34 @@ class Player(Protocol):
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """Back to the user's limits and to the modes and places that the file believes in."""
 
-    def reassert(self, code: bytes) -> bytes:
+    def modes_after(self, code: bytes) -> bytes:
         """Lines that bring the stream's modes back after a G or M ``code`` of the file's."""
 
-    def fresh_filament(self) -> bytes:
+    def reset_extruder(self) -> bytes:
         """A line that lets the firmware count filament anew, if it should now and then."""
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
-        """Where segments end: indices (k,) of the points, ascending, and places (k, 4).
+        """Where segments end: indices (k,) of the points, ascending, and positions (k, 4).
 
         points (n + 1, 4): x, y, z, e one sample apart, of which the first is written already;
         forced (n + 1,): points at which something else is to be written; last: motion ends at
-        the last point, which must be reached. Places are in mm.
+        the last point, which must be reached. Positions are in mm.
         """
 
-    def times(self, at: Array, T: Array) -> Array:
-        """Time (k,) that the segments between places at (k + 1, 4), mm, get of T (k,)."""
+    def least_times(self, at: Array, T: Array) -> Array:
+        """T (k,), shortened where segments between positions at (k + 1, 4), mm, cannot last it."""
 
-    def speeds(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
         """Speeds (k,), mm/s, to ask for so that segments take the time T (k,).
 
-        rest (k + 1,): whether the machine stands at each end; before: speed asked for in the
-        segment that precedes, 0 if none does.
+        rest (k + 1,): whether the machine stands at each end; before: feed rate of the segment
+        that precedes, 0 if none does.
         """
 
     def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
-        """Time (k,) that segments take when speeds v (k,) are asked for."""
+        """Time (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
 
-    def wait(self, seconds: float, beside: Beside) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """Lines for a standstill, and how long it lasts; None: none is made."""
 
 
@@ -68,7 +72,7 @@ def plain(value: float, decimals: int) -> str:
     return "0" if text in ("-0", "") else text
 
 
-def named(offset: tuple[float, float, float], at: Array) -> list[str]:
-    """G92 that names the place ``at``, of the axes whose name is not the machine's."""
+def coordinates(offset: tuple[float, float, float], at: Array) -> list[str]:
+    """G92 that gives the place ``at`` its name, on the axes whose offset is not 0."""
     words = [f"{a}{plain(p, 3)}" for a, p, o in zip("XYZ", at, offset, strict=False) if o]
     return [" ".join(["G92", *words])] if words else []

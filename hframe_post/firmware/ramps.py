@@ -1,4 +1,4 @@
-"""Ramps inside the segments of a polyline, as firmware plans them: times, speeds, corners.
+"""Ramps inside the segments of a polyline, as firmware plans them: times, speeds.
 
 A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
 acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
@@ -41,18 +41,3 @@ def ends(v: Array, caps: Array, before: float) -> tuple[Array, Array]:
     neighbours = np.concatenate([[before], v, v[-1:]])
     joint = np.minimum(np.minimum(neighbours[:-1], neighbours[1:]), caps)
     return np.minimum(joint[:-1], v), np.minimum(joint[1:], v)
-
-
-def half_angles(unit: Array) -> tuple[Array, Array]:
-    """sin and cos (k − 1,) of half the angle between neighbours of unit vectors (k, m).
-
-    180° is straight on: sin is 1.
-    """
-    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
-    return np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
-
-
-def rounded(sin_half: Array, a: Array, deviation: float) -> Array:
-    """Squared speed at which acceleration a rounds corners ``deviation`` mm off their tip."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(deviation * a * sin_half / (1.0 - sin_half))

@@ -24,7 +24,7 @@ import numpy as np
 from hframe_post import __version__
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import HframeError, LimitError
-from hframe_post.firmware.klipper import Klipper, StreamLimits
+from hframe_post.firmware.klipper import Klipper
 from hframe_post.firmware.player import plain
 from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.excitation import amplitude, peaks, trajectory
@@ -168,9 +168,7 @@ def gcode(
     height = plain(z, 3)
     head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
-    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-    klipper = Klipper(printer.firmware, limits)
-    yield from write(_samples(planned, chips, z), "none", klipper, Ledger(), FINER)
+    yield from write(_samples(planned, chips, z), "none", Klipper.of(printer), Ledger(), FINER)
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 

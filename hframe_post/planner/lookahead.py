@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.model import cornering
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
@@ -175,29 +176,17 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
         by_e = Z_SHARE * limits.extruder_acceleration / retracting
     acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
     corner = np.minimum(moves.corner, limits.square_corner_velocity)
-    deviation = (math.sqrt(2.0) - 1.0) * np.square(corner) / acceleration
+    deviation = cornering.deviation(corner, acceleration)
     deviation = np.minimum(deviation, limits.junction_deviation)
     return _Limited(moves.line, moves.points, length, cruise, acceleration, deviation)
 
 
 def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
-    """Greatest speed at each vertex, (n + 1,), as Klipper has it; the ends are free.
-
-    v² ≤ R·deviation·a with R = sin(θ/2)/(1 − sin(θ/2)), θ between the two moves (180° is
-    straight on), and v² ≤ ½·length·a·tan(θ/2): the arc of the corner must fit the moves.
-    """
+    """Greatest speed at each vertex, (n + 1,); the ends are free. See ``model.cornering``."""
     delta = np.diff(moves.points, axis=0)
-    unit = delta[:, :E] / moves.length[:, None]
-    extrusion = delta[:, E] / moves.length
-    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
-    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
-    turn = moves.deviation * moves.acceleration
-    fit = 0.5 * moves.length * moves.acceleration
-    with np.errstate(divide="ignore", invalid="ignore"):
-        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
-        v2 = np.fmin(v2, np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half)
-        corner = limits.extruder_corner_velocity / np.abs(np.diff(extrusion))
-    inner = np.fmin(np.sqrt(v2), corner)
+    inner = cornering.junction_speeds(
+        delta, moves.length, moves.acceleration, moves.deviation, limits.extruder_corner_velocity
+    )
     steep = np.abs(delta[:, Z]) > STEEP * np.hypot(delta[:, 0], delta[:, 1])
     inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0
     cruise = BELOW_CRUISE * moves.cruise

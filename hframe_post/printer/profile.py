@@ -14,6 +14,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer.firmware_tables import check_needs, load_firmware, modernised
 from hframe_post.printer.schema import (
     checked,
     checked_value,
@@ -22,12 +23,9 @@ from hframe_post.printer.schema import (
 )
 from hframe_post.printer.settings import (
     Compensation,
-    Firmware,
     Limits,
-    MarlinRestore,
     Motors,
     Printer,
-    Restore,
     Steps,
     Sweep,
     Travel,
@@ -72,6 +70,7 @@ def parse(text: str, name: str, source: str = "") -> Printer:
 
 def _extended(document: dict[str, Any]) -> dict[str, Any]:
     """The document on top of the shipped profile that it extends, if any."""
+    document = modernised(document)
     if "extends" not in document:
         return document
     base, profiles = document["extends"], shipped()
@@ -124,29 +123,13 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Motors, document["motors"], "motors"),
         checked(Steps, document["steps"], "steps") if "steps" in document else None,
         compensation,
-        _firmware(document["firmware"]),
+        load_firmware(document["firmware"]),
         plant,
         sweep,
         digest,
     )
-    _check_dialect(printer)
+    check_needs(printer.firmware, printer.steps is not None)
     return printer
-
-
-def _firmware(table: dict[str, Any]) -> Firmware:
-    tables = dict(table)
-    for name, kind in (("restore", Restore), ("marlin", MarlinRestore)):
-        if name in tables:
-            if not isinstance(tables[name], dict):
-                raise PrinterError("the table is missing", f"firmware.{name}")
-            tables[name] = checked(kind, tables[name], f"firmware.{name}")
-    marlin = tables.get("marlin")
-    if isinstance(marlin, MarlinRestore):
-        jerks = (*marlin.jerk, marlin.jerk_e)
-        if any(jerks) != all(jerks) or any(jerks) == bool(marlin.junction_deviation):
-            cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
-            raise PrinterError(cause, "firmware.marlin.junction_deviation")
-    return checked(Firmware, tables, "firmware")
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:
@@ -156,21 +139,10 @@ def played_by(printer: Printer, dialect: str) -> Printer:
     firmware = replace(printer.firmware, dialect=dialect)
     other = replace(printer, firmware=firmware, digest=f"{printer.digest} {dialect}")
     try:
-        _check_dialect(other)
+        check_needs(firmware, printer.steps is not None)
     except PrinterError as error:
         raise PrinterError(error.cause, error.key, printer.name) from None
     return other
-
-
-def _check_dialect(printer: Printer) -> None:
-    """Raises PrinterError where a table is missing that the dialect needs."""
-    firmware = printer.firmware
-    if firmware.dialect == "klipper" and firmware.restore is None:
-        raise PrinterError("the table is missing: Klipper's own limits", "firmware.restore")
-    if firmware.dialect == "marlin" and firmware.marlin is None:
-        raise PrinterError("the table is missing: Marlin's own settings", "firmware.marlin")
-    if firmware.dialect == "marlin" and printer.steps is None:
-        raise PrinterError("the table is missing: Marlin needs whole steps", "steps")
 
 
 def _plant(table: dict[str, Any]) -> Plant:

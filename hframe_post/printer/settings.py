@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
+from hframe_post.printer.firmware_tables import Firmware
 from hframe_post.printer.schema import (
     not_negative,
     positive,
 )
 
 STRATEGIES = ("racking", "fbs", "none")
-DIALECTS = ("klipper", "marlin")
 HIGHEST_HZ = 200.0  # of a sweep: five samples a period, which are played as straight lines
 SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper keeps no more than 1000 s of acceleration
 QUIET = 0.1  # s at least: what tells the parts of a sweep from one another
@@ -83,64 +83,6 @@ class Compensation:
         """The windows of x and y, which differ in effort alone."""
         x, y = (Window(self.L, self.n_C, self.n_up, e, self.degree) for e in self.effort)
         return x, y
-
-
-@dataclass(frozen=True, slots=True)
-class Restore:
-    """Klipper's own limits, in force outside the stream."""
-
-    velocity: float = positive()
-    acceleration: float = positive()
-    square_corner_velocity: float = not_negative(5.0)
-    minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
-    shaper_freq_x: float = not_negative(0.0)
-    shaper_freq_y: float = not_negative(0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class MarlinRestore:
-    """Marlin's own settings, in force outside the stream, and what bounds the stream.
-
-    Corners are those of ``junction_deviation`` or, in builds with CLASSIC_JERK, of ``jerk``
-    (x, y) and ``jerk_e``; the others are 0.
-    """
-
-    max_velocity: tuple[float, float] = positive()
-    max_acceleration: tuple[float, float] = positive()
-    acceleration: float = positive()
-    travel_acceleration: float = positive()
-    junction_deviation: float = not_negative(0.0)
-    jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
-    jerk_e: float = not_negative(0.0)
-    min_segment_time: float = not_negative(0.02)
-    min_velocity: float = not_negative(0.0)
-    min_travel_velocity: float = not_negative(0.0)
-    linear_advance: float = not_negative(0.0)
-    shaper_freq_x: float = not_negative(0.0)
-    shaper_freq_y: float = not_negative(0.0)
-    fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
-    lines_per_second: float = positive(250.0, below=1001.0)
-    min_steps_per_segment: int = positive(6)
-    timer_hz: float = positive(2e6, least=1e5)
-
-    @property
-    def classic_jerk(self) -> bool:
-        """Whether corners are those of jerk."""
-        return self.junction_deviation == 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Firmware:
-    """Who reads the output. Macros, where named, replace Klipper's commands written otherwise.
-
-    The tables ``restore`` (Klipper) and ``marlin``: that of the dialect is there.
-    """
-
-    restore: Restore | None = None
-    dialect: str = field(default="klipper", metadata={"choices": DIALECTS})
-    begin_macro: str = ""
-    end_macro: str = ""
-    marlin: MarlinRestore | None = None
 
 
 @dataclass(frozen=True, slots=True)

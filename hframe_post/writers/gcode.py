@@ -18,7 +18,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.decimate import LONGEST
-from hframe_post.firmware.player import Beside, Player, plain
+from hframe_post.firmware.player import Dwelling, Player, plain
 from hframe_post.stream.types import Handling, Mark, Pause, Samples, Standing
 from hframe_post.writers import digits
 
@@ -201,9 +201,9 @@ class _Writer:
         rest = np.concatenate([dwell, [last]])
         rest[0] |= self._before == 0.0
         mm = np.vstack([self._at, at]) / self._per_mm  # type: ignore[list-item]
-        T = self._player.times(mm, T)
+        T = self._player.least_times(mm, T)
         hurried = T * (1.0 - np.clip(self._late / T.sum(), -CATCH_UP, CATCH_UP))
-        v = self._player.speeds(mm, hurried, rest, self._before)
+        v = self._player.feed_rates(mm, hurried, rest, self._before)
         feed = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         taken = self._player.durations(mm, feed / self._per_feed, rest, self._before)
         self._late += float((taken - T).sum())
@@ -253,7 +253,7 @@ class _Writer:
         else:
             yield mark.text + b"\n"
         if self._inside and (mode := REASSERT.match(mark.text)):
-            yield self._player.reassert(mode[1])
+            yield self._player.modes_after(mode[1])
 
     # ------------------------------------------------------------------ at standstill
 
@@ -262,12 +262,12 @@ class _Writer:
         if isinstance(action, Standing):
             lifts = action.end[Z] != action.start[Z]
             yield from self._enter()
-            yield from self._dwell(0, Beside.LIFT if lifts else Beside.MOTION)
+            yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.MOTION)
             yield from self._count_anew()
             self._ledger.wrote(np.array([pause.index]))
             yield from self._standing(action)
             self._late += pause.exact - pause.samples * TS
-            yield from self._dwell(0, Beside.LIFTED if lifts else Beside.MOTION)
+            yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.MOTION)
         elif action.handling is Handling.YIELD:
             if self._inside and self._at is not None:
                 end = self._player.end(action.state, self._at / self._per_mm)
@@ -294,10 +294,10 @@ class _Writer:
             feed = plain(60.0 * self._feed / self._per_feed, self._feed_decimals)
             yield f"G1{z}{e} F{feed}\n".encode()
 
-    def _dwell(self, samples: int, beside: Beside = Beside.MOTION) -> Iterator[Output]:
+    def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Output]:
         """Standstill for so long, less what the machine is late."""
         seconds = samples * TS - self._late
-        waiting = self._player.wait(seconds, beside) if self._inside else None
+        waiting = self._player.dwell(seconds, beside) if self._inside else None
         if waiting is not None:
             line, waited = waiting
             yield line
@@ -307,7 +307,7 @@ class _Writer:
         """Lets the firmware count filament from nothing, where it has counted much."""
         if abs(self._ledger.steps - self._counted) > COUNTED:
             self._counted = self._ledger.steps
-            yield self._player.fresh_filament()
+            yield self._player.reset_extruder()
 
     def _enter(self) -> Iterator[Output]:
         """Takes the machine over, if it is not in our hands."""

@@ -1,4 +1,4 @@
-"""What Klipper makes of a stream: its time for each segment, its junctions, its commands."""
+"""What Klipper makes of a stream: its time for each segment, its commands."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.klipper import (
-    SQUARE_CORNER_VELOCITY,
     Klipper,
     StreamLimits,
     durations,
-    junctions,
     speeds,
 )
 from hframe_post.firmware.player import plain
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.settings import Firmware, Limits, Motors, Restore
+from hframe_post.printer.firmware_tables import KlipperTable
+from hframe_post.printer.settings import Limits, Motors
 from hframe_post.stream.types import ModalState
 
 STREAM = StreamLimits(
@@ -125,67 +124,15 @@ def test_neighbour_before_the_first_segment_counts() -> None:
     assert speeds(delta, T, rest, 40.0, STREAM)[0] > 100.0
 
 
-# ---------------------------------------------------------------------- junctions
-
-
-def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
-    delta = np.array([first, second], dtype=float)
-    d = np.linalg.norm(delta[:, :3], axis=1)
-    caps = junctions(delta, d, np.full(2, STREAM.acceleration), STREAM)
-    assert caps[0] == caps[2] == math.inf
-    return float(caps[1])
-
-
-def test_square_corner_of_long_segments_has_the_square_corner_velocity() -> None:
-    expected = pytest.approx(SQUARE_CORNER_VELOCITY)
-    assert junction((50.0, 0, 0, 0), (0, 50.0, 0, 0)) == expected
-
-
-def test_square_corner_of_short_segments_is_slower() -> None:
-    expected = math.sqrt(0.5 * 0.02 * 2.5e5)
-    assert junction((0.02, 0, 0, 0), (0, 5.0, 0, 0)) == pytest.approx(expected)
-    assert junction((5.0, 0, 0, 0), (0, 0.02, 0, 0)) == pytest.approx(expected)
-
-
-def test_straight_on_is_free_and_reversal_a_stop() -> None:
-    assert junction((1.0, 0, 0, 0.04), (2.0, 0, 0, 0.08)) == math.inf
-    assert junction((1.0, 0, 0, 0), (-1.0, 0, 0, 0)) == 0.0
-
-
-@given(st.floats(1.0, 179.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))
-def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
-    """angle: between the segments, 180° is straight on."""
-    half = math.radians(angle) / 2.0
-    turn = math.pi - math.radians(angle)
-    r = math.sin(half) / (1.0 - math.sin(half))
-    v2 = min(
-        r * SQUARE_CORNER_VELOCITY**2 * (math.sqrt(2.0) - 1.0),
-        0.5 * min(one, other) * STREAM.acceleration * math.tan(half),
-    )
-    found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
-    assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
-
-
-def test_sudden_change_of_extrusion_is_limited() -> None:
-    assert junction((1.0, 0, 0, 0.05), (1.0, 0, 0, 0.0)) == pytest.approx(20.0)
-
-
-def test_slower_of_two_accelerations_counts() -> None:
-    delta = np.array([[50.0, 0, 0, 0], [0, 50.0, 0, 0]])
-    for a in ([1e5, 2.5e5], [2.5e5, 1e5]):
-        caps = junctions(delta, np.full(2, 50.0), np.array(a), STREAM)
-        assert caps[1] == pytest.approx(SQUARE_CORNER_VELOCITY * math.sqrt(0.4))
-
-
 # ---------------------------------------------------------------------- commands
 
-RESTORE = Restore(300.0, 3000.0)
+RESTORE = KlipperTable(300.0, 3000.0)
 AT = np.array([12.5, 30.0, 0.2, 7.0])
 STATE = ModalState(True, False, 0.0, 100.0, (0.0, 0.0, 0.0))
 
 
-def end(state: ModalState = STATE, restore: Restore = RESTORE) -> list[bytes]:
-    return Klipper(Firmware(restore), STREAM).end(state, AT)
+def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[bytes]:
+    return Klipper(restore, STREAM).end(state, AT)
 
 
 def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
@@ -199,7 +146,7 @@ def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
 
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
-    assert Klipper(Firmware(RESTORE), STREAM).begin((0.0, 0.0, 0.0), AT) == [
+    assert Klipper(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"M400",
         b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
         b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=250000 SQUARE_CORNER_VELOCITY=100 "
@@ -226,7 +173,7 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 
 
 def test_macros_replace_the_limits_and_the_shaper() -> None:
-    firmware = Firmware(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
+    firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
     assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"M400",
         b"HFRAME_BEGIN",
@@ -261,10 +208,10 @@ def test_no_number_has_an_exponent(
     velocity: float, acceleration: float, corner: float, ratio: float, shaper: float, e: float,
     feed: float,
 ) -> None:  # fmt: skip
-    restore = Restore(velocity, acceleration, corner, ratio, shaper, shaper)
+    restore = KlipperTable(velocity, acceleration, corner, ratio, shaper, shaper)
     state = ModalState(True, True, e, feed, (0.0, 0.0, 0.0))
     stream = replace(STREAM, velocity=velocity, acceleration=acceleration)
-    dialect = Klipper(Firmware(restore), stream)
+    dialect = Klipper(restore, stream)
     for row in dialect.begin((0.0, 0.0, 0.0), AT) + dialect.end(state, AT):
         for word in row.decode().split()[1:]:
             number = word.partition("=")[2] or word[1:]
@@ -272,7 +219,7 @@ def test_no_number_has_an_exponent(
 
 
 def test_restored_limits_are_those_of_the_user_to_a_thousandth() -> None:
-    restore = Restore(1234.567, 12345.0, 5.125, 0.0625, 52.3456, 0.0)
+    restore = KlipperTable(1234.567, 12345.0, 5.125, 0.0625, 52.3456, 0.0)
     limits = end(restore=restore)[1].decode()
     values = {key: float(value) for key, value in re.findall(r"(\w+)=([\d.]+)", limits)}
     assert values["VELOCITY"] == pytest.approx(1234.567, rel=1e-3)
@@ -305,7 +252,7 @@ def test_plain_numbers_read_back(value: float, decimals: int) -> None:
 
 
 def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
-    dialect = Klipper(Firmware(RESTORE), STREAM)
+    dialect = Klipper(RESTORE, STREAM)
     state = replace(STATE, offset=(10.0, 0.0, -1.0))
     assert b"G92 X2.5 Z1.2" in dialect.end(state, AT)
     assert dialect.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"

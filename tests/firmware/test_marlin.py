@@ -12,16 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.conversion.pipeline import Options, player
+from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin import Marlin
-from hframe_post.firmware.player import Beside
+from hframe_post.firmware.player import Dwelling
+from hframe_post.firmware.registry import player
 from hframe_post.gcode import reader
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.profile import load, parse, played_by, shipped
-from hframe_post.printer.settings import MarlinRestore, Printer
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 from tests.cli.test_main import run
 from tests.conftest import SAMPLES
@@ -77,7 +79,7 @@ def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
     mine = mode(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
     assert b"M205 B0 S0 T0 X100 Y100 E50" in mine.begin(NOWHERE, AT)
     assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.end(STATE, AT)
-    assert mine.wait(0.0, Beside.LIFT) == (b"", 0.0)  # z has kept its own jerk
+    assert mine.dwell(0.0, Dwelling.BEFORE_LIFT) == (b"", 0.0)  # z has kept its own jerk
 
 
 def test_lifts_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
@@ -352,7 +354,7 @@ def test_classic_jerk_profile_loads() -> None:
     jerks = "jerk = [8.0, 8.0]\njerk_e = 5.0"
     text = shipped()["paper-marlin"].replace("junction_deviation = 0.013", jerks)
     own = parse(text, "mine").firmware.marlin
-    assert isinstance(own, MarlinRestore)
+    assert isinstance(own, MarlinTable)
     assert own.classic_jerk
 
 
@@ -366,9 +368,9 @@ def test_marlin_needs_the_motors_steps() -> None:
 
 def test_marlin_profile_needs_no_klipper(marlin: Printer) -> None:
     whole = shipped()["paper"].replace('dialect = "klipper"', 'dialect = "marlin"')
-    text = re.sub(r"^\[firmware.restore\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^\[firmware.klipper\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
     table = shipped()["paper-marlin"].rpartition("[firmware.marlin]")[2]
     mine = parse(text + "\n[firmware.marlin]" + table, "mine")
     assert mine.firmware.marlin == marlin.firmware.marlin
-    with pytest.raises(PrinterError, match=r"firmware\.restore"):
+    with pytest.raises(PrinterError, match=r"firmware\.klipper"):
         played_by(mine, "klipper")

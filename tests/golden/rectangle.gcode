@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper, settings 63b675f2ac3d
+; processed by hframe-post 0.1.0, printer paper, settings c3af8eac020a
 ;FLAVOR:Marlin
 G28
 G90

@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper-marlin, settings 307a121f86a8
+; processed by hframe-post 0.1.0, printer paper-marlin, settings cef8bc5163c0
 ;FLAVOR:Marlin
 G28
 G90

@@ -163,7 +163,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
         _, d, _ = self._counts(at)
         return np.asarray(d / T)
 
-    monkeypatch.setattr(Marlin, "speeds", plainly)
+    monkeypatch.setattr(Marlin, "feed_rates", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
     monkeypatch.setattr("hframe_post.writers.gcode.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()

@@ -56,8 +56,8 @@ def test_values_of_the_paper() -> None:
     assert paper.travel.x == (0.0, 280.0)
     assert paper.limits.acceleration == 1e4
     assert paper.compensation.effort == (96.0, 188.0)
-    assert paper.firmware.restore is not None
-    assert paper.firmware.restore.minimum_cruise_ratio == 0.5
+    assert paper.firmware.klipper is not None
+    assert paper.firmware.klipper.minimum_cruise_ratio == 0.5
     assert paper.plant.x_c == 140.0
     x, y = paper.compensation.windows
     assert (x.L, x.n_C, x.n_up, x.degree, x.effort, y.effort) == (5, 88, 44, 5, 96.0, 188.0)
@@ -83,10 +83,10 @@ def test_extension_takes_the_rest_from_its_base() -> None:
 
 
 def test_extension_merges_tables_within_tables() -> None:
-    mine = parse(extending("[firmware.restore]\nvelocity = 150\n"), "mine")
-    assert mine.firmware.restore is not None
-    assert mine.firmware.restore.velocity == 150.0
-    assert mine.firmware.restore.acceleration == 1e4
+    mine = parse(extending("[firmware.klipper]\nvelocity = 150\n"), "mine")
+    assert mine.firmware.klipper is not None
+    assert mine.firmware.klipper.velocity == 150.0
+    assert mine.firmware.klipper.acceleration == 1e4
 
 
 def test_extension_of_an_extension_works() -> None:
@@ -160,7 +160,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
     [
         ("colour = 3", "colour", "unknown key"),
         ("[limits]\nvelocty = 3", "limits.velocty", "nearest known is 'velocity'"),
-        ("[firmware.restore]\naccelaration = 3", "firmware.restore.accelaration",
+        ("[firmware.klipper]\naccelaration = 3", "firmware.klipper.accelaration",
          "nearest known is 'acceleration'"),
         ("[plant]\nGxt = 3", "plant.Gxt", "nearest known is 'G"),
         ("[plant.Gyy]\npole = []", "plant.Gyy.pole", "nearest known is 'poles'"),
@@ -190,10 +190,10 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
         ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
         ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
-        ("[firmware]\nbegin_macro = 3", "firmware.begin_macro", "must be text"),
+        ("[firmware]\nbegin_macro = 3", "firmware.klipper.begin_macro", "must be text"),
         ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
-        ("[firmware.restore]\nminimum_cruise_ratio = 1.0",
-         "firmware.restore.minimum_cruise_ratio", "below 1"),
+        ("[firmware.klipper]\nminimum_cruise_ratio = 1.0",
+         "firmware.klipper.minimum_cruise_ratio", "below 1"),
         ("[kinematics]\ntype = 'delta'", "kinematics.type", "hbot, corexy, cartesian"),
         ("[kinematics]\nswap = 1", "kinematics.swap", "true or false"),
         ("[kinematics]\nsigns = [1, 2]", "kinematics.signs", "one of -1, 1"),
@@ -285,7 +285,7 @@ def test_standing_gantry_must_not_rack() -> None:
         (r"^zeros = .*?^\]\n", "plant.Gxx.zeros"),
         (r"^\[motors\].*?(?=^\[compensation\])", "motors"),
         (r"^\[travel\].*?(?=^\[limits\])", "travel"),
-        (r"^\[firmware.restore\].*?(?=^\[plant\])", "firmware.restore"),
+        (r"^\[firmware.klipper\].*?(?=^\[plant\])", "firmware.klipper"),
     ],
 )
 def test_missing_key_or_table_is_an_error(pattern: str, key: str) -> None:

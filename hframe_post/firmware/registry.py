@@ -1,0 +1,50 @@
+"""The firmwares that the output can be written for.
+
+Adding one takes a table in ``printer.firmware_tables``, a ``Player`` in a module beside this, a
+row here, and what its G-code means to the reader, in ``gcode.commands``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hframe_post.firmware.klipper import Klipper
+from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.player import Player
+from hframe_post.printer.firmware_tables import named
+from hframe_post.printer.settings import Printer
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """A firmware, by the name that it has in profiles and on the command line.
+
+    player: builds what the writer asks, from a printer and the mm that decimation may miss a
+    sample by (None keeps them all); decimates: whether that tolerance means anything to it.
+    """
+
+    name: str
+    label: str
+    player: Callable[[Printer, float | None], Player]
+    decimates: bool = False
+
+
+FIRMWARES = {
+    each.name: each
+    for each in (
+        Firmware("klipper", "Klipper", Klipper.of, decimates=True),
+        Firmware("marlin", "Marlin", Marlin.of),
+    )
+}
+
+
+def firmware(printer: Printer) -> Firmware:
+    """The firmware that a printer's profile has chosen. Raises PrinterError."""
+    named(printer.firmware.dialect, "firmware.dialect", printer.name)
+    return FIRMWARES[printer.firmware.dialect]
+
+
+def player(printer: Printer, tolerance: float | None) -> Player:
+    """That firmware, as it plays this printer's stream. Raises PrinterError."""
+    return firmware(printer).player(printer, tolerance)

@@ -1,0 +1,151 @@
+"""The tables ``[firmware.…]`` of a profile: what each firmware is to be left with, and how built.
+
+A firmware's name is that of its table. ``TABLES`` is all that loading and choosing know of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hframe_post.errors import PrinterError
+from hframe_post.printer.schema import checked, known_keys, not_negative, positive
+
+
+@dataclass(frozen=True, slots=True)
+class KlipperTable:
+    """Klipper's own limits, in force outside the stream.
+
+    Macros, where named, replace the commands that set and restore limits.
+    """
+
+    velocity: float = positive()
+    acceleration: float = positive()
+    square_corner_velocity: float = not_negative(5.0)
+    minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
+    begin_macro: str = ""
+    end_macro: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinTable:
+    """Marlin's own settings, in force outside the stream, and what bounds the stream.
+
+    Corners are those of ``junction_deviation`` or, in builds with CLASSIC_JERK, of ``jerk``
+    (x, y) and ``jerk_e``; the others are 0.
+    """
+
+    max_velocity: tuple[float, float] = positive()
+    max_acceleration: tuple[float, float] = positive()
+    acceleration: float = positive()
+    travel_acceleration: float = positive()
+    junction_deviation: float = not_negative(0.0)
+    jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
+    jerk_e: float = not_negative(0.0)
+    min_segment_time: float = not_negative(0.02)
+    min_velocity: float = not_negative(0.0)
+    min_travel_velocity: float = not_negative(0.0)
+    linear_advance: float = not_negative(0.0)
+    shaper_freq_x: float = not_negative(0.0)
+    shaper_freq_y: float = not_negative(0.0)
+    fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
+    lines_per_second: float = positive(250.0, below=1001.0)
+    min_steps_per_segment: int = positive(6)
+    timer_hz: float = positive(2e6, least=1e5)
+
+    def __post_init__(self) -> None:
+        jerks = (*self.jerk, self.jerk_e)
+        if any(jerks) != all(jerks) or any(jerks) == bool(self.junction_deviation):
+            cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
+            raise PrinterError(cause, "firmware.marlin.junction_deviation")
+
+    @property
+    def classic_jerk(self) -> bool:
+        """Whether corners are those of jerk."""
+        return self.junction_deviation == 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Who reads the output, and the tables of the firmwares that the profile knows."""
+
+    dialect: str = "klipper"
+    klipper: KlipperTable | None = None
+    marlin: MarlinTable | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A firmware as a profile knows it: what its table holds, in words, and what else it needs.
+
+    steps: why the table ``[steps]`` is needed, if it is.
+    """
+
+    kind: type
+    holds: str
+    steps: str = ""
+
+
+TABLES = {
+    "klipper": Table(KlipperTable, "Klipper's own limits"),
+    "marlin": Table(MarlinTable, "Marlin's own settings", "Marlin needs whole steps"),
+}
+
+
+def named(dialect: str, key: str = "", source: str = "") -> Table:
+    """The firmware of that name. Raises PrinterError."""
+    if dialect not in TABLES:
+        raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
+    return TABLES[dialect]
+
+
+def load_firmware(table: dict[str, Any]) -> Firmware:
+    """``[firmware]`` with its tables, from TOML. Raises PrinterError."""
+    known_keys(table, ("dialect", *TABLES), "firmware")
+    dialect = table.get("dialect", "klipper")
+    if not isinstance(dialect, str):
+        raise PrinterError(f"must be text, not {dialect!r}", "firmware.dialect")
+    named(dialect, "firmware.dialect")
+    for name in TABLES.keys() & table.keys():
+        if not isinstance(table[name], dict):
+            raise PrinterError("the table is missing", f"firmware.{name}")
+    own: dict[str, Any] = {
+        name: checked(each.kind, table[name], f"firmware.{name}")
+        for name, each in TABLES.items()
+        if name in table
+    }
+    return Firmware(dialect, **own)
+
+
+def check_needs(firmware: Firmware, steps_known: bool) -> None:
+    """Raises PrinterError where a table is missing that the chosen firmware needs."""
+    needed = named(firmware.dialect, "firmware.dialect")
+    if getattr(firmware, firmware.dialect) is None:
+        cause = f"the table is missing: {needed.holds}"
+        raise PrinterError(cause, f"firmware.{firmware.dialect}")
+    if needed.steps and not steps_known:
+        raise PrinterError(f"the table is missing: {needed.steps}", "steps")
+
+
+KLIPPER_ONCE = ("begin_macro", "end_macro")  # keys of [firmware], when Klipper was the only one
+
+
+def modernised(document: dict[str, Any]) -> dict[str, Any]:
+    """A profile's document with ``[firmware.restore]`` and macros of old where they belong now.
+
+    Raises PrinterError where both the old and the new are given.
+    """
+    table = document.get("firmware")
+    if not isinstance(table, dict) or not table.keys() & {"restore", *KLIPPER_ONCE}:
+        return document
+    new = {key: value for key, value in table.items() if key not in ("restore", *KLIPPER_ONCE)}
+    restore, klipper = table.get("restore", {}), new.get("klipper", {})
+    for name, value in (("restore", restore), ("klipper", klipper)):
+        if not isinstance(value, dict):
+            raise PrinterError("the table is missing", f"firmware.{name}")
+    moved = {**restore, **{key: table[key] for key in KLIPPER_ONCE if key in table}}
+    if twice := moved.keys() & klipper.keys():
+        raise PrinterError("is given twice, here and as of old", f"firmware.klipper.{min(twice)}")
+    return {**document, "firmware": {**new, "klipper": {**klipper, **moved}}}

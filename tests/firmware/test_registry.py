@@ -1,0 +1,72 @@
+"""Firmwares as objects: chosen by a name that is checked, built from a printer."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import pytest
+
+from hframe_post.cli.convert import convert
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware.klipper import Klipper
+from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.registry import FIRMWARES, player
+from hframe_post.printer.firmware_tables import TABLES, Firmware
+from hframe_post.printer.profile import load, parse, played_by
+from hframe_post.printer.settings import Printer
+
+
+def test_every_firmware_has_a_table_in_profiles() -> None:
+    assert tuple(FIRMWARES) == tuple(TABLES)
+    assert {f.name for f in fields(Firmware)} == {"dialect", *TABLES}
+    assert all(name == each.name for name, each in FIRMWARES.items())
+
+
+def test_command_line_offers_what_is_registered() -> None:
+    (option,) = (p for p in convert.params if p.name == "firmware")
+    assert tuple(option.type.choices) == tuple(FIRMWARES)  # type: ignore[attr-defined]
+
+
+def test_player_is_that_of_the_profile() -> None:
+    assert isinstance(player(load("paper"), None), Klipper)
+    assert isinstance(player(load("paper-marlin"), None), Marlin)
+
+
+def with_dialect(name: str) -> Printer:
+    printer = load("paper")
+    return replace(printer, firmware=replace(printer.firmware, dialect=name))
+
+
+def test_unknown_firmware_is_an_error_in_the_library() -> None:
+    with pytest.raises(HframeError, match="one of klipper, marlin"):
+        player(with_dialect("other"), None)
+    with pytest.raises(HframeError, match=r"paper: firmware\.dialect: must be one of"):
+        played_by(load("paper"), "other")
+
+
+def test_firmware_without_its_table_is_an_error_in_the_library() -> None:
+    with pytest.raises(PrinterError, match=r"paper: firmware\.marlin: the table is missing"):
+        player(with_dialect("marlin"), None)
+
+
+OLD = """
+begin_macro = "BEGIN"
+[firmware.restore]
+velocity = 150.0
+"""
+
+
+def test_tables_of_old_profiles_are_klippers() -> None:
+    old = parse(f'extends = "paper"\n[firmware]{OLD}', "mine")
+    new = '[firmware.klipper]\nvelocity = 150.0\nbegin_macro = "BEGIN"'
+    assert old.firmware == parse(f'extends = "paper"\n{new}', "mine").firmware
+    assert old.firmware.klipper is not None
+    assert (old.firmware.klipper.velocity, old.firmware.klipper.acceleration) == (150.0, 1e4)
+    assert old.firmware.klipper.begin_macro == "BEGIN"
+
+
+def test_old_and_new_at_once_is_an_error() -> None:
+    both = f'extends = "paper"\n[firmware]{OLD}[firmware.klipper]\nvelocity = 1.0\n'
+    with pytest.raises(PrinterError) as caught:
+        parse(both, "mine")
+    assert caught.value.key == "firmware.klipper.velocity"

@@ -1,0 +1,65 @@
+"""Corners as Klipper passes them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.model import cornering
+
+SQUARE = 100.0  # mm/s
+A = 2.5e5  # mm/s²
+EXTRUDER = 1.0  # mm/s
+DEVIATION = cornering.deviation(SQUARE, A)
+
+
+def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
+    delta = np.array([first, second], dtype=float)
+    d = np.linalg.norm(delta[:, :3], axis=1)
+    (v,) = cornering.junction_speeds(delta, d, np.full(2, A), DEVIATION, EXTRUDER)
+    return float(v)
+
+
+def test_square_corner_of_long_segments_has_the_square_corner_velocity() -> None:
+    expected = pytest.approx(SQUARE)
+    assert junction((50.0, 0, 0, 0), (0, 50.0, 0, 0)) == expected
+
+
+def test_square_corner_of_short_segments_is_slower() -> None:
+    expected = math.sqrt(0.5 * 0.02 * 2.5e5)
+    assert junction((0.02, 0, 0, 0), (0, 5.0, 0, 0)) == pytest.approx(expected)
+    assert junction((5.0, 0, 0, 0), (0, 0.02, 0, 0)) == pytest.approx(expected)
+
+
+def test_straight_on_is_free_and_reversal_a_stop() -> None:
+    assert junction((1.0, 0, 0, 0.04), (2.0, 0, 0, 0.08)) == math.inf
+    assert junction((1.0, 0, 0, 0), (-1.0, 0, 0, 0)) == 0.0
+
+
+@given(st.floats(1.0, 179.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))
+def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
+    """angle: between the segments, 180° is straight on."""
+    half = math.radians(angle) / 2.0
+    turn = math.pi - math.radians(angle)
+    r = math.sin(half) / (1.0 - math.sin(half))
+    v2 = min(
+        r * SQUARE**2 * (math.sqrt(2.0) - 1.0),
+        0.5 * min(one, other) * A * math.tan(half),
+    )
+    found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
+    assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
+
+
+def test_sudden_change_of_extrusion_is_limited() -> None:
+    assert junction((1.0, 0, 0, 0.05), (1.0, 0, 0, 0.0)) == pytest.approx(20.0)
+
+
+def test_slower_of_two_accelerations_counts() -> None:
+    delta = np.array([[50.0, 0, 0, 0], [0, 50.0, 0, 0]])
+    for a in ([1e5, 2.5e5], [2.5e5, 1e5]):
+        (v,) = cornering.junction_speeds(delta, np.full(2, 50.0), np.array(a), DEVIATION, EXTRUDER)
+        assert v == pytest.approx(SQUARE * math.sqrt(0.4))
