@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hframe_post.cli.options import STRATEGIES, json_option, printer_option, write_json
+from hframe_post.cli.options import json_option, printer_option, write_json
 
 if TYPE_CHECKING:
     from hframe_post.identification.accelerometer import Recording
-    from hframe_post.identification.identify import Run
-    from hframe_post.identification.report import Chosen
-    from hframe_post.model.plant import Plant
-    from hframe_post.printer.settings import Printer
+    from hframe_post.identification.identify import Identified, Run
+    from hframe_post.identification.recommend import Recommendation
+    from hframe_post.identification.report import IdentificationReport
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 QUIET = 0.5  # s at the start of a recording in which only gravity is felt
-MODEL_ERROR = 0.05  # of the printers for which the window and λ are chosen
-DRAWS = 10
+NO_WINDOW = "no window and weight compensate this plant within the motors' limits; see tune --help"
 
 
 def _columns(text: str) -> tuple[str, ...]:
@@ -105,62 +104,76 @@ def identify(
     """
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification import plots
     from hframe_post.identification.identify import Settings
-    from hframe_post.identification.identify import identify as identification
+    from hframe_post.identification.identify import identify as identified
+    from hframe_post.identification.recommend import recommend
     from hframe_post.identification.report import IdentificationReport
-    from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import OutputFile
 
     profile = load(printer)
+    _check_usage(nozzle, bridge, L_G, band)
+    if folder is not None:
+        plotting.ready(folder)
+    reading = _Reading(axes, bridge_axes, columns, unit)
+    runs = [reading.nozzle(*files) for files in nozzle]
+    runs += [reading.bridge(*files) for files in bridge]
+    found = identified(runs, Settings(band, estimator, L_G, dict(orders)))
+    if folder is not None:
+        _draw(found, folder)
+    plant = found.plant(sum(profile.travel.x) / 2.0 if x_c is None else x_c)
+    compensation = None if found.useless else recommend(plant, profile)
+    report = IdentificationReport(found, plant, compensation, reading.setup, reading.findings)
+    write_json(report.as_json(), json_file)
+    click.echo(report.as_text(), err=str(json_file) == "-")
+    if compensation is None:
+        raise IdentificationError(found.useless or NO_WINDOW)
+    if output is not None:
+        _write_profile(output, printer, report, compensation)
+
+
+def _check_usage(
+    nozzle: Sequence[object], bridge: Sequence[object], L_G: float | None, band: tuple[float, float]
+) -> None:
     if not nozzle:
         raise click.UsageError("give at least one --nozzle run of x and one of y")
     if bridge and L_G is None:
         raise click.UsageError("--bridge needs --bridge-length")
     if not 0.0 < band[0] < band[1] < 500.0:
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
-    if folder is not None:
-        plotting.ready(folder)
-    reading = _Reading(axes, bridge_axes, columns, unit)
-    runs = [reading.nozzle(*files) for files in nozzle] + [
-        reading.bridge(*files) for files in bridge
-    ]
-    found = identification(runs, Settings(band, estimator, L_G, dict(orders)))
-    middle = sum(profile.travel.x) / 2.0
-    if folder is not None:
-        drawings = {
-            name: plots.identification(name, found.measured[name], fitted)
-            for name, fitted in found.fits.items()
-        }
-        plotting.save_all(drawings, folder)
-    plant = found.plant(middle if x_c is None else x_c)
-    chosen = None if found.useless else _chosen(plant, profile)
-    report = IdentificationReport(found, plant, chosen, reading.setup, reading.doubts)
-    write_json(report.as_json(), json_file)
-    click.echo(report.as_text(), err=str(json_file) == "-")
-    if chosen is None:
-        raise IdentificationError(
-            found.useless
-            or "no window and weight compensate this plant within the motors' limits; "
-            "see tune --help"
-        )
-    if output is not None:
-        text = with_plant(printer, plant, chosen.windows, report.origin())
-        with OutputFile(output, sys.stdout.buffer) as file:
-            file.write([text.encode()], lambda: 0.0)
+
+
+def _draw(found: Identified, folder: Path) -> None:
+    from hframe_post import plotting
+    from hframe_post.identification import plots
+
+    drawings = {
+        name: plots.identification(name, found.measured[name], fitted)
+        for name, fitted in found.fits.items()
+    }
+    plotting.save_all(drawings, folder)
+
+
+def _write_profile(
+    output: Path, printer: str, report: IdentificationReport, compensation: Recommendation
+) -> None:
+    from hframe_post.printer.edit import with_plant
+    from hframe_post.writers.atomic_file import OutputFile
+
+    text = with_plant(printer, report.plant, compensation.windows, report.origin())
+    with OutputFile(output, sys.stdout.buffer) as file:
+        file.write([text.encode()], lambda: 0.0)
 
 
 @dataclass
 class _Reading:
-    """How recordings are read, and what is told of them: for the profile, and to be doubted."""
+    """How recordings are read; ``setup`` and ``findings`` collect what the report tells of them."""
 
     axes: str
     bridge_axes: str
     columns: tuple[str, ...] | None
     unit: str
     setup: list[str] = field(default_factory=list)
-    doubts: list[str] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list)
 
     def nozzle(self, command: Path, recording: Path) -> Run:
         """A run of the nozzle's sensor."""
@@ -182,33 +195,7 @@ class _Reading:
         from hframe_post.identification import accelerometer
 
         read = accelerometer.read(path, self.columns, self.unit)
-        self.doubts += [f"{path.name}: {text}" for text in accelerometer.doubts(read, QUIET)]
+        self.findings += [f"{path.name}: {text}" for text in accelerometer.diagnose(read, QUIET)]
         digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
         self.setup.append(f"  {path.name}, axes {axes}, sha256 {digest}")
         return accelerometer.oriented(read, axes, QUIET)
-
-
-def _chosen(plant: Plant, profile: Printer) -> Chosen | None:
-    """The window and λ for a plant, and what they will do; None within no limits."""
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.identification.report import Chosen
-    from hframe_post.studies.reference_path import rectangle
-    from hframe_post.studies.simulation import Study, simulate
-    from hframe_post.studies.simulation_report import SimulationReport
-    from hframe_post.studies.tuning import candidates, recommended, tune
-    from hframe_post.studies.uncertainty import draws
-
-    own = replace(profile, plant=plant, name="the printer that was found")
-    printers = draws(plant, MODEL_ERROR, DRAWS, seed=0)
-    best = recommended(
-        tune(rectangle(own), own, candidates(own.compensation), printers), own.motors
-    )
-    if best is None:
-        return None
-    x, y = best.windows
-    chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
-    own = replace(own, compensation=chosen)
-    predicted = SimulationReport("racking", plant=own.name)
-    options = Options("racking", STRATEGIES, clamp=True)
-    simulate(rectangle(own), own, options, Study(plant), predicted)
-    return Chosen(best.windows, predicted)

@@ -278,7 +278,7 @@ def _there(names: list[str]) -> str:
 # ----------------------------------------------------------------------- axes
 
 
-def doubts(recording: Recording, quiet: float) -> list[str]:
+def diagnose(recording: Recording, quiet: float) -> list[str]:
     """Warnings in words about a recording as it was read; quiet: s of rest at its start."""
     gravity = float(np.linalg.norm(_at_rest(recording, quiet)))
     if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
@@ -294,7 +294,7 @@ def oriented(recording: Recording, axes: str = "x=x,y=y,z=z", quiet: float = 1.0
 
     axes: each axis of the printer as the sensor names it, such as ``x=-y,y=x,z=z``. Tilt is
     how gravity lies in the first ``quiet`` seconds, in which the printer must stand; where the
-    sensor shows none (``doubts``) only the map and the offset count. A turn about the vertical
+    sensor shows none (``diagnose``) only the map and the offset count. A turn about the vertical
     stays: see ``alignment.heading``. Raises IdentificationError.
     """
     matrix = axis_map(axes)

@@ -115,55 +115,71 @@ def by_windows(
 ) -> tuple[float, float, float]:
     """(start, drift, half-width of what is not known of the delay in s), without marks.
 
-    A chirp that is late looks like one that is stretched, so windows show the drift up to
-    twofold, by the kind of command; the secant method needs not know.
+    A late chirp looks like a stretched one. So the windows' lags tell up to twice the drift,
+    depending on the command; the secant method finds the drift at which they no longer grow.
     """
-    length = min(WINDOW, int(moving[-1] - moving[0]) // 4)
-    if length < SHORTEST:
-        raise IdentificationError(f"a command that moves for {4 * length * TS:.2g} s is too short")
-    places = np.unique(np.linspace(moving[0], moving[-1] - length, WINDOWS).astype(np.int64))
-    span = float(places[-1] - places[0]) * TS
-    n = int(sensor.seconds * RATE) + 1
-    band = band_of(command, (0.01, 0.99))
-
-    def lags(start: float, drift: float, reach: float) -> tuple[float, float]:
-        """Of windows over time: (mean, slope)."""
-        track = _within(sensor.resampled(start, drift, n), band)
-        found = []
-        for place in places:
-            low = max(int(place - (reach * place * TS + AWAY) * RATE), 0)
-            high = int(place + length + (reach * place * TS + AWAY) * RATE)
-            heard = _envelope(command[place : place + length], track[low:high])
-            found.append((low + int(np.argmax(heard)) - place) * TS)
-        slope, mean = np.polyfit(places * TS, found, 1)
-        return float(mean), float(slope)
-
-    start = 0.0 if started else _rough_start(command, places, length, sensor.resampled(0, 0, n))
-    reach, drift, step = 2.5 * MOST_DRIFT, 0.0, 0.5
-    offset, slope = lags(start, drift, reach)
+    windows = _Windows(command, moving, sensor)
+    start = 0.0 if started else windows.rough_start()
+    drift, step = 0.0, 0.5  # step: of the lags' growth, that is taken for drift
+    lag, growth = windows.lag(start, drift)
     for _ in range(ROUNDS):
-        following = float(np.clip(drift + step * slope, -MOST_DRIFT, MOST_DRIFT))
-        if abs(following - drift) * span < TS:
+        following = float(np.clip(drift + step * growth, -MOST_DRIFT, MOST_DRIFT))
+        if abs(following - drift) * windows.span < TS:
             break
-        start += offset
-        offset, after = lags(start, following, reach)
-        if after != slope:
-            step = min(max((following - drift) / (slope - after), 0.3), 1.0)
-        drift, slope = following, after
-    if abs(drift) * span < DISPERSION:
-        return start + offset, 0.0, 0.0
-    return start + offset, drift, DISPERSION
+        start += lag
+        lag, growth_after = windows.lag(start, following)
+        if growth_after != growth:
+            step = min(max((following - drift) / (growth - growth_after), 0.3), 1.0)
+        drift, growth = following, growth_after
+    if abs(drift) * windows.span < DISPERSION:
+        return start + lag, 0.0, 0.0
+    return start + lag, drift, DISPERSION
 
 
-def _rough_start(command: Array, places: Integers, length: int, track: Array) -> float:
-    """Where the recording's start lies, s, as most windows have it."""
-    total = np.zeros(len(track))
-    for place in places:
-        heard = _envelope(command[place : place + length], track)
-        wide = int(2.0 * MOST_DRIFT * (place - places[0])) * 2 + 1
-        spread = maximum_filter1d(heard, wide, mode="constant")[place - places[0] :]
-        total[: len(spread)] += spread
-    return float(np.argmax(total) - places[0]) * TS
+class _Windows:
+    """Pieces of a command, each looked for in the recording by itself."""
+
+    def __init__(self, command: Array, moving: Integers, sensor: Resampler) -> None:
+        self._command, self._sensor = command, sensor
+        self._length = min(WINDOW, int(moving[-1] - moving[0]) // 4)
+        if self._length < SHORTEST:
+            raise IdentificationError(
+                f"a command that moves for {4 * self._length * TS:.2g} s is too short"
+            )
+        last = moving[-1] - self._length
+        self._places = np.unique(np.linspace(moving[0], last, WINDOWS).astype(np.int64))
+        self._samples = int(sensor.seconds * RATE) + 1
+        self._band = band_of(command, (0.01, 0.99))
+
+    @property
+    def span(self) -> float:
+        """Seconds from the first window to the last."""
+        return float(self._places[-1] - self._places[0]) * TS
+
+    def lag(self, start: float, drift: float) -> tuple[float, float]:
+        """How late the windows are on that clock, s, and by how much that grows per second."""
+        track = _within(self._sensor.resampled(start, drift, self._samples), self._band)
+        lags = []
+        for place in self._places:
+            reach = int((2.5 * MOST_DRIFT * place * TS + AWAY) * RATE)
+            first = max(int(place) - reach, 0)
+            region = track[first : int(place) + self._length + reach]
+            heard = _envelope(self._command[place : place + self._length], region)
+            lags.append((first + int(np.argmax(heard)) - place) * TS)
+        growth, mean = np.polyfit(self._places * TS, lags, 1)
+        return float(mean), float(growth)
+
+    def rough_start(self) -> float:
+        """Where on the recording's clock the command starts, s, as most windows have it."""
+        track = self._sensor.resampled(0.0, 0.0, self._samples)
+        first = self._places[0]
+        total = np.zeros(len(track))
+        for place in self._places:
+            heard = _envelope(self._command[place : place + self._length], track)
+            wide = int(2.0 * MOST_DRIFT * (place - first)) * 2 + 1
+            spread = maximum_filter1d(heard, wide, mode="constant")[place - first :]
+            total[: len(spread)] += spread
+        return float(np.argmax(total) - first) * TS
 
 
 # ----------------------------------------------------------------- correlation

@@ -1,4 +1,4 @@
-"""What an identified transfer function should be doubted for, in sentences for the user."""
+"""Checks of an identified transfer function, as sentences for the user."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 from scipy import linalg, optimize
@@ -90,7 +89,20 @@ class _Data:
         return self.at_rest == 0.0
 
 
-_Trial: TypeAlias = "tuple[float, Denominator, Array, float]"  # cost, poles, c, delay
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """Poles and delay (s) that were tried, with the best zeros: coefficients ``c`` and cost."""
+
+    den: Denominator
+    delay: float
+    c: Array
+    cost: float
+
+    @classmethod
+    def of(cls, data: _Data, den: Denominator, delay: float) -> _Trial:
+        """The trial of these poles and this delay."""
+        r, c = _solve(data, den, delay)
+        return cls(den, delay, c, float(r @ r))
 
 
 def fit(
@@ -122,14 +134,15 @@ def fit(
     orders = range(1, max_order + 1) if order is None else [order]
     trials, scores = _tried(_thinned(data, TRIED), orders)
     chosen = _chosen(scores)
-    cost, den, c, delay = _refined(data, trials[chosen], 100)
-    G = transfer_function(den, c, at_rest, data.z)
+    best = _refined(data, trials[chosen], 100)
+    delay = best.delay
+    G = transfer_function(best.den, best.c, at_rest, data.z)
     model = G.response(data.omega * TS) * np.exp(-1j * data.omega * delay)
     w = part.power * part.coherence
     residual = float(np.sqrt((w * abs(part.H - model) ** 2).sum() / (w * abs(part.H) ** 2).sum()))
     texts = diagnostics.of_data(part) + diagnostics.of_roots(G, band_hz)
     texts += diagnostics.of_delay(delay, delay_bounds_s)
-    texts += diagnostics.of_order(G, float(np.sqrt(cost / len(data.z))))
+    texts += diagnostics.of_order(G, float(np.sqrt(best.cost / len(data.z))))
     notes, costly = diagnostics.of_zeros(G)
     return Fit(G, chosen, residual, delay, scores, (*texts, *costly), notes)
 
@@ -179,9 +192,9 @@ def _best(data: _Data, order: int) -> _Trial:
     delays = np.linspace(low, high, 1 + int(np.ceil((high - low) / DELAY_STEP)))
     coarse = _thinned(data, STARTED)
     starts = [_start(coarse, order, float(delay)) for delay in delays]
-    starts.sort(key=lambda trial: trial[0])
-    near = [s for s in starts[:2] if s[0] <= NEAR * starts[0][0]]
-    return min((_refined(data, s, 25) for s in near), key=lambda trial: trial[0])
+    starts.sort(key=lambda trial: trial.cost)
+    near = [start for start in starts[:2] if start.cost <= NEAR * starts[0].cost]
+    return min((_refined(data, start, 25) for start in near), key=lambda trial: trial.cost)
 
 
 def _thinned(data: _Data, count: int) -> _Data:
@@ -197,14 +210,11 @@ def _start(data: _Data, order: int, delay: float) -> _Trial:
     upper = np.exp((-0.1 + 1j) * hz)
     single = [np.exp(-float(np.median(data.omega)) * TS)] if order % 2 else []
     den = denominator(np.concatenate([upper, upper.conj(), single]), RADIUS)
-    best: _Trial | None = None
+    trials = []
     for _ in range(ROUNDS):
         den = _relocated(data, den, delay)
-        r, c = _solve(data, den, delay)
-        trial = (float(r @ r), den, c, delay)
-        best = trial if best is None or trial[0] < best[0] else best
-    assert best is not None
-    return best
+        trials.append(_Trial.of(data, den, delay))
+    return min(trials, key=lambda trial: trial.cost)
 
 
 def _relocated(data: _Data, den: Denominator, delay: float) -> Denominator:
@@ -259,17 +269,16 @@ def _least_squares(rows: Complex | Array, target: Complex | Array) -> Array:
 
 def _refined(data: _Data, start: _Trial, steps: int) -> _Trial:
     """The least cost from ``start`` in so many steps of least_squares."""
-    _, den, _, delay = start
     low, high = data.delay_bounds
     free = high > low
-    x = _coordinates(den)
+    x = _coordinates(start.den)
     if free:
-        inside = float(np.clip(delay, low + 1e-3 * (high - low), high - 1e-3 * (high - low)))
+        inside = float(np.clip(start.delay, low + 1e-3 * (high - low), high - 1e-3 * (high - low)))
         x = np.append(x, inside / TS)
     lower, upper = np.full(len(x), -20.0), np.full(len(x), 20.0)
     if free:
         lower[-1], upper[-1] = low / TS, high / TS
-    unpack = partial(_unpacked, order=den.order, fixed=low, free=free)
+    unpack = partial(_unpacked, order=start.den.order, fixed=low, free=free)
     result = optimize.least_squares(
         lambda v: _solve(data, *unpack(v))[0],
         np.clip(x, lower + 1e-9, upper - 1e-9),
@@ -277,9 +286,7 @@ def _refined(data: _Data, start: _Trial, steps: int) -> _Trial:
         x_scale="jac",
         max_nfev=steps,
     )
-    den, delay = unpack(result.x)
-    r, c = _solve(data, den, delay)
-    return float(r @ r), den, c, delay
+    return _Trial.of(data, *unpack(result.x))
 
 
 def _coordinates(den: Denominator) -> Array:
@@ -304,6 +311,6 @@ def _unpacked(x: Array, order: int, fixed: float, free: bool) -> tuple[Denominat
 def _bic(data: _Data, trial: _Trial) -> float:
     n = 2 * len(data.z)
     low, high = data.delay_bounds
-    unknowns = 2 * trial[1].order - 1 + data.direct + (high > low)
-    unexplained = max(trial[0] - _far(data, trial[3]) ** 2, 0.0)
+    unknowns = 2 * trial.den.order - 1 + data.direct + (high > low)
+    unexplained = max(trial.cost - _far(data, trial.delay) ** 2, 0.0)
     return float(n * np.log(unexplained / n + GOOD**2) + unknowns * np.log(n))

@@ -7,7 +7,7 @@ Racking comes from two sensors at the ends of the bridge (eq. 3),
 
     θ'' = (ÿ1 − ÿ2) / L_G,    Gxθ = θ'' / ẍ_d,
 
-or from the nozzle's sensor alone, by runs in x at several places (``lever``).
+or from the nozzle's sensor alone, by runs in x at several places (``lever_arm``).
 """
 
 from __future__ import annotations
@@ -211,19 +211,19 @@ def _bridge(run: Run, settings: Settings) -> _Heard:
 
 
 def _agreement(arms: Line | None, measured: dict[str, Measured]) -> list[str]:
-    """Doubts where racking by the bridge's sensors is not that by the lever arms."""
+    """Warnings where racking by the bridge's sensors is not that by the lever arms."""
     if arms is None:
         return []
-    bridge, lever = measured["Gxtheta"].mean.H, arms.slope.H
+    bridge, nozzle = measured["Gxtheta"].mean.H, arms.slope.H
     weight = arms.slope.power * arms.slope.coherence
-    size = float((weight * np.abs(lever) ** 2).sum())
-    share = float((weight * bridge * lever.conj()).sum().real) / size
+    size = float((weight * np.abs(nozzle) ** 2).sum())
+    share = float((weight * bridge * nozzle.conj()).sum().real) / size
     if share < 0.0:
         raise IdentificationError(
             "the bridge's sensors see the gantry turn the other way than the nozzle's sensor: P1 "
             "must be the one at the greater x, and both need their --bridge-axes"
         )
-    off = math.sqrt(float((weight * np.abs(bridge - lever) ** 2).sum()) / size)
+    off = math.sqrt(float((weight * np.abs(bridge - nozzle) ** 2).sum()) / size)
     if off <= DISAGREE:
         return []
     return [

@@ -50,7 +50,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
     noise = np.array([_noise(r) for r in responses])
     power = np.mean([r.power for r in responses], axis=0)
     off = H - at_middle - np.outer(arm, slope)
-    lever = np.outer(arm, slope)
+    by_arm = np.outer(arm, slope)
 
     def response(value: Complex, noise: Array) -> FrequencyResponse:
         signal = np.abs(value) ** 2
@@ -61,7 +61,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
         response(slope, weights**2 @ noise),
         middle,
         at_middle,
-        float(np.sqrt((power * np.abs(off) ** 2).sum() / (power * np.abs(lever) ** 2).sum())),
+        float(np.sqrt((power * np.abs(off) ** 2).sum() / (power * np.abs(by_arm) ** 2).sum())),
         [
             (place, response((h - at_middle) / a, n / a**2))
             for place, a, h, n in zip(p.tolist(), arm.tolist(), H, noise, strict=True)

@@ -8,10 +8,9 @@ from typing import Any
 from hframe_post.identification.diagnostics import natural
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.identify import Identified
-from hframe_post.model.lpfbs import Window
+from hframe_post.identification.recommend import Recommendation
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.studies.simulation_report import SimulationReport
 
 POOR_FIT = 0.05  # weighted relative residual that deserves a word
 SPREAD = 0.2  # of a transfer function over places, that deserves a word
@@ -40,52 +39,22 @@ def functions_table(identified: Identified) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
-    """The windows of x and y for the plant that was found, and what they are predicted to do."""
-
-    windows: tuple[Window, Window]
-    predicted: SimulationReport
-
-    def as_json(self) -> dict[str, Any]:
-        """Ready for ``json.dumps``."""
-        x, y = self.windows
-        return {
-            "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
-            "predicted": self.predicted.as_json()["contour_error_um"],
-        }
-
-    def gain(self) -> str:
-        """What compensation is predicted to do for the paper's rectangle."""
-        rms = {name: 1e3 * figures.contour.rms for name, figures in self.predicted.whole.items()}
-        told = ", ".join(f"{name} {rms[name]:.1f}" for name in self.predicted.strategies)
-        return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
-
-    def as_text(self) -> list[str]:
-        """Two lines for a person."""
-        x, y = self.windows
-        return [
-            f"windows     L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
-            f"effort = [{x.effort:g}, {y.effort:g}]",
-            self.gain(),
-        ]
-
-
-@dataclass(frozen=True, slots=True)
 class IdentificationReport:
-    """All that is told. setup: the data, a line each; doubts: of the data, in words.
+    """All that is told to the user.
 
-    compensation: None where none is to be had.
+    compensation: None where no window works. setup: the data, a line each. findings: warnings
+    about the recordings.
     """
 
     identified: Identified
     plant: Plant
-    compensation: Chosen | None
+    compensation: Recommendation | None
     setup: list[str]
-    doubts: list[str]
+    findings: list[str]
 
     def warnings(self) -> list[str]:
-        """In words, what is to be doubted."""
-        told = [*self.doubts, *self.identified.warnings]
+        """In words, what the user should not rely on."""
+        told = [*self.findings, *self.identified.warnings]
         for name, measured in self.identified.measured.items():
             if measured.spread > SPREAD:
                 told.append(

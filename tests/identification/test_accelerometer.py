@@ -18,7 +18,7 @@ from hframe_post.identification.accelerometer import (
     GRAVITY,
     Recording,
     axis_map,
-    doubts,
+    diagnose,
     oriented,
     read,
 )
@@ -311,9 +311,9 @@ def test_map_whose_z_is_not_up_is_refused(axes: str) -> None:
 @pytest.mark.parametrize(("scale", "shown"), [(1e-3, "0.0098"), (0.0, "0 m"), (1.3, "12.7")])
 def test_gravity_that_cannot_be_is_a_warning(scale: float, shown: str) -> None:
     recording = resting(Rotation.identity(), np.zeros((100, 3)), np.zeros(3))
-    assert doubts(recording, 1.0) == []
+    assert diagnose(recording, 1.0) == []
     wrong = Recording(recording.t, recording.a * scale, True)
-    (text,) = doubts(wrong, 1.0)
+    (text,) = diagnose(wrong, 1.0)
     assert shown in text
     assert "unit" in text
     np.testing.assert_allclose(oriented(wrong).a, 0.0, atol=1e-9)

@@ -1,0 +1,183 @@
+"""Identification from end to end: sweeps played, sensors with faults, profiles."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from hframe_post.arrays import TS, Array
+from hframe_post.cli.main import main
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer import profile as profiles
+from hframe_post.printer.edit import with_plant
+from tests.cli.test_main import run
+from tests.klipper.host import play
+from tests.recordings import Sensor, moved, write_klipper
+
+QUICK = """
+extends = "paper"
+[sweep]
+rate_hz_per_s = 4.0
+"""
+SENSOR = Sensor(turned=(93.0, -4.0, 2.0), drift=0.005)  # a quarter turn round, not quite level
+AXES = "x=-y,y=x,z=z"
+SHIPPED = Path("paper")  # the profile of that name
+BAND = (5.0, 80.0)
+
+
+@dataclass(frozen=True)
+class Played:
+    """A run: its command file and what the motors did, (m, 2) mm, every 1 ms."""
+
+    command: Path
+    motors: Array
+
+
+def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -> Played:
+    """A sweep of that axis, written by the tool and stepped as Klipper would, or just taken."""
+    out = folder / f"{axis}.gcode"
+    done = run(
+        "sweep", "-p", profile, "-q", "--axis", axis, "--position", f"{place},150", "-o", out
+    )
+    assert done.returncode == 0, done.stderr
+    (command,) = folder.glob(f"{axis}.{axis}-at-{place:g}*.csv")
+    intended = np.loadtxt(command, delimiter=",", skiprows=1)[:, 1:]
+    if not klipper:
+        return Played(command, intended)
+    lines = ["G28", *out.read_text().splitlines()]
+    calls = [k for k, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
+    for k in calls:
+        lines[k] = "G4 P0"  # which asks for the time as the call does
+    dwell = float(lines[calls[0] + 1].removeprefix("G4 P")) * 1e-3
+    stepped = folder / f"{axis}-{place:g}.gcode"
+    stepped.write_text("\n".join(lines) + "\n")
+    playback = play(stepped, workdir=folder / f"klipper-{axis}-{place:g}")
+    begin = float(playback.moves["print_time"][2]) - dwell
+    t = begin + np.arange(len(intended)) * TS
+    steps = playback.steps()
+    A, B = (steps[motor].position(t) for motor in "AB")
+    return Played(command, np.column_stack([(A + B) / 2.0, (A - B) / 2.0]))
+
+
+def heard(
+    played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int, at: float | None = None
+) -> Path:
+    """Klipper's file of what the sensor felt on a printer of that plant."""
+    place = "nozzle" if at is None else f"at-{at:g}"
+    path = folder / f"{played.command.stem}.{place}.{seed}.csv"
+    seconds = (len(played.motors) - 1) * TS
+    return write_klipper(path, sensor.felt(moved(plant, played.motors, at), seconds, seed))
+
+
+def off(found: TransferFunction | None, true: TransferFunction | None, motors: Array) -> float:
+    """RMS error of a frequency response from 5 to 80 Hz, weighted by input power, relative."""
+    assert found is not None
+    assert true is not None
+    omega = np.asarray(2.0 * np.pi * np.fft.rfftfreq(len(motors), TS), dtype=np.float64)
+    inside = (omega >= 2.0 * np.pi * BAND[0]) & (omega <= 2.0 * np.pi * BAND[1])
+    swept = motors[:, int(np.argmax(np.ptp(motors, axis=0)))]
+    power = np.abs(np.fft.rfft(swept - swept[0]) * omega**2)[inside] ** 2
+    is_, should = (G.response(omega[inside] * TS) for G in (found, true))
+    return math.sqrt(
+        (power * np.abs(is_ - should) ** 2).sum() / (power * np.abs(should) ** 2).sum()
+    )
+
+
+def compensated(profile: Path, plant: Path, folder: Path) -> float:
+    """RMS contour error (µm) of the rectangle under that profile, on that plant."""
+    told = folder / "told.json"
+    done = run("simulate", "--path", "rectangle", "-p", profile, "--plant", plant,
+               "--on-limit", "clamp", "-q", "--json", told)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return float(json.loads(told.read_text())["strategies"]["racking"]["contour_error_um"]["rms"])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A printer on which sweeps are played: its plant, and how its motors are told to move."""
+
+    folder: Path
+    plant: Plant
+    profile: Path
+    klipper: bool
+
+    def runs(self, axis: str, places: Sequence[float], sensor: Sensor) -> list[tuple[Played, Path]]:
+        """Sweeps at these places, and what the sensor recorded of each."""
+        played = [swept(self.folder, self.profile, axis, p, self.klipper) for p in places]
+        return [
+            (one, heard(one, self.plant, sensor, self.folder, seed))
+            for seed, one in enumerate(played)
+        ]
+
+
+def nozzle(*runs: tuple[Played, Path]) -> list[str | Path]:
+    return [part for one, path in runs for part in ("--nozzle", one.command, path)]
+
+
+def check_recovered(bench: Bench, places: Sequence[float], *more: str | Path) -> None:
+    """The three transfer functions are found, and the profile compensates the true plant."""
+    mine, true = bench.folder / "mine.toml", bench.folder / "true.toml"
+    x_runs, y_runs = bench.runs("x", places, SENSOR), bench.runs("y", places[:2], SENSOR)
+    arguments = [*nozzle(*x_runs, *y_runs), "--axes", AXES]
+    done = run("identify", "-p", bench.profile, *arguments, "-o", mine, *more)
+    assert done.returncode == 0, done.stderr
+    found = profiles.load(str(mine))
+    x, y = x_runs[0][0].motors, y_runs[0][0].motors
+    assert off(found.plant.Gxx, bench.plant.Gxx, x) <= 0.03
+    assert off(found.plant.Gyy, bench.plant.Gyy, y) <= 0.03
+    assert off(found.plant.Gxtheta, bench.plant.Gxtheta, x) <= 0.03
+    assert found.plant.x_c == pytest.approx(bench.plant.x_c, abs=1.0)
+    windows = found.compensation.windows
+    true.write_text(with_plant(str(bench.profile), bench.plant, windows, []))
+    assert compensated(mine, true, bench.folder) <= 1.5 * compensated(true, true, bench.folder)
+
+
+FAST = """
+extends = "paper"
+[sweep]
+rate_hz_per_s = 8.0
+start_hz = 3.0
+end_hz = 110.0
+"""
+LEFT, RIGHT = 10.0, 270.0  # mm, where the bridge has its sensors
+ON_BRIDGE = Sensor(drift=0.005, clock=99.0)
+MAP = ("--axes", AXES)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Sweeps of the paper's printer: x at three places, y at one, and the bridge at one."""
+
+    folder: Path
+    x: list[tuple[Played, Path]]
+    y: tuple[Played, Path]
+    ends: tuple[Path, Path]  # P1 at the greater x, P2
+
+    @property
+    def all(self) -> list[str | Path]:
+        return nozzle(*self.x, self.y)
+
+    @property
+    def bridge(self) -> list[str | Path]:
+        return ["--bridge", self.x[1][0].command, *self.ends, "--bridge-length", "260"]
+
+
+def invoked(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["identify", *map(str, arguments)])
+
+
+def check_refused(folder: Path, told: str, *arguments: str | Path, status: int = 1) -> None:
+    mine = folder / "refused.toml"
+    done = invoked(*arguments, "-o", mine)
+    assert done.exit_code == status, done.output
+    assert re.search(told, done.output), done.output
+    assert not mine.exists()
