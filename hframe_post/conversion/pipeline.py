@@ -27,7 +27,7 @@ from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.prefetch import ahead
+from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Rests, Samples, Standing
 from hframe_post.writers.gcode import Late, Ledger, Output, write
 from hframe_post.writers.samples import tabulate
@@ -129,9 +129,9 @@ def _commands(
 ) -> Iterator[Samples]:
     """Safe commands, computed ahead in threads of their own; the report is kept."""
     compensator = prepared(printer)
-    commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
+    commands = prefetch(commanded(counted(lines, report), printer, compensator, options, report))
     if options.predict:
-        commands = ahead(predicted(commands, printer, report))
+        commands = prefetch(predicted(commands, printer, report))
     return timed(commands, report)
 
 

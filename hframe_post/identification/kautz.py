@@ -20,9 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from hframe_post.arrays import Array, Complex
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.transfer_function import TransferFunction, upper_and_real
 
-REAL = 1e-10  # imaginary part below which a root is real
 FAR = 1e4  # modulus above which a zero is one at infinity: it changes nothing below Nyquist
 
 
@@ -83,8 +82,8 @@ def denominator(poles: Complex, radius: float) -> Denominator:
     outside = modulus > 1.0
     poles = np.where(outside, poles / np.maximum(modulus, 1.0) ** 2, poles)
     poles = poles * np.minimum(1.0, 0.9999 * radius / np.maximum(np.abs(poles), 1e-12))
-    upper = poles[poles.imag > REAL]
-    real = np.sort(poles[np.abs(poles.imag) <= REAL].real)
+    upper, real = upper_and_real(poles)
+    real = np.sort(real.real)
     single = float(real[0]) if len(real) % 2 else None
     real = real[len(real) % 2 :].reshape(-1, 2)
     pairs = [(-2.0 * p.real, abs(p) ** 2) for p in upper]
@@ -132,6 +131,5 @@ def _quadratic(a1: float, a2: float) -> Complex:
 
 def _conjugate(roots: Complex) -> Complex:
     """Roots of a real polynomial, exactly closed under conjugation."""
-    upper = roots[roots.imag > REAL]
-    real = roots[np.abs(roots.imag) <= REAL].real.astype(complex)
-    return np.concatenate([upper, upper.conj(), real])
+    upper, real = upper_and_real(roots)
+    return np.concatenate([upper, upper.conj(), real.real])

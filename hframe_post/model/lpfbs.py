@@ -117,13 +117,32 @@ class Lpfbs:
                 "take a longer preview (larger n_C), wider knots (larger L) or more effort"
             )
 
+    def command(self, x_d: Array) -> Array:
+        """The command (n,) for a whole target x_d (n,): at rest at x_d[0] before it.
+
+        After its end the target stands still. What the command still does there to settle, and
+        what it would do before the start to lead, is not part of it: pad x_d with standstill.
+        """
+        if not len(x_d):
+            return np.zeros(0)
+        w = self.window
+        target = np.pad(x_d - x_d[0], (0, -len(x_d) % w.stride + w.L_C - w.stride), mode="edge")
+        x_dm, _ = self.run(target, self.rest)
+        return np.asarray(x_d[0] + x_dm[: len(x_d)])
+
     def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
         """Command for whole windows, x_d ((W − 1)·stride + L_C,) → x_dm (W·stride,), and s.
 
         The last L_C − stride samples of x_d are the preview and come again with the next
-        call. Both count from where the axis stood at rest when the stream began.
+        call. Both count from where the axis stood at rest when the stream began. Raises
+        ValueError where x_d is of any other length.
         """
         w = self.window
+        if len(x_d) < w.L_C or (len(x_d) - w.L_C) % w.stride:
+            raise ValueError(
+                f"{len(x_d)} samples are no whole number of windows: {w.L_C} and any number of "
+                f"times {w.stride} are; command() takes any length"
+            )
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
         X = np.ascontiguousarray(windows)
         past, s = self._recursion.run(X @ self._step_target.T, s)

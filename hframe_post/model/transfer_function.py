@@ -16,6 +16,7 @@ eq. 4 loses all its digits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +25,8 @@ import numpy as np
 from hframe_post.arrays import Array, Complex
 from hframe_post.model.recursion import Recursion
 
-REAL_TOLERANCE = 1e-12  # imaginary part below which a root counts as real
+REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
+PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
 BLOCK_SAMPLES = 64  # lifted blocks: matrix products on one side, the scan on the other
 
 
@@ -46,7 +48,7 @@ class TransferFunction:
             object.__setattr__(self, name, roots)
             if not np.isfinite(roots).all():
                 raise ValueError(f"{name} must be finite")
-            if not np.allclose(np.sort_complex(roots), np.sort_complex(roots.conj()), atol=1e-9):
+            if not _closed(roots):
                 raise ValueError(f"complex {name} must come in conjugate pairs")
         if not np.isfinite(self.gain):
             raise ValueError("gain must be finite")
@@ -119,51 +121,63 @@ class TransferFunction:
         return G, O, Recursion(An), R
 
 
-def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
-    """Second-order sections (num (≤3,), den (≤3,)): each pole pair with its nearest zeros.
+def upper_and_real(roots: Complex) -> tuple[Complex, Complex]:
+    """Of roots closed under conjugation: those above the real axis, and those on it."""
+    return roots[roots.imag > REAL_TOLERANCE], roots[np.abs(roots.imag) <= REAL_TOLERANCE]
 
-    Pairs nearest to the unit circle choose first, so that no section has a large gain. Complex
-    zeros need a section of two poles for themselves: one that is left to them takes no real zero.
+
+def _closed(roots: Complex) -> bool:
+    """Whether each root that is not real has a conjugate of its own."""
+    upper, _ = upper_and_real(roots)
+    lower, _ = upper_and_real(roots.conj())
+    left = list(lower)
+    for root in upper:
+        nearest = min(left, key=_distance_to(root), default=np.inf)
+        if abs(nearest - root) > PAIR_TOLERANCE:
+            return False
+        left.remove(nearest)
+    return not left
+
+
+def _distance_to(point: complex) -> Callable[[Complex], float]:
+    return lambda roots: float(np.abs(roots - point).min())
+
+
+def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
+    """Second-order sections (num (≤3,), den (≤3,)): two poles each, with their nearest zeros.
+
+    Poles nearest to the unit circle choose first, so that no section has a large gain. Complex
+    zeros go in pairs and need a section of two poles: as many as they need are left to them.
     """
-    pole_groups = sorted(_real_groups(poles), key=lambda g: -np.abs(g).max())
-    left = list(zeros)
+    upper, real = upper_and_real(zeros)
+    pairs, single = [np.array([z, z.conjugate()]) for z in upper], list(real)
+    groups = sorted(_groups(poles), key=lambda group: -np.abs(group).max())
     sections = []
-    for number, group in enumerate(pole_groups):
-        chosen: list[complex] = []
-        later = sum(len(other) == 2 for other in pole_groups[number + 1 :])
-        while left and len(chosen) < len(group):
-            paired = [r for r in left if abs(r.imag) > REAL_TOLERANCE]
-            needed = len(group) == 2 and not chosen and len(paired) > 2 * later
-            nearest = min(paired if needed else left, key=lambda r: abs(r - group[0]))
-            if abs(nearest.imag) > REAL_TOLERANCE:
-                if len(group) - len(chosen) < 2:
-                    reals = [r for r in left if abs(r.imag) <= REAL_TOLERANCE]
-                    if not reals:
-                        break
-                    nearest = min(reals, key=lambda r: abs(r - group[0]))
-                else:
-                    conjugate = min(left, key=lambda r: abs(r - nearest.conjugate()))
-                    left.remove(conjugate)
-                    left.remove(nearest)
-                    chosen += [nearest, conjugate]
-                    continue
-            left.remove(nearest)
-            chosen.append(nearest)
-        num = np.poly(np.array(chosen)).real if chosen else np.ones(1)
-        sections.append(
-            (np.asarray(num, dtype=float), np.asarray(np.poly(group).real, dtype=float))
-        )
-    if left:
-        raise ValueError("zeros and poles do not pair into real second-order sections")
+    for number, group in enumerate(groups, 1):
+        distance, room = _distance_to(group[0]), len(group)
+        pairs.sort(key=distance)
+        single.sort(key=distance)
+        later = sum(len(other) == 2 for other in groups[number:])
+        near = pairs and not (single and distance(single[0]) <= distance(pairs[0]))
+        if room == 2 and (near or len(pairs) > later):
+            chosen = pairs.pop(0)
+        else:
+            chosen, single = np.array(single[:room], complex), single[room:]
+        sections.append((_monic(chosen), _monic(group)))
     return sections
 
 
-def _real_groups(roots: Complex) -> list[Complex]:
-    """Roots in groups of two that make real polynomials (a last real one may be alone)."""
-    upper = roots[roots.imag > REAL_TOLERANCE]
-    real = np.sort(roots[np.abs(roots.imag) <= REAL_TOLERANCE].real)
-    groups = [np.array([r, r.conjugate()]) for r in upper]
-    return groups + [real[k : k + 2].astype(complex) for k in range(0, len(real), 2)]
+def _groups(poles: Complex) -> list[Complex]:
+    """Poles by twos that make real polynomials; a last real one may be alone."""
+    upper, real = upper_and_real(poles)
+    real = np.sort(real.real).astype(complex)
+    pairs = [np.array([p, p.conjugate()]) for p in upper]
+    return pairs + [real[k : k + 2] for k in range(0, len(real), 2)]
+
+
+def _monic(roots: Complex) -> Array:
+    """The real polynomial with these roots, in descending powers."""
+    return np.atleast_1d(np.asarray(np.poly(roots).real, dtype=float))
 
 
 def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, float]:

@@ -2,54 +2,55 @@
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.profile import parse, shipped
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.profile import parse, shipped, text_of
 
-_HEADER = re.compile(
-    r"^[ \t]*\[[ \t]*([A-Za-z_][\w.\- \t]*?)[ \t]*\][ \t]*(?:#.*)?\r?$", re.MULTILINE
-)
+Windows = tuple[Window, Window]
 
 
-def with_windows(name_or_path: str, windows: tuple[Window, Window]) -> str:
+def with_windows(name_or_path: str, windows: Windows) -> str:
     """The text of that profile with these windows. A shipped one is extended, not copied.
 
     Raises PrinterError where the text is laid out so that it cannot be changed safely.
     """
-    own, newline = _own(name_or_path)
-    changed = _set_windows(own, windows)
-    printer = _parsed(changed, name_or_path)
-    if printer is None or printer.compensation.windows != windows:
-        lines = ", ".join(f"{key} = {value}" for key, value in _settings(windows).items())
-        raise PrinterError(f"write these lines yourself: {lines}", "compensation", name_or_path)
-    return changed.replace("\n", newline)
+    return _changed(name_or_path, windows, "")
 
 
-def with_plant(
-    name_or_path: str, plant: Plant, windows: tuple[Window, Window], notes: Sequence[str]
-) -> str:
+def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str]) -> str:
     """The text of that profile with this plant, told about in ``notes``, and these windows.
 
     A shipped one is extended. Raises PrinterError where the text cannot be changed safely.
     """
-    own, newline = _own(name_or_path)
-    kept = _without(own, "plant").rstrip()
-    changed = f"{_set_windows(kept, windows).rstrip()}\n\n{_plant(plant, notes)}"
-    printer = _parsed(changed, name_or_path)
-    if printer is None or printer.compensation.windows != windows:
-        raise PrinterError(
-            "this file cannot be changed: extend a shipped profile", "", name_or_path
-        )
+    return _changed(name_or_path, windows, _plant(plant, notes))
+
+
+def _changed(name_or_path: str, windows: Windows, plant: str) -> str:
+    """The profile's text with these windows and, unless empty, this table ``plant``."""
+    text, newline = _own(name_or_path)
+    settings = _settings(windows)
+    try:
+        changed = _edited(text, settings, plant)
+        if tomllib.loads(changed) != _merged(text, settings, plant):
+            raise ValueError("more was changed than meant")
+    except (TOMLKitError, ValueError, RecursionError):
+        lines = ", ".join(f"{key} = {value}" for key, value in settings.items())
+        advice = f"write these lines yourself: {lines}"
+        if plant:
+            advice = "this file cannot be changed: extend a shipped profile"
+        raise PrinterError(advice, "compensation", name_or_path) from None
+    parse(changed, name_or_path)  # what is written can be loaded
     return changed.replace("\n", newline)
 
 
@@ -57,57 +58,40 @@ def _own(name_or_path: str) -> tuple[str, str]:
     """What that profile's own file says, and how its lines end. A shipped one is extended."""
     if name_or_path in shipped():
         return f'extends = "{name_or_path}"\n', "\n"
-    text = Path(name_or_path).read_bytes().decode("utf-8")
+    text = text_of(name_or_path)
     if 0 < text.count("\n") == text.count("\r\n"):
         return text.replace("\r\n", "\n"), "\r\n"
     return text, "\n"
 
 
-def _parsed(text: str, source: str) -> Printer | None:
-    try:
-        return parse(text, source)
-    except PrinterError:
-        return None
-
-
-def _settings(windows: tuple[Window, Window]) -> dict[str, str]:
+def _settings(windows: Windows) -> dict[str, Any]:
     x, y = windows
-    return {
-        "L": f"{x.L}",
-        "n_C": f"{x.n_C}",
-        "n_up": f"{x.n_up}",
-        "effort": f"[{float(x.effort)}, {float(y.effort)}]",
-    }
+    effort = [float(x.effort), float(y.effort)]
+    return {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": effort}
 
 
-def _set_windows(text: str, windows: tuple[Window, Window]) -> str:
-    """The text with these values in its table ``compensation``, which is added if need be."""
-    sections = list(_HEADER.finditer(text))
-    own = [k for k, header in enumerate(sections) if header[1] == "compensation"]
-    if not own:
-        lines = "".join(f"{key} = {value}\n" for key, value in _settings(windows).items())
-        return f"{text.rstrip()}\n\n[compensation]\n{lines}"
-    start = sections[own[0]].end()
-    end = sections[own[0] + 1].start() if own[0] + 1 < len(sections) else len(text)
-    body = text[start:end]
-    for key, value in reversed(_settings(windows).items()):
-        setting = re.compile(rf"^(\s*{key}\s*=\s*)[^#\n]*?(\s*(?:#.*)?)$", re.MULTILINE)
-        if setting.search(body):
-            body = setting.sub(rf"\g<1>{value}\g<2>", body, count=1)
+def _edited(text: str, settings: dict[str, Any], plant: str) -> str:
+    document = tomlkit.parse(text)
+    if "compensation" not in document:
+        document.append("compensation", tomlkit.table())
+    table: Any = document["compensation"]
+    for key, value in settings.items():
+        if isinstance(value, list) and len(table.get(key, ())) == len(value):
+            for k, number in enumerate(value):  # one by one: comments between them stay
+                table[key][k] = number
         else:
-            body = f"\n{key} = {value}{body}"
-    return text[:start] + body + text[end:]
+            table[key] = value
+    if not plant:
+        return document.as_string()
+    document.pop("plant", None)
+    return f"{document.as_string().rstrip()}\n\n{plant}"
 
 
-def _without(text: str, table: str) -> str:
-    """The text without a table and those within it."""
-    sections = list(_HEADER.finditer(text))
-    ends = [*(header.start() for header in sections[1:]), len(text)]
-    kept = [text[: sections[0].start()] if sections else text]
-    for header, end in zip(sections, ends, strict=False):
-        if header[1] != table and not header[1].startswith(f"{table}."):
-            kept.append(text[header.start() : end])
-    return "".join(kept)
+def _merged(text: str, settings: dict[str, Any], plant: str) -> dict[str, Any]:
+    """What the changed text must say."""
+    before = tomllib.loads(text)
+    compensation = {**before.get("compensation", {}), **settings}
+    return {**before, "compensation": compensation, **tomllib.loads(plant)}
 
 
 def _plant(plant: Plant, notes: Sequence[str]) -> str:

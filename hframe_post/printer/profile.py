@@ -44,28 +44,37 @@ def load(name_or_path: str) -> Printer:
     profiles = shipped()
     if name_or_path in profiles:
         return parse(profiles[name_or_path], name_or_path)
-    path = Path(name_or_path)
-    if not path.is_file():
-        known = ", ".join(profiles)
-        raise PrinterError(f"no such profile or file; shipped are: {known}", source=name_or_path)
+    return parse(text_of(name_or_path), Path(name_or_path).stem, name_or_path)
+
+
+def text_of(path: str) -> str:
+    """What a profile's file says, with its line ends. Raises PrinterError."""
+    if not Path(path).is_file():
+        known = ", ".join(shipped())
+        raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        text = path.read_text("utf-8")
+        return Path(path).read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise PrinterError(f"cannot be read: {error}", source=name_or_path) from None
-    return parse(text, path.stem, str(path))
+        raise PrinterError(f"cannot be read: {error}", source=path) from None
 
 
 def parse(text: str, name: str, source: str = "") -> Printer:
     """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
-    source = source or name
     try:
-        document = _extended(tomllib.loads(text))
+        document = _extended(_loaded(text))
         digest = hashlib.sha256(repr(document).encode()).hexdigest()[:12]
         return _printer(document, name, digest)
-    except tomllib.TOMLDecodeError as error:
-        raise PrinterError(f"not valid TOML: {error}", source=source) from None
     except PrinterError as error:
-        raise PrinterError(error.cause, error.key, source) from None
+        raise PrinterError(error.cause, error.key, source or name) from None
+
+
+def _loaded(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise PrinterError("not valid TOML: nested too deeply") from None
+    except ValueError as error:  # also a number of thousands of digits
+        raise PrinterError(f"not valid TOML: {error}") from None
 
 
 def _extended(document: dict[str, Any]) -> dict[str, Any]:

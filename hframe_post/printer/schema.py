@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field, fields
 from difflib import get_close_matches
-from typing import Any, TypeVar, get_type_hints
+from operator import ge, gt, le, lt
+from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -12,22 +14,26 @@ from hframe_post.arrays import Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
+Rules: TypeAlias = Mapping[str, Any]  # of a field: its bounds, ``choices``, ``ascending``
+
 LARGEST = 1e15  # a number beyond is a mistake
+KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
+BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
+    "above": (gt, "above"),
+    "least": (ge, "at least"),
+    "below": (lt, "below"),
+    "most": (le, "at most"),
+}
 
 
-def positive(default: float | None = None, **bounds: float) -> Any:
-    """A field that must be above zero, and within more ``bounds`` (``least``, ``below``)."""
-    rules = {"above": 0.0, **bounds}
-    if default is None:
-        return field(metadata=rules)
-    return field(default=default, metadata=rules)
+def positive(default: Any = MISSING, **bounds: float) -> Any:
+    """A field that must be above zero, and within more bounds: any of ``BOUNDS``."""
+    return field(default=default, metadata={"above": 0.0, **bounds})
 
 
-def not_negative(default: float | None = None) -> Any:
-    """A field that may be zero."""
-    if default is None:
-        return field(metadata={"least": 0.0})
-    return field(default=default, metadata={"least": 0.0})
+def not_negative(default: Any = MISSING, **bounds: float) -> Any:
+    """A field that may be zero, within more bounds."""
+    return field(default=default, metadata={"least": 0.0, **bounds})
 
 
 def roots(pairs: Any, key: str) -> Complex:
@@ -57,40 +63,41 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
     return kind(**values)
 
 
-def checked_value(hint: Any, value: Any, rules: Any, key: str) -> Any:
+def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     """One value of the type ``hint``, within the rules of its field."""
-    if hint in (str, bool):
-        if not isinstance(value, hint):
-            kind = "text" if hint is str else "true or false"
-            raise PrinterError(f"must be {kind}, not {value!r}", key)
-        _known_choice(value, rules, key)
-        return value
     if hint == tuple[float, float]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise PrinterError("must be a list of two numbers", key)
-        low, high = (checked_value(float, v, rules, key) for v in value)
-        if rules.get("ascending") and not low < high:
-            raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
-        return low, high
-    if hint not in (int, float):
-        return value
+        return _range(value, rules, key)
+    if hint in (int, float):
+        value = _number(hint, value, rules, key)
+    elif hint in (str, bool) and not isinstance(value, hint):
+        raise PrinterError(f"must be {KINDS[hint]}, not {value!r}", key)
+    choices = rules.get("choices")
+    if choices and value not in choices:
+        raise PrinterError(f"must be one of {', '.join(map(_shown, choices))}", key)
+    return value
+
+
+def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise PrinterError("must be a list of two numbers", key)
+    low, high = (checked_value(float, number, rules, key) for number in value)
+    if rules.get("ascending") and not low < high:
+        raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
+    return low, high
+
+
+def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not abs(value) < LARGEST or (hint is int and value != int(value)):
-        raise PrinterError(f"must be a {'whole ' if hint is int else ''}number", key)
-    if "above" in rules and not value > rules["above"]:
-        raise PrinterError(f"must be above {rules['above']:g}, it is {value:g}", key)
-    if "least" in rules and not value >= rules["least"]:
-        raise PrinterError(f"must be at least {rules['least']:g}, it is {value:g}", key)
-    if "below" in rules and not value < rules["below"]:
-        raise PrinterError(f"must be below {rules['below']:g}, it is {value:g}", key)
-    _known_choice(value, rules, key)
+        raise PrinterError(f"must be {KINDS[hint]}", key)
+    for rule, (holds, words) in BOUNDS.items():
+        if rule in rules and not holds(value, rules[rule]):
+            raise PrinterError(f"must be {words} {rules[rule]:g}, it is {value:g}", key)
     return hint(value)
 
 
-def _known_choice(value: Any, rules: Any, key: str) -> None:
-    if value not in rules.get("choices", (value,)):
-        choices = (c if isinstance(c, str) else f"{c:g}" for c in rules["choices"])
-        raise PrinterError(f"must be one of {', '.join(choices)}", key)
+def _shown(choice: str | float) -> str:
+    return choice if isinstance(choice, str) else f"{choice:g}"
 
 
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:

@@ -1,57 +1,29 @@
-"""A stage that works ahead in a thread of its own: numpy leaves the interpreter free."""
+"""A stage that runs in a thread of its own: numpy leaves the interpreter free."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
-from queue import Full, Queue
-from threading import Event, Thread
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 T = TypeVar("T")
 
-DEPTH = 2  # items that may wait
-POLL = 0.1  # s between looks at whether anyone still wants them
+DEPTH = 2  # items that are made, or in the making, before they are asked for
 
 
-def ahead(items: Iterable[T]) -> Iterator[T]:
+def prefetch(items: Iterable[T]) -> Iterator[T]:
     """The same items in the same order; up to DEPTH are made before they are asked for.
 
-    An exception of the source is raised here, after the items before it.
+    An exception of the source is raised here, after the items before it. Once nobody asks any
+    more, no further item is begun.
     """
-    queue: Queue[T | _End] = Queue(DEPTH)
-    unwanted = Event()
-
-    def put(item: T | _End) -> None:
-        while not unwanted.is_set():
-            try:
-                return queue.put(item, timeout=POLL)
-            except Full:
-                continue
-
-    def work() -> None:
-        try:
-            for item in items:
-                put(item)
-                if unwanted.is_set():
-                    return
-            put(_End(None))
-        except BaseException as error:
-            put(_End(error))
-
-    worker = Thread(target=work, daemon=True)
-    worker.start()
+    source, end = iter(items), object()
+    worker = ThreadPoolExecutor(1, "prefetch")
     try:
-        while not isinstance(item := queue.get(), _End):
-            yield item
-        if item.error is not None:
-            raise item.error
+        waiting = deque(worker.submit(next, source, end) for _ in range(DEPTH))
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(worker.submit(next, source, end))
+            yield item  # type: ignore[misc]  # the end is the only one that is no T
     finally:
-        unwanted.set()
-        worker.join()
-
-
-class _End:
-    """No more items, and why."""
-
-    def __init__(self, error: BaseException | None) -> None:
-        self.error = error
+        worker.shutdown(cancel_futures=True)

@@ -29,7 +29,7 @@ from hframe_post.prediction.quantise import quantise
 from hframe_post.prediction.statistics import ErrorStatistics, Figures, belt_rates
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.prefetch import ahead
+from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Samples
 from hframe_post.studies.simulation_report import Group, SimulationReport, Uncertainty
 
@@ -58,7 +58,7 @@ def simulate(
 ) -> None:
     """Fills the report; memory does not grow with the print. Raises HframeError."""
     compensator = prepared(printer)
-    commands = ahead(commanded(counted(lines, report), printer, compensator, options, report))
+    commands = prefetch(commanded(counted(lines, report), printer, compensator, options, report))
     commands = _rated(extruded(timed(commands, report), report), printer.kinematics, report)
     if study.steps is not None:
         commands = quantise(commands, printer.kinematics, study.steps)

@@ -13,9 +13,8 @@ import numpy as np
 
 from hframe_post.arrays import Complex
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 
-AXIS = 1e-12  # imaginary part below which a root is real
 STANDING = 1e-6  # distance from z = 1 of a zero that makes the gain at rest vanish
 
 
@@ -57,12 +56,12 @@ def _moved_roots(roots: Complex, frequency: float, damping: float) -> Complex:
     """
     moved = roots.copy()
     for k, z in enumerate(roots):
-        if abs(z.imag) <= AXIS and z.real <= 0.0:
+        if abs(z.imag) <= REAL_TOLERANCE and z.real <= 0.0:
             continue
         s = np.log(z)
         natural = abs(s)
         ratio = s.real / natural if natural else 0.0
-        if abs(z.imag) > AXIS:
+        if abs(z.imag) > REAL_TOLERANCE:
             ratio = float(np.clip(damping * ratio, -0.999, 0.999))
         new = frequency * natural * (ratio + 1j * np.sign(s.imag) * np.sqrt(1.0 - ratio * ratio))
         if abs(new.imag) < np.pi:

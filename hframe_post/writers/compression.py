@@ -10,7 +10,6 @@ from typing import IO, Any, cast
 
 from hframe_post.errors import HframeError
 
-SUFFIXES = (".gz", ".zst")
 GZIP_LEVEL = 6
 ZSTD_LEVEL = 3
 

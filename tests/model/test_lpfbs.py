@@ -73,6 +73,31 @@ def test_run_does_not_depend_on_how_many_windows_come_at_once() -> None:
     np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-10)
 
 
+@pytest.mark.parametrize("n", [1, 219, 220, 441, 2000])
+def test_command_takes_any_length_and_is_that_of_whole_windows(n: int) -> None:
+    solver = Lpfbs(PLANT.Gyy, Window(5, 88, 44, 100.0))
+    rng = np.random.default_rng(n)
+    x_d = 100.0 + np.cumsum(rng.normal(size=n)) * 0.01
+    command = solver.command(x_d)
+    assert command.shape == (n,)
+    long = np.concatenate([x_d, np.full(solver.window.stride * 30 - n, x_d[-1])])
+    np.testing.assert_allclose(command, solver.command(long)[:n], atol=1e-9)
+    nozzle = 100.0 + LiftedFilter(PLANT.Gyy).run(solver.command(long) - 100.0)
+    assert abs(nozzle[-1] - x_d[-1]) < 0.01  # it arrives, from where the axis stood
+
+
+def test_command_of_nothing_is_nothing() -> None:
+    assert len(Lpfbs(PLANT.Gxx, Window(5, 88, 44, 96.0)).command(np.zeros(0))) == 0
+
+
+@pytest.mark.parametrize("n", [0, 1, 439, 441, 440 + 219])
+def test_run_refuses_what_is_no_whole_number_of_windows(n: int) -> None:
+    solver = Lpfbs(PLANT.Gxx, Window(5, 88, 44, 96.0))
+    with pytest.raises(ValueError, match="440 and any number of times 220"):
+        solver.run(np.zeros(n), solver.rest)
+    assert len(solver.run(np.zeros(440 + 220), solver.rest)[0]) == 440
+
+
 @pytest.mark.paper
 def test_eq_30_minimises_error_and_effort_in_its_window() -> None:
     """No other control points of the first window do better from rest."""

@@ -6,13 +6,14 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
-from hframe_post.printer.edit import with_windows
+from hframe_post.printer.edit import with_plant, with_windows
 from hframe_post.printer.profile import load, parse, shipped
 
 PAPER = shipped()["paper"]
@@ -123,28 +124,69 @@ def test_settings_of_other_tables_and_in_comments_are_left_alone(mine: Path) -> 
         "belt = 0.01\nz = 0.01\ne = 0.01\nclock_hz = 1e5\n"
     )
     after = changed(mine, before).decode()
-    stated = ("L = 8 # L = 6", "n_C=55", "  n_up  =  27", "effort = [30.0, 58.75]# [ 3 ]")
+    stated = ("L = 8 # L = 6", "n_C=55", "  n_up  =  27", "effort = [30.0,58.75]# [ 3 ]")
     for line in stated:
         assert line in after.splitlines()
     assert others(after.encode()) == others(before.encode())
 
 
 @pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("compensation.L = 5 # dotted\n[limits]\njerk = 1e6\n", "compensation.L = 8 # dotted"),
+        ("compensation = { L = 5 } # inline\n", "# inline"),
+        ('["compensation"] # quoted\nL = 5\n', '["compensation"] # quoted'),
+        ('[compensation]\n"L" = 5 # quoted\n', '"L" = 8 # quoted'),
+        ("[compensation]\neffort = [\n  1.0, # of x\n  2.0,\n]\n", "  30.0, # of x"),
+        ("[compensation]\neffort = [ # one\n1.0,\n2.0,\n3.0]\nL=5 #five\n", "L=8 #five"),
+        ('description = """\n[compensation]\n"""\n[compensation]\nL = 5 # in\n', "L = 8 # in"),
+        ("[firmware]\n[compensation]\n[firmware.restore]\nvelocity = 90 # out of order\n",
+         "velocity = 90 # out of order"),
+    ],
+    ids=["dotted", "inline", "quoted table", "quoted key", "many lines", "too many numbers",
+         "in a text", "out of order"],
+)  # fmt: skip
+@pytest.mark.parametrize("newline", ["\n", "\r\n"], ids=["unix", "windows"])
+def test_any_layout_is_kept(mine: Path, text: str, kept: str, newline: str) -> None:
+    text = 'extends = "paper"  # mine\n' + text
+    after = changed(mine, text.replace("\n", newline)).decode()
+    assert after.startswith('extends = "paper"  # mine')
+    assert kept in after
+    own, before = tomllib.loads(after), tomllib.loads(text)
+    windows = {"L": 8, "n_C": 55, "n_up": 27, "effort": [30.0, 58.75]}
+    assert own == {**before, "compensation": {**before.get("compensation", {}), **windows}}
+    assert after.count("\r") == (after.count("\n") if newline == "\r\n" else 0)
+
+
+@pytest.mark.parametrize(
     "text",
     [
-        'extends = "paper"\ncompensation.L = 5\n',
-        'extends = "paper"\ncompensation = { L = 5 }\n',
-        'extends = "paper"\n["compensation"]\nL = 5\n',
-        'extends = "paper"\n[compensation]\n"L" = 5\n',
-        'extends = "paper"\n[compensation]\neffort = [\n  1.0, # x\n  2.0,\n]\n',
-        'extends = "paper"\ndescription = """\n[compensation]\n"""\n[compensation]\nL = 5\n',
+        "[plant]\nx_c = 3 # old\n[limits]\njerk = 1e6 # mine\n[plant.Gyy]\ngain = 0.5\n"
+        "zeros = []\npoles = [[0.5, 0.0]]\n[motors]\nbelt_velocity = 600 # theirs\n",
+        "plant.x_c = 3 # old\nlimits.jerk = 1e6 # mine\nmotors = { belt_velocity = 600 }#theirs\n",
     ],
-    ids=["dotted", "inline", "quoted table", "quoted key", "many lines", "in a text"],
+    ids=["scattered", "dotted"],
 )
-def test_what_cannot_be_changed_safely_is_left_to_its_owner(mine: Path, text: str) -> None:
-    assert parse(text, "mine")
+def test_a_plant_replaces_the_old_one_wherever_it_is_written(mine: Path, text: str) -> None:
+    mine.write_text('extends = "paper"\n' + text)
+    plant = load("paper-strong").plant
+    after = with_plant(str(mine), plant, pair(), ["found today", ""])
+    profile = parse(after, "mine")
+    assert profile.compensation.windows == pair()
+    assert profile.plant.x_c == plant.x_c
+    assert np.array_equal(profile.plant.Gyy.poles, plant.Gyy.poles)
+    assert (profile.limits.jerk, profile.motors.belt_velocity) == (1e6, 600.0)
+    assert "# mine" in after
+    assert "theirs" in after
+    assert "# found today" in after
+    assert "old" not in after
+
+
+def test_a_file_that_was_spoiled_meanwhile_is_told_about(mine: Path) -> None:
+    mine.write_text("[compensation\n")
+    with pytest.raises(PrinterError, match="L = 8, n_C = 55, n_up = 27"):
+        with_windows(str(mine), pair())
+    mine.write_text('extends = "paper"\n[limits]\nvelocity = -1\n')
     with pytest.raises(PrinterError) as caught:
-        changed(mine, text)
-    assert "L = 8, n_C = 55, n_up = 27, effort = [30.0, 58.75]" in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert mine.read_text() == text
+        with_windows(str(mine), pair())
+    assert caught.value.key == "limits.velocity"

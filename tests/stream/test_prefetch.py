@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hframe_post.stream.prefetch import DEPTH, ahead
+from hframe_post.stream.prefetch import DEPTH, prefetch
 
 
 @pytest.fixture(autouse=True)
@@ -20,19 +20,19 @@ def no_thread_is_left() -> Iterator[None]:
 
 @pytest.mark.parametrize("n", [0, 1, DEPTH, 1000])
 def test_items_come_in_order(n: int) -> None:
-    assert list(ahead(range(n))) == list(range(n))
+    assert list(prefetch(range(n))) == list(range(n))
 
 
 def test_slow_consumer_gets_every_item() -> None:
     found = []
-    for item in ahead(range(6)):
+    for item in prefetch(range(6)):
         time.sleep(0.01)
         found.append(item)
     assert found == list(range(6))
 
 
 def test_none_is_an_item_like_any_other() -> None:
-    assert list(ahead([None, 1, None])) == [None, 1, None]
+    assert list(prefetch([None, 1, None])) == [None, 1, None]
 
 
 def test_work_is_done_before_it_is_asked_for() -> None:
@@ -45,7 +45,7 @@ def test_work_is_done_before_it_is_asked_for() -> None:
                 enough.set()
             yield k
 
-    items = ahead(source())
+    items = prefetch(source())
     assert next(items) == 0
     assert enough.wait(5.0)
     assert len(made) <= DEPTH + 2
@@ -59,7 +59,7 @@ def test_nothing_is_done_before_the_first_item_is_asked_for() -> None:
         made.append(0)
         yield 0
 
-    items = ahead(source())
+    items = prefetch(source())
     assert made == []
     assert list(items) == made == [0]
 
@@ -77,12 +77,12 @@ def failing(n: int) -> Iterator[int]:
 def test_exception_follows_the_items_before_it(n: int) -> None:
     found: list[int] = []
     with pytest.raises(FaultError, match="after the items"):
-        found.extend(ahead(failing(n)))
+        found.extend(prefetch(failing(n)))
     assert found == list(range(n))
 
 
 def test_exception_passes_through_several_stages() -> None:
-    items = ahead(k + 1 for k in ahead(failing(5)))
+    items = prefetch(k + 1 for k in prefetch(failing(5)))
     found: list[int] = []
     with pytest.raises(FaultError):
         found.extend(items)
@@ -97,7 +97,7 @@ def endless() -> Iterator[int]:
 
 
 def test_abandoned_stage_ends() -> None:
-    items = ahead(endless())
+    items = prefetch(endless())
     assert next(items) == 0
     items.close()  # type: ignore[attr-defined]
     assert list(items) == []
@@ -112,7 +112,7 @@ def test_abandoned_stage_closes_its_source() -> None:
         finally:
             closed.set()
 
-    items = ahead(source())
+    items = prefetch(source())
     next(items)
     items.close()  # type: ignore[attr-defined]
     del items
@@ -120,7 +120,7 @@ def test_abandoned_stage_closes_its_source() -> None:
 
 
 def test_forgotten_stages_end() -> None:
-    items = ahead(-k for k in ahead(endless()))
+    items = prefetch(-k for k in prefetch(endless()))
     assert [next(items) for _ in range(3)] == [0, -1, -2]
     del items
     deadline = time.monotonic() + 5.0
@@ -130,7 +130,7 @@ def test_forgotten_stages_end() -> None:
 
 def test_fault_of_the_consumer_ends_the_stage() -> None:
     def consume() -> None:
-        for item in ahead(endless()):
+        for item in prefetch(endless()):
             if item == 3:
                 raise FaultError
 
