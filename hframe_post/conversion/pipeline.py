@@ -20,7 +20,7 @@ from hframe_post.compensation.settle import LEAD_SHARE, settle
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.commands import STAMP
+from hframe_post.gcode.commands import STAMP, dialect
 from hframe_post.gcode.reader import read
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
@@ -152,7 +152,7 @@ def commanded(
     """Safe commands for the motors, one sample a millisecond."""
     limits, chosen = printer.limits, options.strategy
     tolerance = printer.compensation.settle_tolerance
-    items = measured(read(lines, printer.firmware.dialect, options.file_limits), report)
+    items = measured(read(lines, dialect(printer.firmware.dialect), options.file_limits), report)
     samples = sample(plan(items, limits), limits, rests(printer, compensator))
     commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
     checks = (chosen, printer.travel, printer.motors, printer.kinematics, report.peaks)

@@ -1,4 +1,4 @@
-"""What the commands of Klipper and Marlin mean to a post-processor, as tables.
+"""What the commands of a sliced file mean to a post-processor, by firmware.
 
 A command that is in no table may move the machine or leave it in another mode, so it runs
 with the user's own limits and modes in force, and the position after it is unknown.
@@ -6,9 +6,15 @@ with the user's own limits and modes in force, and the position after it is unkn
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hframe_post.errors import HframeError
 from hframe_post.stream.types import Handling
 
 STAMP = b"; processed by hframe-post"
+
+Words = dict[str, float]  # letter → number of a command's words
 
 MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJRP", "G3": "XYZEFIJRP", "G92": "XYZE"}
 MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
@@ -42,6 +48,58 @@ _CARRIED_MACROS = frozenset(
 _MACROS_AT_REST = frozenset({b"TEMPERATURE_WAIT"})
 
 
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """Where firmwares differ in what a command means.
+
+    g90_sets_e: whether G90 makes E absolute and G91 makes it relative, as M82 and M83 do;
+    elsewhere E is relative while the file is in G91, and M82 and M83 stay as they were.
+    path_acceleration: what M204 asks for (mm/s²), given its words and what held before.
+    dwell: seconds that G4 waits, given its words.
+    """
+
+    name: str
+    g90_sets_e: bool
+    path_acceleration: Callable[[Words, float], float]
+    dwell: Callable[[Words], float]
+
+
+def _klipper_acceleration(words: Words, before: float) -> float:
+    """S, or the lower of P and T where both are given."""
+    if "S" in words:
+        return words["S"]
+    return min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before
+
+
+def _marlin_acceleration(words: Words, before: float) -> float:
+    """S, else the lower of P (printing) and T (travel)."""
+    if "S" in words:
+        return words["S"]
+    return min((words[letter] for letter in "PT" if letter in words), default=before)
+
+
+def _klipper_dwell(words: Words) -> float:
+    """P is in ms; S means nothing."""
+    return words.get("P", 0.0) / 1000.0
+
+
+def _marlin_dwell(words: Words) -> float:
+    """P is in ms, S in s."""
+    return words["P"] / 1000.0 if "P" in words else words.get("S", 0.0)
+
+
+KLIPPER = Dialect("klipper", False, _klipper_acceleration, _klipper_dwell)
+MARLIN = Dialect("marlin", True, _marlin_acceleration, _marlin_dwell)
+DIALECTS = {each.name: each for each in (KLIPPER, MARLIN)}
+
+
+def dialect(name: str) -> Dialect:
+    """The dialect of the firmware ``name``. Raises HframeError if there is none."""
+    if name not in DIALECTS:
+        raise HframeError(f"no G-code dialect {name!r}; known are {', '.join(DIALECTS)}")
+    return DIALECTS[name]
+
+
 def command_handling(name: str, arguments: bytes) -> Handling:
     """How G, M and T commands other than moves, modes and limits reach the machine."""
     if name in _CARRIED:
@@ -60,20 +118,3 @@ def macro_handling(name: bytes) -> Handling:
 def may_be_zero(name: str, word: str) -> bool:
     """Whether zero is a meaning and not a mistake: corner speeds and ratios, no limits."""
     return name == "M205" or word in ("SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")
-
-
-def acceleration(words: dict[str, float], firmware: str, current: float) -> float:
-    """Acceleration that M204 asks for, mm/s². Klipper takes S, or P and T together."""
-    if "S" in words:
-        return words["S"]
-    given = [words[letter] for letter in "PT" if letter in words]
-    if firmware == "klipper" and len(given) < 2:
-        return current
-    return min(given, default=current)
-
-
-def dwell(words: dict[str, float], firmware: str) -> float:
-    """Seconds that G4 waits. Klipper reads P (ms) only."""
-    if "P" in words or firmware == "klipper":
-        return words.get("P", 0.0) / 1000.0
-    return words.get("S", 0.0)

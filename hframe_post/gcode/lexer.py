@@ -6,6 +6,7 @@ import math
 import re
 from functools import reduce
 from operator import xor
+from typing import NamedTuple
 
 from hframe_post.errors import GcodeError
 
@@ -20,6 +21,27 @@ _WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _PARAMETER = re.compile(rb"([A-Z_]+)\s*=\s*([-+.\d]+)", re.IGNORECASE)
 
 
+class Line(NamedTuple):
+    """A line of the file: its number, from 1, and its text without the line feed.
+
+    A tuple, since one is made for every line of files of a million.
+    """
+
+    number: int
+    text: bytes
+
+    def error(self, cause: str) -> GcodeError:
+        """The error that names this line."""
+        return GcodeError(cause, self.number, self.text)
+
+
+class Command(NamedTuple):
+    """A coded command: its name (``G1``, ``M106``, ``G92.1``) and the text of its words."""
+
+    name: str
+    arguments: bytes
+
+
 def uncommented(text: bytes) -> bytes:
     """The line without comments of either form, nested ones included."""
     while (shorter := _COMMENT.sub(b" ", text)) != text:
@@ -27,45 +49,46 @@ def uncommented(text: bytes) -> bytes:
     return text
 
 
-def command(number: int, text: bytes) -> tuple[str, bytes] | None:
-    """Name (``G1``, ``M106``, ``G92.1``) and arguments of a coded command, else None.
+def command(line: Line) -> Command | None:
+    """The coded command of a line, None where it has none.
 
     Raises GcodeError where a checksum does not hold.
     """
-    body = uncommented(text)
+    body = uncommented(line.text)
     match = _COMMAND.match(body)
     if match is None:
         return None
     arguments = body[match.end() :]
     if (checksum := _CHECKSUM.search(arguments)) is not None:
         if reduce(xor, body[: body.rindex(b"*")]) != int(checksum[1]):
-            raise GcodeError("the checksum does not hold", number, text)
+            raise line.error("the checksum does not hold")
         arguments = arguments[: checksum.start()]
     letter, code, sub = match.groups()
     name = f"{letter.decode().upper()}{int(code)}" + (f".{int(sub)}" if sub else "")
-    return name, arguments
+    return Command(name, arguments)
 
 
-def numbers(number: int, text: bytes, arguments: bytes, letters: str) -> dict[str, float]:
+def numbers(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
     """Letter → number of a command's arguments; only ``letters`` may occur, each once."""
     found: dict[str, float] = {}
     for letter, digits in _WORD.findall(arguments):
         key = letter.decode().upper()
         if key in found:
-            raise GcodeError(f"the word {key} occurs twice", number, text)
+            raise line.error(f"the word {key} occurs twice")
         if key not in letters:
-            raise GcodeError(f"the word {key} is not understood here", number, text)
+            raise line.error(f"the word {key} is not understood here")
         found[key] = float(digits)
     if _WORD.sub(b"", arguments).strip():
-        raise GcodeError("a word or number cannot be read", number, text)
+        raise line.error("a word or number cannot be read")
     if not all(map(math.isfinite, found.values())):
-        raise GcodeError("a number is out of all bounds", number, text)
+        raise line.error("a number is out of all bounds")
     return found
 
 
-def parameters(number: int, text: bytes) -> dict[str, float]:
+def parameters(line: Line) -> dict[str, float]:
     """NAME → number of a Klipper command's NAME=value arguments; others are left out."""
+    pairs = _PARAMETER.findall(uncommented(line.text))
     try:
-        return {k.decode().upper(): float(v) for k, v in _PARAMETER.findall(uncommented(text))}
+        return {name.decode().upper(): float(value) for name, value in pairs}
     except ValueError:
-        raise GcodeError("a number cannot be read", number, text) from None
+        raise line.error("a number cannot be read") from None

@@ -18,49 +18,49 @@ import numpy as np
 
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import arcs, commands
-from hframe_post.gcode.lexer import PLAIN_MOVE, command, numbers, parameters, uncommented
-from hframe_post.gcode.limits import Asked
-from hframe_post.stream.types import (
-    Handling,
-    Item,
-    Mark,
-    ModalState,
-    Moves,
-    Passthrough,
-    Position,
-    Standing,
-    frozen,
+from hframe_post.gcode.commands import Dialect, Words
+from hframe_post.gcode.coordinates import AXES, Coordinates, Word
+from hframe_post.gcode.gathering import Gathering
+from hframe_post.gcode.lexer import (
+    PLAIN_MOVE,
+    Command,
+    Line,
+    command,
+    numbers,
+    parameters,
+    uncommented,
 )
+from hframe_post.gcode.limits import RequestedLimits
+from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 MOVES_PER_BLOCK = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
-INCH = 25.4
 DEFAULT_FEED = 25.0  # mm/s, what Klipper moves at before the first F
 
 
-def read(lines: Iterable[bytes], firmware: str, file_limits: bool = True) -> Iterator[Item]:
+def read(lines: Iterable[bytes], dialect: Dialect, file_limits: bool = True) -> Iterator[Item]:
     """Items of a G-code file, streaming.
 
-    lines: with or without line ends. firmware: ``klipper`` or ``marlin``, which differ in
-    what G90 does to E and in what M204 means. file_limits: whether M201, M203, M204, M205
-    and SET_VELOCITY_LIMIT are obeyed. Raises GcodeError.
+    lines: with or without line ends. dialect: of the firmware for which the file was sliced.
+    file_limits: whether M201, M203, M204, M205 and SET_VELOCITY_LIMIT are obeyed. Raises
+    GcodeError.
     """
-    reader = _Reader(firmware, file_limits)
+    reader = _Reader(dialect, file_limits)
+    out = reader.items.out
     number = 0
     for number, raw in enumerate(lines, 1):
         text = raw.removesuffix(b"\n")
-        if number == 1:
-            text = _first_line(text)
-        match = PLAIN_MOVE.match(text)
+        line = Line(number, _first_line(text) if number == 1 else text)
+        match = PLAIN_MOVE.match(line.text)
         if match is None:
-            reader.line(number, text)
+            reader.line(line)
         else:
-            reader.plain_move(number, text, match.groups())
-        if reader.out:
-            yield from reader.out
-            reader.out.clear()
+            reader.plain_move(line, match.groups())
+        if out:
+            yield from out
+            out.clear()
     reader.finish(number)
-    yield from reader.out
+    yield from out
 
 
 def _first_line(text: bytes) -> bytes:
@@ -73,286 +73,183 @@ def _first_line(text: bytes) -> bytes:
 
 
 class _Reader:
-    """Modal state, the moves gathered since the last item, and items ready in ``out``."""
+    """Takes line after line; what it has read is in ``items``."""
 
-    def __init__(self, firmware: str, file_limits: bool) -> None:
-        self.firmware, self.file_limits = firmware, file_limits
-        self.absolute, self.absolute_e, self.scale = True, True, 1.0
-        self.feed, self.factor = DEFAULT_FEED, 1.0
-        self.position: Position = (0.0, 0.0, 0.0, 0.0)  # e counts on through every G92
-        self.offset = [0.0, 0.0, 0.0, 0.0]  # the file's coordinate + offset = position
-        self.known = [False, False, False]
-        self.asked = Asked(firmware)
-        self.xy_plane = True
-        self.start: Position = self.position
-        self.rows: list[tuple[float, ...]] = []
-        self.marks: list[Mark] = []
-        self.out: list[Item] = []
-        self.moved = False
+    def __init__(self, dialect: Dialect, file_limits: bool) -> None:
+        self._dialect, self._file_limits = dialect, file_limits
+        self._place = Coordinates(dialect)
+        self._limits = RequestedLimits(dialect)
+        self._feed, self._factor = DEFAULT_FEED, 1.0
+        self._moved = False
+        self.items = Gathering(self._limits)
 
     # ------------------------------------------------------------------ moves
 
-    def plain_move(self, number: int, text: bytes, words: tuple[bytes | None, ...]) -> None:
+    def plain_move(self, line: Line, words: tuple[bytes | None, ...]) -> None:
         """G0 or G1 with its words in the usual order: the hot path."""
         _, f, x, y, z, e, f_last = words
         try:
             if f or f_last:
-                self._set_feed(float(f or f_last or 0), number, text)
+                self._set_feed(line, float(f or f_last or 0))
             if x or y or z or e:
                 self._move(
-                    number,
-                    text,
+                    line,
                     float(x) if x else None,
                     float(y) if y else None,
                     float(z) if z else None,
                     float(e) if e else None,
                 )
         except ValueError:
-            raise GcodeError("a number cannot be read", number, text) from None
+            raise line.error("a number cannot be read") from None
 
-    def _move(
-        self,
-        number: int,
-        text: bytes,
-        x: float | None,
-        y: float | None,
-        z: float | None,
-        e: float | None,
-    ) -> None:
+    def _move(self, line: Line, x: Word, y: Word, z: Word, e: Word) -> None:
         """One straight move to the file's coordinates."""
-        old, new = self.position, self._target(x, y, z, e)
-        self.moved = True
+        place = self._place
+        old, new = place.position, place.target(x, y, z, e)
+        self._moved = True
         if not (min(new) > -FARTHEST and max(new) < FARTHEST):
-            raise GcodeError("a coordinate is out of all bounds", number, text)
-        if not (self.known[0] and self.known[1] and (self.known[2] or z is None)):
-            if self.scale != 1.0:  # the output is in mm
-                raise GcodeError("a move in inches from an unknown position", number, text)
-            self._passthrough(number, text, Handling.YIELD, filament=new[3] - old[3])
-            self.position = new
-            if self.absolute:
-                self.known = [
-                    known or word is not None
-                    for known, word in zip(self.known, (x, y, z), strict=True)
-                ]
+            raise line.error("a coordinate is out of all bounds")
+        if not place.allow(z):
+            if place.scale != 1.0:  # the output is in mm
+                raise line.error("a move in inches from an unknown position")
+            self._passthrough(line, Handling.YIELD, filament=new[3] - old[3])
+            place.arrive(new, x, y, z)
         elif new[0] != old[0] or new[1] != old[1]:
-            self._travel(number, new)
+            self._travel(line, new)
         elif new != old:
-            self._flush()
-            top = self.asked.limits.velocity[2 if new[2] != old[2] else 3]
-            self.out.append(Standing(number, old, new, min(self.feed * self.factor, top)))
-            self.position = new
+            top = self._limits.axes.velocity[2 if new[2] != old[2] else 3]
+            self.items.stand(Standing(line.number, old, new, min(self._feed * self._factor, top)))
+            place.position = new
 
-    def _travel(self, number: int, new: Position) -> None:
+    def _travel(self, line: Line, new: Position) -> None:
         """A move in which x or y travels joins the gathered ones."""
-        if not self.rows:
-            self.start = self.position
-        self.rows.append(
-            (number, *new, self.feed * self.factor, self.asked.acceleration, self.asked.corner)
-        )
-        self.position = new
-        if len(self.rows) >= MOVES_PER_BLOCK:
-            self._flush()
+        self.items.travel(line.number, self._place.position, new, self._feed * self._factor)
+        self._place.position = new
+        if len(self.items) >= MOVES_PER_BLOCK:
+            self.items.flush()
 
-    def _target(
-        self, x: float | None, y: float | None, z: float | None, e: float | None
-    ) -> Position:
-        """Where a move's words lead, counted as ``position`` is."""
-        px, py, pz, pe = self.position
-        ox, oy, oz, oe = self.offset if self.absolute else self.position
-        if not self.absolute_e:
-            oe = pe
-        elif self.firmware == "marlin":  # where G91 cleared absolute_e, and M82 may set it
-            oe = self.offset[3]
-        scale = self.scale
-        return (
-            px if x is None else ox + x * scale,
-            py if y is None else oy + y * scale,
-            pz if z is None else oz + z * scale,
-            pe if e is None else oe + e * scale,
-        )
-
-    def _set_feed(self, feed: float, number: int, text: bytes) -> None:
+    def _set_feed(self, line: Line, feed: float) -> None:
         if not 0.0 < feed < math.inf:
-            raise GcodeError("the feed rate must be positive", number, text)
-        self.feed = feed * self.scale / 60.0
+            raise line.error("the feed rate must be positive")
+        self._feed = feed * self._place.scale / 60.0
 
-    def _arc(self, number: int, text: bytes, words: dict[str, float], ccw: bool) -> None:
-        if not self.xy_plane:
-            raise GcodeError("arcs outside the x-y plane are not supported", number, text)
-        if not all(self.known[: 3 if "Z" in words else 2]):
-            raise GcodeError("an arc from an unknown position", number, text)
-        x0, y0, z0, e0 = self.position
-        x1, y1, z1, e1 = self._target(*(words.get(axis) for axis in "XYZE"))
+    def _arc(self, line: Line, words: Words, ccw: bool) -> None:
+        place = self._place
+        if not place.xy_plane:
+            raise line.error("arcs outside the x-y plane are not supported")
+        if not place.allow(words.get("Z")):
+            raise line.error("an arc from an unknown position")
+        x0, y0, z0, e0 = place.position
+        x1, y1, z1, e1 = place.target(*(words.get(axis) for axis in AXES))
         offset = None
         if "I" in words or "J" in words:
-            offset = (words.get("I", 0.0) * self.scale, words.get("J", 0.0) * self.scale)
-        radius = words["R"] * self.scale if "R" in words else None
+            offset = (words.get("I", 0.0) * place.scale, words.get("J", 0.0) * place.scale)
+        radius = words["R"] * place.scale if "R" in words else None
         centre = arcs.centre((x0, y0), (x1, y1), offset, radius, ccw)
         if centre is None:
-            raise GcodeError("the arc's centre or radius does not fit its ends", number, text)
+            raise line.error("the arc's centre or radius does not fit its ends")
         points = arcs.chords((x0, y0), (x1, y1), centre, ccw)
         lengths = np.hypot(*np.diff(points, axis=0, prepend=[(x0, y0)]).T)
         share = np.cumsum(lengths) / lengths.sum()
         z, e = z0 + share * (z1 - z0), e0 + share * (e1 - e0)
         z[-1], e[-1] = z1, e1
-        self.moved = True
+        self._moved = True
         for row in np.column_stack([points, z, e]).tolist():
-            self._travel(number, tuple(row))
+            self._travel(line, tuple(row))
 
     # ------------------------------------------------------------------ all other lines
 
-    def line(self, number: int, text: bytes) -> None:
+    def line(self, line: Line) -> None:
         """A line that is not a plain move."""
-        coded = command(number, text)
+        coded = command(line)
         if coded is None:
-            self._uncoded(number, text)
-            return
-        name, arguments = coded
-        if name in commands.MOTION_WORDS:
-            words = numbers(number, text, arguments, commands.MOTION_WORDS[name])
-            if "F" in words:
-                self._set_feed(words.pop("F"), number, text)
-            if name == "G92":
-                self._redefine(number, text, words)
-            elif name in ("G2", "G3"):
-                self._arc(number, text, words, ccw=name == "G3")
-            elif words:
-                self._move(number, text, *(words.get(axis) for axis in "XYZE"))
-        elif name in commands.MISREAD:
-            raise GcodeError(f"{name}: {commands.MISREAD[name]}", number, text)
-        elif name in commands.LIMIT_WORDS:
-            words = numbers(number, text, arguments, commands.LIMIT_WORDS[name])
-            self._limit(name, words, number, text)
-        elif name in commands.MODAL:
-            self._modal(number, text, name)
+            self._uncoded(line)
+        elif coded.name in commands.MOTION_WORDS:
+            self._motion(line, coded)
+        elif coded.name in commands.MISREAD:
+            raise line.error(f"{coded.name}: {commands.MISREAD[coded.name]}")
+        elif coded.name in commands.LIMIT_WORDS:
+            words = numbers(line, coded.arguments, commands.LIMIT_WORDS[coded.name])
+            self._limit(line, coded.name, words)
+        elif coded.name in commands.MODAL:
+            self._place.set_mode(coded.name)
+            if coded.name != "G20":  # the output is in mm, and Klipper has no inches
+                self._passthrough(line, Handling.CARRY)
         else:
-            self._other(number, text, name, arguments)
+            self._other(line, coded)
 
-    def _uncoded(self, number: int, text: bytes) -> None:
+    def _motion(self, line: Line, coded: Command) -> None:
+        """G0, G1, G2, G3 and G92, written in any way."""
+        words = numbers(line, coded.arguments, commands.MOTION_WORDS[coded.name])
+        if "F" in words:
+            self._set_feed(line, words.pop("F"))
+        if coded.name == "G92":
+            if not self._place.redefine(words):
+                raise line.error("G92 names known and unknown positions at once")
+            # that of E alone is harmless in the stream, whose E is relative
+            only_e = words.keys() == {"E"}
+            self._passthrough(line, Handling.CARRY if only_e else Handling.YIELD)
+        elif coded.name in ("G2", "G3"):
+            self._arc(line, words, ccw=coded.name == "G3")
+        elif words:
+            self._move(line, *(words.get(axis) for axis in AXES))
+
+    def _limit(self, line: Line, name: str, words: Words) -> None:
+        """M201, M203, M204, M205, M220 or SET_VELOCITY_LIMIT."""
+        for letter, value in words.items():
+            if value < 0.0 or (value == 0.0 and not commands.may_be_zero(name, letter)):
+                raise line.error(f"{letter} must be positive")
+        if name == "M220":
+            self._factor = words.get("S", 100.0 * self._factor) / 100.0
+        elif self._file_limits:
+            if name in ("M201", "M203") or "VELOCITY" in words:
+                self.items.flush()  # axis limits hold for all moves of an item
+            self._limits.take(name, words)
+
+    def _uncoded(self, line: Line) -> None:
         """A comment, a Klipper macro or anything that is not G, M or T."""
-        if text.startswith(commands.STAMP):
-            raise GcodeError("this file has been through hframe-post already", number, text)
-        if b"\0" in text:
-            raise GcodeError("this is not a text file", number)
-        words = uncommented(text).split()
+        if line.text.startswith(commands.STAMP):
+            raise line.error("this file has been through hframe-post already")
+        if b"\0" in line.text:
+            raise GcodeError("this is not a text file", line.number)
+        words = uncommented(line.text).split()
         if not words or words == [b"%"]:
-            self._passthrough(number, text, Handling.CARRY)
+            self._passthrough(line, Handling.CARRY)
             return
         name = words[0].upper()
         if name == b"SET_VELOCITY_LIMIT":
-            self._limit("SET_VELOCITY_LIMIT", parameters(number, text), number, text)
+            self._limit(line, "SET_VELOCITY_LIMIT", parameters(line))
             return
         handling = commands.macro_handling(name)
-        self._passthrough(number, text, handling)
+        self._passthrough(line, handling)
         if handling is Handling.YIELD:
-            self.known = [False, False, False]
+            self._place.forget()
 
-    def _other(self, number: int, text: bytes, name: str, arguments: bytes) -> None:
+    def _other(self, line: Line, coded: Command) -> None:
         """A coded command that is neither motion, mode nor limit."""
-        handling = commands.command_handling(name, arguments)
+        handling = commands.command_handling(*coded)
         seconds = 0.0
-        if name == "G4":
-            words = numbers(number, text, arguments, "PS")
-            seconds = commands.dwell(words, self.firmware)
-        self._passthrough(number, text, handling, seconds)
-        if handling is Handling.YIELD:
-            homed = [axis for axis, letter in enumerate(b"XYZ") if letter in arguments.upper()]
-            for axis in homed if name == "G28" and homed else range(3):
-                self.known[axis] = False
-                if name == "G28":
-                    self.offset[axis] = 0.0
-
-    def _modal(self, number: int, text: bytes, name: str) -> None:
-        if name in ("G90", "G91"):
-            self.absolute = name == "G90"
-            if self.firmware == "marlin":
-                self.absolute_e = self.absolute
-        elif name in ("M82", "M83"):
-            self.absolute_e = name == "M82"
-        elif name in ("G20", "G21"):
-            self.scale = INCH if name == "G20" else 1.0
-        else:
-            self.xy_plane = name == "G17"
-        if name != "G20":  # the output is in mm, and Klipper has no inches
-            self._passthrough(number, text, Handling.CARRY)
-
-    def _redefine(self, number: int, text: bytes, words: dict[str, float]) -> None:
-        """G92: the position stays, the file's name for it changes."""
-        values = words or dict.fromkeys("XYZE", 0.0)
-        axes = {"XYZE".index(letter): value * self.scale for letter, value in values.items()}
-        unknown = [axis for axis in axes if axis < 3 and not self.known[axis]]
-        if unknown and any(axis < 3 and self.known[axis] for axis in axes):
-            raise GcodeError("G92 names known and unknown positions at once", number, text)
-        position = list(self.position)
-        for axis, value in axes.items():
-            if axis in unknown:
-                position[axis], self.offset[axis], self.known[axis] = value, 0.0, True
-            else:
-                self.offset[axis] = position[axis] - value
-        # that of E alone is harmless in the stream, whose E is relative
-        only_e = all(axis == 3 for axis in axes)
-        self._passthrough(number, text, Handling.CARRY if only_e else Handling.YIELD)
-        x, y, z, e = position
-        self.position = (x, y, z, e)
-
-    def _limit(self, name: str, words: dict[str, float], number: int, text: bytes) -> None:
-        """M201, M203, M204, M205 and M220; Klipper's SET_VELOCITY_LIMIT has no words."""
-        for letter, value in words.items():
-            if value < 0.0 or (value == 0.0 and not commands.may_be_zero(name, letter)):
-                raise GcodeError(f"{letter} must be positive", number, text)
-        if name == "M220":
-            self.factor = words.get("S", 100.0 * self.factor) / 100.0
-        elif self.file_limits:
-            if self.asked.changes_axes(name, words):
-                self._flush()
-            self.asked.command(name, words)
-
-    # ------------------------------------------------------------------ items
+        if coded.name == "G4":
+            seconds = self._dialect.dwell(numbers(line, coded.arguments, "PS"))
+        self._passthrough(line, handling, seconds)
+        if coded.name == "G28":
+            named = [axis for axis in range(3) if AXES[axis].encode() in coded.arguments.upper()]
+            self._place.forget(named or range(3), homed=True)
+        elif handling is Handling.YIELD:
+            self._place.forget()
 
     def _passthrough(
-        self,
-        number: int,
-        text: bytes,
-        handling: Handling,
-        seconds: float = 0.0,
-        filament: float = 0.0,
+        self, line: Line, handling: Handling, seconds: float = 0.0, filament: float = 0.0
     ) -> None:
-        """A carried line among gathered moves is a mark; all others end the block of moves."""
-        if handling is Handling.CARRY and self.rows:
-            self.marks.append(Mark(len(self.rows), text))
-            return
-        self._flush()
-        user = ModalState(
-            self.absolute, self.absolute_e, self.position[3] - self.offset[3], self.feed,
-            (self.offset[0], self.offset[1], self.offset[2]),
-        )  # fmt: skip
-        self.out.append(Passthrough(number, text, handling, user, seconds, filament))
-
-    def _flush(self) -> None:
-        """The gathered moves become one item."""
-        if not self.rows:
-            return
-        table = np.array(self.rows)
-        points = np.vstack([self.start, table[:, 1:5]])
-        speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
-        line = table[:, 0].astype(np.int64)
-        self.out.append(
-            Moves(
-                line,
-                frozen(points),
-                speed,
-                acceleration,
-                corner,
-                self.asked.limits,
-                tuple(self.marks),
-            )
-        )
-        self.rows, self.marks = [], []
+        """A line that passes as it stands, with what the file believes of the firmware."""
+        state = self._place.state(self._feed)
+        item = Passthrough(line.number, line.text, handling, state, seconds, filament)
+        self.items.pass_through(item)
 
     def finish(self, number: int) -> None:
         """The end of the file: what is gathered, and the modes to leave behind."""
         if not number:
             raise GcodeError("the file is empty")
-        if not self.moved:
+        if not self._moved:
             raise GcodeError("there is not a single move in this file", number)
-        self._passthrough(number, b"", Handling.YIELD)
+        self._passthrough(Line(number, b""), Handling.YIELD)

@@ -17,6 +17,7 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.compensate import Compensator, compensate
 from hframe_post.compensation.settle import settle
 from hframe_post.conversion.pipeline import JUDGED_EVERY, rests
+from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.reader import read
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
@@ -98,7 +99,7 @@ def tune(
             trial.refused = str(error)
     offered = [rests(printer, compensator) for _, compensator in compensators] or [Rests(1, 1)]
     longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
-    items = read(lines, printer.firmware.dialect, file_limits)
+    items = read(lines, dialect(printer.firmware.dialect), file_limits)
     samples = sample(plan(items, printer.limits), printer.limits, longest)
     running = [
         _tried(trial, compensator, branch, printer, drawn)

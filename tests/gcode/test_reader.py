@@ -13,9 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.errors import GcodeError
+from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import arcs, reader
-from hframe_post.gcode.lexer import PLAIN_MOVE, numbers
+from hframe_post.gcode.commands import KLIPPER, dialect
+from hframe_post.gcode.lexer import PLAIN_MOVE, Line, numbers
 from hframe_post.gcode.reader import read
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Standing
 from tests.conftest import SAMPLES
@@ -25,7 +26,7 @@ HOME = ["G90", "M83", "G1 X0 Y0 Z0 F6000"]  # verbatim; all is known after it
 
 
 def items(*lines: str, firmware: str = "klipper", file_limits: bool = True) -> list[Item]:
-    return list(read([line.encode() + b"\n" for line in lines], firmware, file_limits))
+    return list(read([line.encode() + b"\n" for line in lines], dialect(firmware), file_limits))
 
 
 def moves(*lines: str, firmware: str = "klipper", file_limits: bool = True) -> list[Moves]:
@@ -167,7 +168,7 @@ def test_lines_that_are_not_motion_pass_byte_for_byte_and_in_order() -> None:
         "M104 S200 ; warm", "SET_PRESSURE_ADVANCE ADVANCE=0.04", "", "G1 X7", "M84 X Y E", "%",
     ]  # fmt: skip
     raw = [line.encode("latin-1") for line in lines]
-    found = list(read([b"G92 X0 Y0 Z0", *raw], "klipper"))
+    found = list(read([b"G92 X0 Y0 Z0", *raw], KLIPPER))
     assert carried(found) == [b"G92 X0 Y0 Z0"] + [r for r in raw if not r.startswith(b"G1")]
 
 
@@ -185,7 +186,7 @@ def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_the_same_square_in_many_spellings(name: str) -> None:
     lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
-    (block,) = (item for item in read(lines, "klipper") if isinstance(item, Moves))
+    (block,) = (item for item in read(lines, KLIPPER) if isinstance(item, Moves))
     assert block.points.tolist() == [
         [10, 10, 0.2, 0], [30, 10, 0.2, 1.5], [30, 30, 0.2, 3], [10, 30, 0.2, 4.5],
         [10, 10, 0.2, 6],
@@ -199,14 +200,14 @@ def test_exponents_are_read_as_firmware_reads_them() -> None:
 
 def test_comments_of_both_forms() -> None:
     lines = (QUIRKS / "paren_comments.gcode").read_bytes().splitlines(keepends=True)
-    (block,) = (item for item in read(lines, "klipper") if isinstance(item, Moves))
+    (block,) = (item for item in read(lines, KLIPPER) if isinstance(item, Moves))
     assert block.points[:, 0].tolist() == [10, 20]
 
 
 def test_klipper_macros_pass() -> None:
     lines = (QUIRKS / "klipper.gcode").read_bytes().splitlines()
     kept = [line for line in lines if not line.startswith((b"SET_VELOCITY_LIMIT", b"G1 X20"))]
-    assert carried(list(read(lines, "klipper"))) == kept
+    assert carried(list(read(lines, KLIPPER))) == kept
 
 
 # ---------------------------------------------------------------------- what is refused
@@ -226,6 +227,11 @@ def test_what_would_be_misread_is_an_error_with_its_line(line: str) -> None:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
     assert str(caught.value).startswith(f"line {len(HOME) + 1}: ")
+
+
+def test_an_unknown_firmware_is_an_error() -> None:
+    with pytest.raises(HframeError, match="known are klipper, marlin"):
+        dialect("grbl")
 
 
 def test_arcs_in_other_planes_are_refused() -> None:
@@ -248,14 +254,14 @@ def test_files_that_are_no_prints_are_refused(lines: list[str], cause: str) -> N
 @pytest.mark.parametrize(("name", "line"), [("arcs", 11), ("modes", 12)])
 def test_quirks_that_cannot_be_followed_say_where(name: str, line: int) -> None:
     with pytest.raises(GcodeError) as caught:
-        list(read((QUIRKS / f"{name}.gcode").read_bytes().splitlines(), "klipper"))
+        list(read((QUIRKS / f"{name}.gcode").read_bytes().splitlines(), KLIPPER))
     assert caught.value.line == line
 
 
 @given(st.lists(st.binary(max_size=40), max_size=8))
 def test_no_bytes_raise_anything_else(lines: list[bytes]) -> None:
     with contextlib.suppress(GcodeError):
-        assert list(read([b"G1 X1 Y1 Z1", *lines], "klipper"))
+        assert list(read([b"G1 X1 Y1 Z1", *lines], KLIPPER))
 
 
 # ---------------------------------------------------------------------- arcs
@@ -306,7 +312,7 @@ def test_pygcode_reads_the_same_numbers(name: str) -> None:
         text = line.partition(b";")[0]
         words = {w.letter: w.value for w in text2words(text.decode())}
         del words["G"]
-        ours = numbers(1, line, text.partition(b" ")[2], "XYZEF")
+        ours = numbers(Line(1, line), text.partition(b" ")[2], "XYZEF")
         assert ours == words
         if (match := PLAIN_MOVE.match(line)) is not None:
             groups = zip("FXYZEF", match.groups()[1:], strict=True)
