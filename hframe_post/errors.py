@@ -3,8 +3,20 @@
 from pathlib import Path
 
 
+def one_line(text: str) -> str:
+    """The text with what cannot be printed, line ends too, written as escapes.
+
+    What a file is called or holds must not add a line to the output, nor steer a terminal.
+    """
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if text.isprintable() else "".join(shown)
+
+
 class HframeError(Exception):
     """Anything that stops a conversion; ``str`` of it is one line for the user."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
 
 
 class GcodeError(HframeError):

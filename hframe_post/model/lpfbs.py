@@ -110,7 +110,7 @@ class Lpfbs:
         self._step_target, self._recursion = step_target, Recursion(step_past)
         self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
-        if self.radius >= 1.0:
+        if not self.radius < 1.0:
             raise ValueError(
                 f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
                 f"n_C = {window.n_C}, n_up = {window.n_up}, effort = {window.effort:g}; "
@@ -166,7 +166,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     weight = np.sqrt(w.effort)
     normal = np.vstack([N_C_filtered, weight * D_C])
     U, sigma, Vt = np.linalg.svd(normal, full_matrices=False)
-    if sigma[-1] <= RANK_TOLERANCE * sigma[0]:
+    if not sigma[-1] > RANK_TOLERANCE * sigma[0]:
         raise ValueError(
             f"the window is rank deficient: L = {w.L}, n_C = {w.n_C} leave control points "
             "without influence on the window; take smaller n_C or larger effort"

@@ -72,7 +72,8 @@ class TransferFunction:
         """Complex frequency response at ``omega`` (rad/sample), same shape."""
         z = np.exp(1j * omega)[..., None]
         numerator, denominator = (np.prod(z - roots, axis=-1) for roots in (self.zeros, self.poles))
-        return np.asarray(self.gain * numerator / denominator)
+        with np.errstate(all="ignore"):  # at a pole it is infinite
+            return np.asarray(self.gain * numerator / denominator)
 
     @cached_property
     def state_space(self) -> tuple[Array, Array, Array, float]:

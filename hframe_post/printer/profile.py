@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hframe_post.arrays import TS
-from hframe_post.errors import PrinterError
+from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
@@ -22,6 +22,7 @@ from hframe_post.printer.schema import (
     roots,
 )
 from hframe_post.printer.settings import (
+    PLACES,
     Compensation,
     Limits,
     Motors,
@@ -30,6 +31,8 @@ from hframe_post.printer.settings import (
     Sweep,
     Travel,
 )
+
+LARGEST_FILE = 1 << 20  # bytes of a profile
 
 
 def shipped() -> dict[str, str]:
@@ -44,7 +47,7 @@ def load(name_or_path: str) -> Printer:
     profiles = shipped()
     if name_or_path in profiles:
         return parse(profiles[name_or_path], name_or_path)
-    return parse(text_of(name_or_path), Path(name_or_path).stem, name_or_path)
+    return parse(text_of(name_or_path), one_line(Path(name_or_path).stem), name_or_path)
 
 
 def text_of(path: str) -> str:
@@ -53,7 +56,11 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        return Path(path).read_bytes().decode("utf-8")
+        with Path(path).open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise PrinterError(f"more than {LARGEST_FILE} bytes are no profile", source=path)
+        return content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
@@ -64,6 +71,8 @@ def parse(text: str, name: str, source: str = "") -> Printer:
         document = _extended(_loaded(text))
         digest = hashlib.sha256(repr(document).encode()).hexdigest()[:12]
         return _printer(document, name, digest)
+    except RecursionError:
+        raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
         raise PrinterError(error.cause, error.key, source or name) from None
 
@@ -71,8 +80,6 @@ def parse(text: str, name: str, source: str = "") -> Printer:
 def _loaded(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
-    except RecursionError:
-        raise PrinterError("not valid TOML: nested too deeply") from None
     except ValueError as error:  # also a number of thousands of digits
         raise PrinterError(f"not valid TOML: {error}") from None
 
@@ -109,15 +116,6 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     description = document.get("description", "")
     if not isinstance(description, str):
         raise PrinterError("must be text", "description")
-    compensation = checked(Compensation, document["compensation"], "compensation")
-    try:
-        _ = compensation.windows
-    except ValueError as error:
-        raise PrinterError(str(error), "compensation") from None
-    try:
-        sweep = checked(Sweep, document.get("sweep", {}), "sweep")
-    except ValueError as error:
-        raise PrinterError(str(error), "sweep") from None
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
     plant = _plant(document["plant"])
     if plant.Gxtheta is not None and not kinematics.racks:
@@ -131,10 +129,10 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         kinematics,
         checked(Motors, document["motors"], "motors"),
         checked(Steps, document["steps"], "steps") if "steps" in document else None,
-        compensation,
+        checked(Compensation, document["compensation"], "compensation"),
         load_firmware(document["firmware"]),
         plant,
-        sweep,
+        checked(Sweep, document.get("sweep", {}), "sweep"),
         digest,
     )
     check_needs(printer.firmware, printer.steps is not None)
@@ -167,15 +165,14 @@ def _plant(table: dict[str, Any]) -> Plant:
         if key in table
     }
     for key in ("Gxx", "Gyy"):
-        if abs(functions[key].dc_gain - 1.0) > 1e-4:
-            gain = functions[key].dc_gain
+        if not abs((gain := functions[key].dc_gain) - 1.0) <= 1e-4:
             raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
     racking = functions.get("Gxtheta")
-    if racking is not None and abs(racking.dc_gain) > 1e-9:
+    if racking is not None and not abs(racking.dc_gain) <= 1e-9:
         raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
     if racking is not None and racking.gain == 0.0:
         racking = None
-    x_c = checked_value(float, table.get("x_c", 0.0), {}, "plant.x_c")
+    x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
 
 

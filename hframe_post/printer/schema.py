@@ -17,6 +17,8 @@ T = TypeVar("T")
 Rules: TypeAlias = Mapping[str, Any]  # of a field: its bounds, ``choices``, ``ascending``
 
 LARGEST = 1e15  # a number beyond is a mistake
+MOST_ROOTS = 50  # of a transfer function; the products of so many within ROOTS are finite
+ROOTS = {"least": -1e5, "most": 1e5}
 KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
     "above": (gt, "above"),
@@ -36,14 +38,21 @@ def not_negative(default: Any = MISSING, **bounds: float) -> Any:
     return field(default=default, metadata={"least": 0.0, **bounds})
 
 
+def within(least: float, most: float, default: Any = MISSING) -> Any:
+    """A field between two bounds, both possible."""
+    return field(default=default, metadata={"least": least, "most": most})
+
+
 def roots(pairs: Any, key: str) -> Complex:
-    """Complex roots from pairs [real, imaginary]."""
+    """Complex roots from pairs [real, imaginary], within ``ROOTS``."""
     if not isinstance(pairs, list):
         raise PrinterError("must be a list of pairs [real, imaginary]", key)
+    if len(pairs) > MOST_ROOTS:
+        raise PrinterError(f"must be at most {MOST_ROOTS} roots, they are {len(pairs)}", key)
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2:
             raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
-    numbers = [[checked_value(float, number, {}, key) for number in pair] for pair in pairs]
+    numbers = [[checked_value(float, number, ROOTS, key) for number in pair] for pair in pairs]
     return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
 
 
@@ -60,7 +69,10 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
             values[member.name] = checked_value(hint, table[member.name], member.metadata, key)
         elif member.default is MISSING:
             raise PrinterError("the key is missing", key)
-    return kind(**values)
+    try:
+        return kind(**values)
+    except ValueError as error:  # values that do not go together
+        raise PrinterError(str(error), path) from None
 
 
 def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
@@ -71,6 +83,8 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
         value = _number(hint, value, rules, key)
     elif hint in (str, bool) and not isinstance(value, hint):
         raise PrinterError(f"must be {KINDS[hint]}, not {value!r}", key)
+    elif hint is str and not value.isprintable():
+        raise PrinterError("must be one line of printable text", key)
     choices = rules.get("choices")
     if choices and value not in choices:
         raise PrinterError(f"must be one of {', '.join(map(_shown, choices))}", key)

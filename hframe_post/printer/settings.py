@@ -9,12 +9,12 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer.firmware_tables import Firmware
-from hframe_post.printer.schema import (
-    not_negative,
-    positive,
-)
+from hframe_post.printer.schema import not_negative, positive, within
 
 STRATEGIES = ("racking", "fbs", "none")
+PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
+LONGEST_RAMP = 60.0  # s
+LONGEST_PREVIEW = 2000  # samples; a window is solved with a matrix of its square
 HIGHEST_HZ = 200.0  # of a sweep: five samples a period, which are played as straight lines
 SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper keeps no more than 1000 s of acceleration
 QUIET = 0.1  # s at least: what tells the parts of a sweep from one another
@@ -22,34 +22,51 @@ QUIET = 0.1  # s at least: what tells the parts of a sweep from one another
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """Where the nozzle may be commanded: (least, greatest) of x and y, mm."""
+    """Where the nozzle may be commanded: (least, greatest) of x, y and, if it says so, z; mm."""
 
-    x: tuple[float, float] = field(metadata={"ascending": True})
-    y: tuple[float, float] = field(metadata={"ascending": True})
+    x: tuple[float, float] = field(metadata=PLACES)
+    y: tuple[float, float] = field(metadata=PLACES)
+    z: tuple[float, float] = field(default=(-math.inf, math.inf), metadata=PLACES)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the planner may ask of the path; mm, s. See the shipped profile for each."""
+    """What the planner may ask of the path; mm, s. See the shipped profile for each.
 
-    velocity: float = positive()
-    acceleration: float = positive()
-    jerk: float = positive()
-    square_corner_velocity: float = not_negative()
-    z_velocity: float = positive()
-    z_acceleration: float = positive()
-    extruder_velocity: float = positive()
-    extruder_acceleration: float = positive()
-    extruder_corner_velocity: float = positive(1.0)
-    junction_deviation: float = positive(math.inf)
+    Raises ValueError where full speed would take more than LONGEST_RAMP.
+    """
+
+    velocity: float = within(1.0, 1e4)
+    acceleration: float = within(1.0, 1e6)
+    jerk: float = within(1.0, 1e12)
+    square_corner_velocity: float = not_negative(most=1e4)
+    z_velocity: float = within(0.01, 1e4)
+    z_acceleration: float = within(0.1, 1e6)
+    extruder_velocity: float = within(0.01, 1e4)
+    extruder_acceleration: float = within(0.1, 1e6)
+    extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
+    junction_deviation: float = within(1e-6, 1e3, default=math.inf)
+
+    def __post_init__(self) -> None:
+        ramps = {
+            "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
+            "z_acceleration": self.z_velocity / self.z_acceleration,
+            "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
+        }
+        for name, seconds in ramps.items():
+            if not seconds <= LONGEST_RAMP:
+                raise ValueError(
+                    f"with this {name} full speed takes {seconds:g} s; "
+                    f"at most {LONGEST_RAMP:g} s are possible"
+                )
 
 
 @dataclass(frozen=True, slots=True)
 class Motors:
     """What no command may exceed: speed and acceleration of the belts A and B."""
 
-    belt_velocity: float = positive()
-    belt_acceleration: float = positive()
+    belt_velocity: float = within(1.0, 1e5)
+    belt_acceleration: float = within(1.0, 1e8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,24 +76,35 @@ class Steps:
     direction_setup (s): from a change of direction to the first step after it.
     """
 
-    belt: float = positive()
-    z: float = positive()
-    e: float = positive()
-    clock_hz: float = positive(below=1e10)
-    direction_setup: float = not_negative(0.0)
+    belt: float = within(1e-6, 10.0)
+    z: float = within(1e-6, 10.0)
+    e: float = within(1e-6, 10.0)
+    clock_hz: float = within(1e3, 9.9e9)
+    direction_setup: float = not_negative(0.0, most=1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Strategy and window of the limited-preview filtered B-splines."""
+    """Strategy and window of the limited-preview filtered B-splines.
 
-    L: int = positive()
-    n_C: int = positive()
-    n_up: int = positive()
+    Raises ValueError where the window is impossible or sees more than LONGEST_PREVIEW samples.
+    """
+
+    L: int = positive(most=500)
+    n_C: int = positive(most=1000)
+    n_up: int = positive(most=1000)
     effort: tuple[float, float] = not_negative()
     strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
-    degree: int = positive(5)
-    settle_tolerance: float = positive(0.05)
+    degree: int = within(2, 9, default=5)
+    settle_tolerance: float = within(1e-6, 10.0, default=0.05)
+
+    def __post_init__(self) -> None:
+        for window in self.windows:
+            if window.L_C > LONGEST_PREVIEW:
+                raise ValueError(
+                    f"L = {self.L} and n_C = {self.n_C} are a window of {window.L_C} samples; "
+                    f"at most {LONGEST_PREVIEW} are possible"
+                )
 
     @property
     def windows(self) -> tuple[Window, Window]:

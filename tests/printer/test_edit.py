@@ -27,7 +27,8 @@ def pair() -> tuple[Window, Window]:
 
 @st.composite
 def windows(draw: st.DrawFn) -> tuple[Window, Window]:
-    L, n_C = draw(st.integers(2, 200)), draw(st.integers(1, 500))
+    L = draw(st.integers(2, 500))
+    n_C = draw(st.integers(1, 2000 // L))
     n_up = draw(st.integers(1, n_C))
     x, y = (Window(L, n_C, n_up, draw(st.floats(0.0, 1e12))) for _ in range(2))
     return x, y

@@ -170,8 +170,8 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[limits]\nvelocity = nan", "limits.velocity", "must be a number"),
         ("[limits]\nvelocity = inf", "limits.velocity", "must be a number"),
         ("[limits]\nvelocity = 1979-05-27", "limits.velocity", "must be a number"),
-        ("[limits]\nvelocity = 0", "limits.velocity", "above 0"),
-        ("[limits]\nvelocity = -5.0", "limits.velocity", "above 0"),
+        ("[limits]\nvelocity = 0", "limits.velocity", "at least 1"),
+        ("[limits]\nvelocity = -5.0", "limits.velocity", "at least 1"),
         ("[limits]\nsquare_corner_velocity = -1", "limits.square_corner_velocity", "at least 0"),
         ("[limits]\nvelocity = 1" + 400 * "0", "limits.velocity", "must be a number"),
         ("[travel]\nx = [0.0]", "travel.x", "list of two"),
@@ -202,8 +202,25 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("kinematics = 'hbot'", "kinematics", "table is missing"),
         ("[kinematics]\ntype = 'corexy'", "plant.Gxtheta", "does not rack"),
         ("[kinematics]\ntype = 'cartesian'", "plant.Gxtheta", "does not rack"),
-        ("[steps]\nbelt = 0", "steps.belt", "above 0"),
-        ("[steps]\nclock_hz = 1e11", "steps.clock_hz", "below 1e+10"),
+        ("[limits]\nvelocity = 1e14", "limits.velocity", "at most 10000"),
+        ("[limits]\nacceleration = 1e-9", "limits.acceleration", "at least 1"),
+        ("[limits]\nacceleration = 2", "limits", "with this acceleration full speed takes 150 s"),
+        ("[limits]\njerk = 2", "limits", "full speed takes 5000.03 s"),
+        ("[limits]\nz_acceleration = 0.1", "limits", "with this z_acceleration"),
+        ("[limits]\nextruder_velocity = 1e-9", "limits.extruder_velocity", "at least 0.01"),
+        ("[limits]\njunction_deviation = inf", "limits.junction_deviation", "must be a number"),
+        ("[motors]\nbelt_velocity = 1e-9", "motors.belt_velocity", "at least 1"),
+        ("[travel]\nx = [0, 1e14]", "travel.x", "at most 10000"),
+        ("[travel]\nz = [10, 0]", "travel.z", "not below"),
+        ("[compensation]\nL = 300\nn_C = 7\nn_up = 3", "compensation", "window of 2100 samples"),
+        ("[compensation]\nL = 1000", "compensation.L", "at most 500"),
+        ("[compensation]\nn_C = 20000", "compensation.n_C", "at most 1000"),
+        ("[compensation]\ndegree = 40", "compensation.degree", "at most 9"),
+        ("[plant]\nx_c = 1e14", "plant.x_c", "at most 10000"),
+        ("[firmware]\nbegin_macro = \"A\\nG1 X9999\"", "firmware.klipper.begin_macro",
+         "one line of printable text"),
+        ("[steps]\nbelt = 0", "steps.belt", "at least 1e-06"),
+        ("[steps]\nclock_hz = 1e11", "steps.clock_hz", "at most 9.9e+09"),
         ("[steps]\ndirection_setup = -1e-6", "steps.direction_setup", "at least 0"),
         ("steps = 3", "steps", "table is missing"),
         ("description = 3", "description", "must be text"),
@@ -250,6 +267,10 @@ def function(gain: str, zeros: str, poles: str) -> PrinterError:
         ("'much'", "[]", "[[0.5, 0.0]]", "number"),
         ("[0.5]", "[]", "[[0.5, 0.0]]", "number"),
         ("1" + 400 * "0", "[]", "[[0.5, 0.0]]", "number"),
+        ("0.5", "[[1e9, 0.0]]", "[[0.5, 0.0]]", "at most 100000"),
+        ("0.5", "[]", "[" + 51 * "[0.5, 0.0]," + "]", "at most 50 roots"),
+        ("1e14", "[]", str([[0.9999999999999999, 0.0]] * 50), "gain at rest must be 1"),
+        ("0.5", "[]", "[[0.5, 1e-7]]", "conjugate pairs"),
     ],
 )
 def test_bad_transfer_function_is_an_error(gain: str, zeros: str, poles: str, cause: str) -> None:
@@ -312,6 +333,41 @@ def test_what_is_not_toml_is_an_error(text: str) -> None:
     assert "not valid TOML" in error(text).cause
 
 
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        ("a = " + 20_000 * "[" + 20_000 * "]", "nested too deeply"),
+        ("a = " + 2_000 * "{a=" + "1" + 2_000 * "}", "nested too deeply"),
+        ("[" + ".".join(3_000 * "a") + "]", "nested too deeply"),
+        ("[limits]\njerk = 1" + 5_000 * "0", "not valid TOML: Exceeds the limit"),
+        ("description = '" + 2_000_000 * "x" + "'", "bytes are no profile"),
+    ],
+    ids=["arrays", "tables", "keys", "digits", "length"],
+)
+def test_hostile_toml_is_an_error(tmp_path: Path, text: str, cause: str) -> None:
+    path = tmp_path / "hostile.toml"
+    path.write_text(extending(text))
+    assert cause in failing(path).cause
+
+
+@pytest.mark.parametrize("stem", ["two\nlines", "bell\a", "\udce9", "esc\x1b[2J", "sep\u2028"])
+def test_name_is_one_printable_line(tmp_path: Path, stem: str) -> None:
+    path = tmp_path / f"{stem}.toml"
+    path.write_text(PAPER, encoding="utf-8")
+    name = load(str(path)).name
+    assert name.isprintable()
+    name.encode()
+    path.write_text("[\n")
+    assert str(failing(path)).isprintable()
+    path.write_text('"odd\\nkey" = 1')
+    assert str(failing(path)).isprintable()
+
+
+def test_travel_of_z_is_optional() -> None:
+    assert load("paper").travel.z == (float("-inf"), float("inf"))
+    assert parse(extending("[travel]\nz = [0.0, 250]"), "mine").travel.z == (0.0, 250.0)
+
+
 def failing(path: Path) -> PrinterError:
     with pytest.raises(PrinterError) as caught:
         load(str(path))
@@ -334,7 +390,7 @@ def test_missing_file_names_the_shipped_profiles(tmp_path: Path) -> None:
 def test_fault_in_a_file_is_told_with_file_and_key(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('extends = "paper"\n[limits]\njerk = 0\n', encoding="utf-8")
-    assert str(failing(path)) == f"{path}: limits.jerk: must be above 0, it is 0"
+    assert str(failing(path)) == f"{path}: limits.jerk: must be at least 1, it is 0"
 
 
 def test_clock_of_profiles_is_that_of_the_stream() -> None:
