@@ -14,7 +14,6 @@ from hframe_post.errors import HframeError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = {"none": "#888888", "fbs": "#c05020", "racking": "#2060a0"}
 DPI = 110
 TINY = 1e-12  # magnitude that is as good as none
 STYLE = {

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from hframe_post.compensation.compensate import Compensator
-from hframe_post.conversion.pipeline import Options, commanded, prepared
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join
@@ -62,8 +61,7 @@ def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Sample
 
     def whole(strategy: str) -> Samples:
         lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-        options, report = Options(strategy), Report(strategy)
-        blocks = commanded(iter(lines), paper, compensator, options, report)
-        return join([block for block in blocks if len(block)])
+        commands = Commands(iter(lines), paper, Options(strategy), compensator=compensator)
+        return join([chunk for chunk in commands.computed() if len(chunk)])
 
     return whole

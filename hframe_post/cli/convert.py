@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.options import (
-    STRATEGIES,
     LazyChoice,
     firmwares,
+    formats,
     json_option,
     limits_option,
     on_limit_option,
     printer_option,
     progress,
+    strategies,
     write_json,
 )
-from hframe_post.conversion.files import FORMATS, chosen_format, run, write
-
-if TYPE_CHECKING:
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.conversion.report import Report
-    from hframe_post.printer.settings import Printer
 
 TOLERANCE = 0.002  # mm
 
@@ -35,13 +29,13 @@ TOLERANCE = 0.002  # mm
     help="Output file; '-' for standard output. Without it the input is replaced.",
 )  # fmt: skip
 @click.option(
-    "--format", "asked_format", type=click.Choice(FORMATS),
+    "--format", "asked_format", type=LazyChoice(formats),
     help="G-code, steps of the motors (a row each, or a row a tick), or samples every "
     "millisecond. Default: steps for .csv, samples for .npz and .parquet, else gcode.",
 )  # fmt: skip
 @printer_option
 @click.option(
-    "-c", "--compensation", type=click.Choice(STRATEGIES),
+    "-c", "--compensation", type=LazyChoice(strategies),
     help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
 )  # fmt: skip
 @click.option(
@@ -76,12 +70,19 @@ def convert(
     so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
+    from hframe_post.conversion.files import chosen_format
+    from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.pipeline import Options
+    from hframe_post.errors import HframeError
     from hframe_post.firmware.registry import firmware as chosen
+    from hframe_post.model.strategies import STRATEGIES
     from hframe_post.printer.profile import load, played_by
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
-    kind = chosen_format(None if to_stdout else output, asked_format)
+    try:
+        kind = chosen_format(None if to_stdout else output, asked_format)
+    except HframeError as error:
+        raise click.UsageError(str(error)) from None
     if to_stdout and str(json_file) == "-":
         raise click.UsageError("output and JSON cannot both go to standard output")
     if kind != "gcode":
@@ -94,7 +95,7 @@ def convert(
     if not chosen(profile).decimates and (tolerance is not None or every_sample):
         raise click.UsageError("--tolerance and --every-sample are for Klipper")
     strategy = compensation or profile.compensation.strategy
-    wanted = {"chosen": ("none", strategy), "all": STRATEGIES, "off": ()}[predict]
+    wanted = {"chosen": ("none", strategy), "all": tuple(STRATEGIES), "off": ()}[predict]
     options = Options(
         strategy,
         tuple(dict.fromkeys(wanted)),
@@ -103,23 +104,8 @@ def convert(
         tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
     )
     target = None if to_stdout else output or source
-    report = _converted(kind, source, target, profile, options, dry_run, quiet)
+    with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
+        report = converted(lines, target, profile, options, kind, dry_run)
     write_json(report.as_json(), json_file)
     if not quiet:
         click.echo(report.as_text(), err=True)
-
-
-def _converted(
-    kind: str, source: Path, target: Path | None, printer: Printer, options: Options, dry: bool,
-    quiet: bool,
-) -> Report:  # fmt: skip
-    """Runs the conversion from file to file."""
-    from hframe_post.conversion.report import Report
-
-    report = Report(options.strategy)
-    with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
-        if dry:
-            run(kind, lines, printer, options, report)
-        else:
-            write(kind, lines, target, printer, options, report)
-    return report

@@ -14,7 +14,6 @@ import click
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
-STRATEGIES = ("racking", "fbs", "none")
 BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
 BAR_EVERY = 500  # lines between its steps
 
@@ -41,6 +40,20 @@ def firmwares() -> Iterable[str]:
     from hframe_post.firmware.registry import FIRMWARES
 
     return FIRMWARES
+
+
+def strategies() -> Iterable[str]:
+    """From doing nothing to doing all."""
+    from hframe_post.model.strategies import STRATEGIES
+
+    return STRATEGIES
+
+
+def formats() -> Iterable[str]:
+    """Those that the output can have."""
+    from hframe_post.conversion.files import FORMATS
+
+    return FORMATS
 
 
 printer_option = click.option(

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.options import (
-    STRATEGIES,
     json_option,
     limits_option,
     on_limit_option,
@@ -57,10 +56,10 @@ def simulate(
     """
     from hframe_post.conversion.pipeline import Options
     from hframe_post.errors import PrinterError
+    from hframe_post.model.strategies import STRATEGIES
     from hframe_post.printer.profile import load
     from hframe_post.studies.simulation import Study
     from hframe_post.studies.simulation import simulate as simulation
-    from hframe_post.studies.simulation_report import SimulationReport
     from hframe_post.studies.uncertainty import draws as drawn
 
     profile = load(printer)
@@ -71,11 +70,11 @@ def simulate(
         simulated.plant,
         {share: drawn(simulated.plant, share, draws, seed) for share in dict.fromkeys(shares)},
         profile.steps if steps else None,
+        simulated.name,
     )
-    options = Options("racking", STRATEGIES, limits == "file", on_limit == "clamp")
-    report = SimulationReport(options.strategy, plant=simulated.name, quantised=steps)
+    options = Options("racking", tuple(STRATEGIES), limits == "file", on_limit == "clamp")
     with opened(source, path, profile, quiet) as lines:
-        simulation(lines, profile, options, study, report)
+        report = simulation(lines, profile, options, study)
     write_json(report.as_json(), json_file)
     if not quiet:
         click.echo(report.as_text(layers), err=str(json_file) == "-")

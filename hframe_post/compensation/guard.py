@@ -7,13 +7,13 @@ can follow; at the edge of the bed the command is cut off.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Z
 from hframe_post.errors import LimitError
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
@@ -24,64 +24,75 @@ LEEWAY = 1.0 + 1e-9  # limits met exactly are met
 SLACK = 1e-9  # mm, to the same end
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Peaks:
-    """What the commands asked of the machine; mm, s."""
+    """The most that the commands asked of the machine: mm/s, mm/s²; axis_acceleration: x, y."""
 
     belt_velocity: float = 0.0
     belt_acceleration: float = 0.0
-    axis_acceleration: Array = field(default_factory=lambda: np.zeros(2))
-    clamped: int = 0  # samples
-    clamped_line: int = 0  # source line of the first of them
+    axis_acceleration: tuple[float, float] = (0.0, 0.0)
 
 
-def guard(
-    blocks: Iterable[Samples],
-    written: str,
-    travel: Travel,
-    motors: Motors,
-    kinematics: Kinematics,
-    peaks: Peaks,
-) -> Iterator[Samples]:
-    """The stream as it is, once its ``written`` command is known to be safe.
+@dataclass(frozen=True, slots=True)
+class Clamped:
+    """Samples taken back, and the source line of the first of them."""
 
-    Fills ``peaks`` as it flows. Raises LimitError.
-    """
-    for stretch in stretches(blocks):
-        before = np.zeros((0, 2))  # the last two commands
-        for block in stretch:
-            if len(block):
-                command = np.concatenate([before, block.commands[written]])
-                _check_travel(block, block.commands[written], travel)
-                belts = kinematics.belts(*command.T)
-                _check_motors(block, belts, len(before), motors, peaks)
-                _note_axes(command, peaks)
-                before = command[-2:]
-            yield block
+    samples: int = 0
+    line: int = 0
 
 
-def clamp(
-    blocks: Iterable[Samples],
-    written: str,
-    travel: Travel,
-    motors: Motors,
-    kinematics: Kinematics,
-    peaks: Peaks,
-) -> Iterator[Samples]:
-    """The stream with its ``written`` command taken back where it asks too much."""
-    for stretch in stretches(blocks):
-        for block, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
-            path, command = wide.xyze[:, :Z], wide.commands[written]
-            share = _share(path, command, travel, motors, kinematics)
-            safe = path + share[:, None] * (command - path)
-            safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
-            changed = (safe != command).any(axis=1)[where]
-            safe = np.where(changed[:, None], safe[where], block.commands[written])
-            if changed.any():
-                peaks.clamped_line = peaks.clamped_line or int(block.line[np.argmax(changed)])
-                peaks.clamped += int(changed.sum())
-            commands = {**block.commands, written: frozen(safe)}
-            yield Samples(block.first, block.xyze, block.line, block.events, commands)
+class Guard:
+    """Lets commands pass once they are known to be safe. ``peaks``: of what has passed."""
+
+    def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
+        self._travel, self._motors, self._kinematics = travel, motors, kinematics
+        self.peaks = Peaks()
+
+    def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
+        """The stream as it is. Raises LimitError for a command of ``strategy`` that is not safe."""
+        for stretch in stretches(chunks):
+            differences = Differences(self._kinematics)
+            for chunk in stretch:
+                command = chunk.commands[strategy]
+                if len(chunk):
+                    _check_travel(chunk, command, self._travel)
+                    rates = differences.of(command)
+                    _check_motors(chunk, rates, self._motors)
+                    self._note(rates)
+                yield chunk
+
+    def _note(self, rates: Rates) -> None:
+        x, y = np.abs(rates.axis_acceleration).max(axis=1).tolist()
+        known = self.peaks
+        self.peaks = Peaks(
+            max(known.belt_velocity, float(np.abs(rates.belt_velocity).max())),
+            max(known.belt_acceleration, float(np.abs(rates.belt_acceleration).max())),
+            (max(known.axis_acceleration[0], x), max(known.axis_acceleration[1], y)),
+        )
+
+
+class Clamp:
+    """Takes commands back where they ask too much. ``clamped``: what was, so far."""
+
+    def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
+        self._travel, self._motors, self._kinematics = travel, motors, kinematics
+        self.clamped = Clamped()
+
+    def limit(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
+        """The stream with the command of ``strategy`` taken back where it asks too much."""
+        travel = self._travel
+        for stretch in stretches(chunks):
+            for chunk, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
+                path, command = wide.xyze[:, :Z], wide.commands[strategy]
+                share = _share(path, command, travel, self._motors, self._kinematics)
+                safe = path + share[:, None] * (command - path)
+                safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
+                changed = (safe != command).any(axis=1)[where]
+                safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
+                if changed.any():
+                    line = self.clamped.line or int(chunk.line[np.argmax(changed)])
+                    self.clamped = Clamped(self.clamped.samples + int(changed.sum()), line)
+                yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
 
 def _share(
@@ -116,44 +127,30 @@ def _allowed(path: Array, command: Array, low: float, high: float, margin: float
     return np.where(over, np.clip(margin * share, 0.0, 1.0), 1.0)
 
 
-def _check_travel(block: Samples, command: Array, travel: Travel) -> None:
+def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         position = command[:, axis]
         for k, bound in ((int(position.argmin()), low), (int(position.argmax()), high)):
             if position[k] < low - SLACK or position[k] > high + SLACK:
-                off = abs(position[k] - block.xyze[k, axis])
+                off = abs(position[k] - chunk.xyze[k, axis])
                 raise LimitError(
-                    f"{'xy'[axis]} (mm)", float(position[k]), bound, int(block.line[k]),
+                    f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
                     f"the compensation adds {off:.3g} mm here: move the part inwards, "
                     "widen [travel] in the profile if the bed allows it, or use --on-limit clamp",
                 )  # fmt: skip
 
 
-def _note_axes(command: Array, peaks: Peaks) -> None:
-    for axis, position in enumerate(command.T):
-        peak = _greatest(np.diff(position, n=2)) / TS**2
-        peaks.axis_acceleration[axis] = max(peaks.axis_acceleration[axis], peak)
-
-
-def _check_motors(block: Samples, belts: Array, known: int, motors: Motors, peaks: Peaks) -> None:
-    """Speed and acceleration of a block's belts (2, n), ``known`` ones before it in front."""
-    for order, name, limit in (
-        (1, "velocity", motors.belt_velocity),
-        (2, "acceleration", motors.belt_acceleration),
+def _check_motors(chunk: Samples, rates: Rates, motors: Motors) -> None:
+    for order, name, asked, limit in (
+        (1, "velocity", rates.belt_velocity, motors.belt_velocity),
+        (2, "acceleration", rates.belt_acceleration, motors.belt_acceleration),
     ):
-        for belt in belts:
-            value = np.diff(belt, n=order)
-            peak = _greatest(value) / TS**order
-            setattr(peaks, f"belt_{name}", max(getattr(peaks, f"belt_{name}"), peak))
-            if peak > limit * LEEWAY:
-                k = max(int(np.abs(value).argmax()) + order - known, 0)
-                raise LimitError(
-                    f"belt {name} (mm/s{'²' * (order - 1)})", peak, limit, int(block.line[k]),
-                    "raise effort in [compensation], lower the print's speed or acceleration, "
-                    f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
-                )  # fmt: skip
-
-
-def _greatest(values: Array) -> float:
-    """Greatest magnitude."""
-    return float(max(values.max(initial=0.0), -values.min(initial=0.0)))
+        magnitude = np.abs(asked).max(axis=0)
+        k = int(magnitude.argmax())
+        if magnitude[k] > limit * LEEWAY:
+            raise LimitError(
+                f"belt {name} (mm/s{'²' * (order - 1)})", float(magnitude[k]), limit,
+                int(chunk.line[k]),
+                "raise effort in [compensation], lower the print's speed or acceleration, "
+                f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
+            )  # fmt: skip

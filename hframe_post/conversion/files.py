@@ -1,37 +1,107 @@
-"""What ``convert`` writes: the format, by suffix or option, and the files of each."""
+"""From file to file: the formats of the output, by suffix or by name, and the files of each.
+
+A new format is a conversion in ``pipeline`` over its writer, and a row of ``FORMATS`` here.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import click
+from hframe_post.conversion.pipeline import (
+    Conversion,
+    GcodeConversion,
+    Options,
+    SampleConversion,
+    StepConversion,
+    stamp,
+)
+from hframe_post.conversion.report import Report
+from hframe_post.errors import HframeError
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.atomic_file import OutputFile
+from hframe_post.writers.compression import compressing
+from hframe_post.writers.samples import COLUMNS, as_csv
+from hframe_post.writers.step_file import EVENTS_HEADER, inlined
+from hframe_post.writers.table_file import write_npz, write_parquet
 
-if TYPE_CHECKING:
-    from hframe_post.arrays import Array
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.conversion.report import Report
-    from hframe_post.printer.settings import Printer
-    from hframe_post.writers.step_file import Note
-
-FORMATS = ("gcode", "steps", "step-bits", "samples")
 PACKED = (".gz", ".zst")
-TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix
-BY_SUFFIX = {".csv": "steps", **dict.fromkeys(TABLES, "samples")}
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One kind of output: what converts to it, and what saves that.
+
+    save: to a file, or to standard output (None); the text says what made it. suffixes: that
+    choose this format; packs: whether a further .gz or .zst compresses it.
+    """
+
+    convert: Callable[[Iterable[bytes], Printer, Options], Conversion]
+    save: Callable[[Any, Path | None, str], None]
+    suffixes: tuple[str, ...] = ()
+    packs: bool = True
+
+
+def convert(
+    lines: Iterable[bytes],
+    target: Path | None,
+    printer: Printer,
+    options: Options,
+    kind: str = "gcode",
+    dry_run: bool = False,
+) -> Report:
+    """Converts and writes all of it, or nothing. Raises HframeError, OSError.
+
+    target None: standard output. kind: one of ``FORMATS``. dry_run: nothing is written.
+    """
+    chosen = FORMATS[kind]
+    conversion = chosen.convert(lines, printer, options)
+    if dry_run:
+        for _ in conversion:
+            pass
+    else:
+        chosen.save(conversion, target, stamp(printer, options))
+    return conversion.report()
+
+
+def convert_file(
+    source: str | Path,
+    target: str | Path,
+    printer: Printer,
+    options: Options | None = None,
+    kind: str | None = None,
+) -> Report:
+    """Converts one file to another; both may be the same. Raises HframeError, OSError.
+
+    options: the profile's strategy and the default settings, if not given. kind: one of
+    ``FORMATS``; what the target's suffix says, if not given.
+    """
+    target = Path(target)
+    options = options or Options(
+        printer.compensation.strategy, ("none", printer.compensation.strategy)
+    )
+    with Path(source).open("rb") as lines:
+        return convert(lines, target, printer, options, chosen_format(target, kind))
 
 
 def chosen_format(output: Path | None, asked: str | None) -> str:
-    """The format for the file ``output``; None: another or no file. Raises UsageError."""
-    kind, packing = _suffixes(output)
-    chosen = asked or BY_SUFFIX.get(kind, "gcode")
-    if kind in TABLES and chosen != "samples":
-        raise click.UsageError(f"a {kind} file holds samples, not {chosen}")
-    if packing and (chosen == "gcode" or kind in TABLES):
-        what = "G-code" if chosen == "gcode" else kind
-        raise click.UsageError(f"{what} is not written as {packing}; CSV is")
-    return chosen
+    """The format for the file ``output``; None: another or no file. Raises HframeError."""
+    if asked is not None and asked not in FORMATS:
+        raise HframeError(f"no format is named {asked!r}; there are {', '.join(FORMATS)}")
+    suffix, packing = _suffixes(output)
+    own = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
+    kind = asked or own or "gcode"
+    if suffix in TABLES and kind != "samples":
+        raise HframeError(f"a {suffix} file holds samples, not {kind}")
+    if packing and (not FORMATS[kind].packs or suffix in TABLES):
+        what = "G-code" if kind == "gcode" else suffix
+        raise HframeError(f"{what} is not written as {packing}; CSV is")
+    return kind
 
 
 def _suffixes(path: Path | None) -> tuple[str, str]:
@@ -41,64 +111,23 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
     return (suffixes[-1] if suffixes else ""), packing
 
 
-def write(
-    kind: str, lines: Iterable[bytes], target: Path | None, printer: Printer, options: Options,
-    report: Report,
-) -> None:  # fmt: skip
-    """Converts and writes all of it, or nothing. target None: standard output."""
-    from hframe_post.conversion import pipeline
-    from hframe_post.writers.atomic_file import OutputFile
-
-    if kind == "gcode":
-        with OutputFile(target, sys.stdout.buffer) as out:
-            output = pipeline.convert(lines, printer, options, report)
-            out.write(output, lambda: report.time_after)
-    elif kind == "samples":
-        tables = pipeline.convert_to_samples(lines, printer, options, report)
-        _write_samples(tables, target, pipeline.stamp(printer, options))
-    else:
-        inline = target is None
-        pieces = pipeline.convert_to_steps(lines, printer, options, report, kind, inline)
-        _write_steps(pieces, target)
+def _save_gcode(conversion: GcodeConversion, target: Path | None, _: str) -> None:
+    with OutputFile(target, sys.stdout.buffer) as out:
+        out.write(conversion, lambda: conversion.commands.duration)
 
 
-def run(
-    kind: str, lines: Iterable[bytes], printer: Printer, options: Options, report: Report
-) -> None:
-    """Converts and writes nothing."""
-    from hframe_post.conversion import pipeline
-
-    given = (lines, printer, options, report)
-    output: Iterable[object]
-    if kind == "gcode":
-        output = pipeline.convert(*given)
-    elif kind == "samples":
-        output = pipeline.convert_to_samples(*given)
-    else:
-        output = pipeline.convert_to_steps(*given, kind)
-    for _ in output:
-        pass
-
-
-def _write_steps(pieces: Iterable[bytes | Note], target: Path | None) -> None:
+def _save_steps(conversion: StepConversion, target: Path | None, _: str) -> None:
     """The step file and, where it is a file, the one of its events beside it."""
-    from contextlib import ExitStack
-
-    from hframe_post.writers.atomic_file import OutputFile
-    from hframe_post.writers.compression import compressing
-    from hframe_post.writers.step_file import EVENTS_HEADER
-
     with ExitStack() as files:
         out = files.enter_context(OutputFile(target, sys.stdout.buffer)).file
         if target is None:
-            for piece in pieces:
-                out.write(piece)  # type: ignore[arg-type]
+            out.writelines(inlined(conversion))
             return
         beside = target.with_name(target.name + ".events")
         events = files.enter_context(OutputFile(beside, sys.stdout.buffer)).file
         events.write(EVENTS_HEADER)
         with compressing(out, _suffixes(target)[1]) as packed:
-            for piece in pieces:
+            for piece in conversion:
                 if isinstance(piece, bytes):
                     packed.write(piece)
                 else:
@@ -107,20 +136,24 @@ def _write_steps(pieces: Iterable[bytes | Note], target: Path | None) -> None:
             file.flush()
 
 
-def _write_samples(tables: Iterable[Array], target: Path | None, stamp: str) -> None:
+def _save_samples(conversion: SampleConversion, target: Path | None, made_by: str) -> None:
     """The table of samples as its suffix says."""
-    from hframe_post.writers.atomic_file import OutputFile
-    from hframe_post.writers.compression import compressing
-    from hframe_post.writers.samples import COLUMNS, as_csv
-    from hframe_post.writers.table_file import write_npz, write_parquet
-
     kind, packing = _suffixes(target)
     with OutputFile(target, sys.stdout.buffer) as out:
         if target is not None and kind == ".npz":
-            write_npz(out.file, tables, COLUMNS, stamp, target.resolve().parent)
+            write_npz(out.file, conversion, COLUMNS, made_by, target.resolve().parent)
         elif kind == ".parquet":
-            write_parquet(out.file, tables, COLUMNS, stamp)
+            write_parquet(out.file, conversion, COLUMNS, made_by)
         else:
             with compressing(out.file, packing) as packed:
-                for piece in as_csv(tables):
+                for piece in as_csv(conversion):
                     packed.write(piece)
+
+
+TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix
+FORMATS = {
+    "gcode": Format(GcodeConversion, _save_gcode, packs=False),
+    "steps": Format(partial(StepConversion, kind="steps"), _save_steps, (".csv",)),
+    "step-bits": Format(partial(StepConversion, kind="step-bits"), _save_steps),
+    "samples": Format(SampleConversion, _save_samples, TABLES),
+}

@@ -1,9 +1,7 @@
-"""The tool in one look: a sliced file in, the same print with compensated commands out.
+"""The whole river: lines → moves → plan → samples → commands → settled → safe → predicted.
 
-lines → gcode → lookahead → profile → compensate → settle → guard → dense_gcode → text
-                                                           ↘ simulate → report
-                                                           ↘ step_timing → step_file
-                                                           ↘ sample_table
+``Commands`` joins the stages and sums up what each of them has seen. A conversion takes
+commands to one kind of output, and its ``report`` is complete once the output is used up.
 """
 
 from __future__ import annotations
@@ -13,28 +11,27 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from hframe_post import __version__
-from hframe_post.arrays import TS, Array, E
-from hframe_post.compensation.compensate import Compensator, compensate
-from hframe_post.compensation.guard import clamp, guard
-from hframe_post.compensation.settle import LEAD_SHARE, settle
+from hframe_post.arrays import Array
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.guard import Clamp, Guard
+from hframe_post.compensation.settle import rests, settle
+from hframe_post.conversion.meters import Clock, ErrorMeter, FilamentMeter, InputMeter
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP, dialect
 from hframe_post.gcode.reader import read
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
-from hframe_post.prediction.predict import judge
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import stretches
 from hframe_post.stream.prefetch import prefetch
-from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Rests, Samples, Standing
-from hframe_post.writers.gcode import Late, Ledger, Output, write
+from hframe_post.stream.types import Samples
+from hframe_post.writers.gcode import GcodeWriter, Output
 from hframe_post.writers.samples import tabulate
-from hframe_post.writers.step_file import MOTORS, Header, Lines, Note, written
-from hframe_post.writers.steps import Counts, step
+from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
+from hframe_post.writers.steps import Stepper
 
-JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
 
 
@@ -60,103 +57,160 @@ class Options:
         return tuple(dict.fromkeys((self.strategy, *self.predict)))
 
 
-def convert(
-    lines: Iterable[bytes], printer: Printer, options: Options, report: Report
-) -> Iterator[Output]:
-    """The whole conversion, streaming in constant memory. Raises HframeError.
+class Commands:
+    """Safe commands for the motors, one sample a millisecond, streaming in constant memory.
 
-    ``report`` is complete once the output has been used up.
+    strategies: whose commands are computed, where these are not just the options'. Iterating
+    raises HframeError. ``report`` holds once everything has been taken.
     """
-    commands = _commands(lines, printer, options, report)
-    yield b"%s %s\n" % (STAMP, stamp(printer, options).encode())
-    ledger, machine = Ledger(), player(printer, options.tolerance)
-    output = write(commands, options.strategy, machine, ledger)
-    for text in output:
-        report.lines_written += 1 if isinstance(text, Late) else text.count(b"\n")
-        yield text
-    report.lines_written += 1  # the stamp
-    report.busiest_second = ledger.busiest
-    report.lines_per_second = machine.lines_per_second
-    _conserved(ledger.filament, report, FILAMENT_TOLERANCE)
+
+    def __init__(
+        self,
+        lines: Iterable[bytes],
+        printer: Printer,
+        options: Options,
+        strategies: tuple[str, ...] = (),
+        compensator: Compensator | None = None,
+    ) -> None:
+        self._lines, self._printer, self._options = lines, printer, options
+        self._strategies = strategies or options.strategies
+        self._compensator = compensator or prepared(printer)
+        checked = (printer.travel, printer.motors, printer.kinematics)
+        self._input, self._clock = InputMeter(), Clock()
+        self._clamp, self._guard = Clamp(*checked), Guard(*checked)
+        self._errors = ErrorMeter(printer.plant)
+
+    def __iter__(self) -> Iterator[Samples]:
+        """Computed ahead in threads of their own: one up to the guard, one for the prediction."""
+        commands = prefetch(self.computed())
+        if self._options.predict:
+            commands = prefetch(self._errors.samples(commands))
+        return self._clock.samples(commands)
+
+    def computed(self) -> Iterator[Samples]:
+        """The commands as they are computed: no thread, no prediction, no clock."""
+        printer, options = self._printer, self._options
+        limits, tolerance = printer.limits, printer.compensation.settle_tolerance
+        lines = self._input.lines(self._lines)
+        chosen = dialect(printer.firmware.dialect)
+        items = self._input.items(read(lines, chosen, options.file_limits))
+        offered = rests(self._compensator, limits, printer.travel, tolerance)
+        samples = sample(plan(items, limits), limits, offered)
+        commands = compensate(samples, self._compensator, self._strategies)
+        commands = settle(commands, options.strategy, tolerance)
+        if options.clamp:
+            commands = self._clamp.limit(commands, options.strategy)
+        return self._guard.check(commands, options.strategy)
+
+    @property
+    def duration(self) -> float:
+        """Of what has been taken, s."""
+        return self._clock.time.after
+
+    def report(self) -> Report:
+        """What the stages saw."""
+        return Report(
+            self._options.strategy, self._input.summary, self._clock.time, self._guard.peaks,
+            self._clamp.clamped, self._errors.contour,
+        )  # fmt: skip
+
+    def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:
+        """Raises HframeError unless as much filament was written as was read, mm."""
+        lost = self._input.summary.filament - filament
+        if abs(lost) > tolerance:
+            raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
-def convert_to_steps(
-    lines: Iterable[bytes],
-    printer: Printer,
-    options: Options,
-    report: Report,
-    kind: str = "steps",
-    inline: bool = False,
-) -> Iterator[bytes | Note]:
-    """The same as the steps of the motors: text of a step file, and notes for its events.
+class GcodeConversion:
+    """A print as G-code for the printer's firmware."""
 
-    kind: ``steps`` or ``step-bits``; inline: notes are lines of the text. Raises PrinterError
-    where the profile does not say how the motors step.
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._printer, self._options = printer, options
+        self._player = player(printer, options.tolerance)
+        self.commands = Commands(lines, printer, options)
+        self._writer = GcodeWriter(options.strategy, self._player)
+
+    def __iter__(self) -> Iterator[Output]:
+        yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
+        yield from self._writer.write(self.commands)
+        self.commands.conserved(self._writer.summary.filament)
+
+    def report(self) -> Report:
+        """Complete once the output has been used up."""
+        written = self._writer.summary
+        return replace(
+            self.commands.report(), lines_written=written.lines + 1,  # and the stamp
+            filament_after=written.filament, busiest_second=written.busiest_second,
+            lines_per_second=self._player.lines_per_second,
+        )  # fmt: skip
+
+
+class StepConversion:
+    """A print as the steps of its motors: text of a step file, and notes for its events.
+
+    kind: ``steps`` or ``step-bits``. Raises PrinterError where the profile does not say how the
+    motors step.
     """
-    table, kinematics = printer.steps, printer.kinematics
-    if table is None:
-        raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
-    commands = _commands(lines, printer, options, report)
-    lengths = (table.belt, table.belt, table.z, table.e)
-    header = Header(
-        kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz, lengths,
-        kinematics.matrix,
-    )  # fmt: skip
-    counts, count = Counts(), Lines()
-    steps = step(commands, options.strategy, kinematics, table, counts)
-    yield from written(steps, header, inline, count)
-    report.lines_written = count.all
-    motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
-    report.steps = StepReport(count.rows, counts.ticks, table.clock_hz, motors)
-    # a step that is not due yet at the end of a stretch is made in the next one
-    tolerance = FILAMENT_TOLERANCE + counts.starts * table.e
-    _conserved(counts.net[MOTORS.index("E")] * table.e + counts.passed, report, tolerance)
+
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options, kind: str = "steps"
+    ) -> None:
+        table, kinematics = printer.steps, printer.kinematics
+        if table is None:
+            raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
+        self._table = table
+        self.commands = Commands(lines, printer, options)
+        self._stepper = Stepper(options.strategy, kinematics, table)
+        header = Header(
+            kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz,
+            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+        )  # fmt: skip
+        self._writer = StepFileWriter(header)
+
+    def __iter__(self) -> Iterator[bytes | Note]:
+        yield from self._writer.write(self._stepper.step(self.commands))
+        # a step that is not due yet at the end of a stretch is made in the next one
+        late = self._stepper.counts.starts * self._table.e
+        self.commands.conserved(self._filament, FILAMENT_TOLERANCE + late)
+
+    @property
+    def _filament(self) -> float:
+        counts = self._stepper.counts
+        return float(counts.net[MOTORS.index("E")] * self._table.e + counts.passed)
+
+    def report(self) -> Report:
+        """Complete once the output has been used up."""
+        counts = self._stepper.counts
+        motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
+        steps = StepReport(self._writer.rows, counts.ticks, self._table.clock_hz, motors)
+        return replace(
+            self.commands.report(), lines_written=self._writer.lines,
+            filament_after=self._filament, steps=steps,
+        )  # fmt: skip
 
 
-def convert_to_samples(
-    lines: Iterable[bytes], printer: Printer, options: Options, report: Report
-) -> Iterator[Array]:
-    """The same as tables of path, command and predicted motion, one row a millisecond."""
-    commands = extruded(_commands(lines, printer, options, report), report)
-    for table in tabulate(commands, options.strategy, printer.plant):
-        report.lines_written += len(table)
-        yield table
-    _conserved(report.filament_after, report, FILAMENT_TOLERANCE)
+class SampleConversion:
+    """A print as tables of path, command and predicted motion, one row a millisecond."""
+
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._plant, self._strategy = printer.plant, options.strategy
+        self.commands = Commands(lines, printer, options)
+        self._filament, self._rows = FilamentMeter(), 0
+
+    def __iter__(self) -> Iterator[Array]:
+        for table in tabulate(self._filament.samples(self.commands), self._strategy, self._plant):
+            self._rows += len(table)
+            yield table
+        self.commands.conserved(self._filament.total)
+
+    def report(self) -> Report:
+        """Complete once the output has been used up."""
+        return replace(
+            self.commands.report(), lines_written=self._rows, filament_after=self._filament.total
+        )
 
 
-def _commands(
-    lines: Iterable[bytes], printer: Printer, options: Options, report: Report
-) -> Iterator[Samples]:
-    """Safe commands, computed ahead in threads of their own; the report is kept."""
-    compensator = prepared(printer)
-    commands = prefetch(commanded(counted(lines, report), printer, compensator, options, report))
-    if options.predict:
-        commands = prefetch(predicted(commands, printer, report))
-    return timed(commands, report)
-
-
-def _conserved(filament: float, report: Report, tolerance: float) -> None:
-    report.filament_after = filament
-    lost = report.filament_before - filament
-    if abs(lost) > tolerance:
-        raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
-
-
-def commanded(
-    lines: Iterable[bytes],
-    printer: Printer,
-    compensator: Compensator,
-    options: Options,
-    report: Report,
-) -> Iterator[Samples]:
-    """Safe commands for the motors, one sample a millisecond."""
-    limits, chosen = printer.limits, options.strategy
-    tolerance = printer.compensation.settle_tolerance
-    items = measured(read(lines, dialect(printer.firmware.dialect), options.file_limits), report)
-    samples = sample(plan(items, limits), limits, rests(printer, compensator))
-    commands = settle(compensate(samples, compensator, options.strategies), chosen, tolerance)
-    checks = (chosen, printer.travel, printer.motors, printer.kinematics, report.peaks)
-    return guard(clamp(commands, *checks) if options.clamp else commands, *checks)
+Conversion = GcodeConversion | StepConversion | SampleConversion
 
 
 def prepared(printer: Printer) -> Compensator:
@@ -165,13 +219,6 @@ def prepared(printer: Printer) -> Compensator:
         return Compensator(printer.plant, printer.compensation.windows)
     except ValueError as error:
         raise PrinterError(str(error), "compensation", printer.name) from None
-
-
-def rests(printer: Printer, compensator: Compensator) -> Rests:
-    """Standstill that the fastest stop and start on this bed can need."""
-    limits, tolerance = printer.limits, printer.compensation.settle_tolerance
-    lever = max(abs(edge - printer.plant.x_c) for edge in printer.travel.x)
-    return compensator.rests(limits.velocity, limits.acceleration, lever, LEAD_SHARE * tolerance)
 
 
 def stamp(printer: Printer, options: Options) -> str:
@@ -183,58 +230,3 @@ def settings_hash(printer: Printer, options: Options) -> str:
     """Identifies all that decides the output beside the input."""
     deciding = (printer.digest, replace(options, predict=()))
     return hashlib.sha256(repr(deciding).encode()).hexdigest()[:12]
-
-
-# ---------------------------------------------------------------------- the report
-
-
-def counted(lines: Iterable[bytes], report: Report) -> Iterator[bytes]:
-    """The lines as they are, counted."""
-    for report.lines_read, line in enumerate(lines, 1):
-        yield line
-
-
-def measured(items: Iterable[Item], report: Report) -> Iterator[Item]:
-    """The items as they are; moves and filament are counted."""
-    for item in items:
-        if isinstance(item, Moves):
-            report.moves += len(item.line)
-            report.filament_before += float(item.points[-1, E] - item.points[0, E])
-        elif isinstance(item, Standing):
-            report.moves += 1
-            report.filament_before += item.end[E] - item.start[E]
-        else:
-            report.filament_before += item.filament
-        yield item
-
-
-def predicted(commands: Iterable[Samples], printer: Printer, report: Report) -> Iterator[Samples]:
-    """The commands as they are; how well the nozzle follows is reported."""
-    for judgement in judge(commands, printer.plant, JUDGED_EVERY):
-        report.add_errors(judgement.contour)
-        yield judgement.block
-
-
-def extruded(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:
-    """The commands as they are; their filament, and that of lines passed on, is reported."""
-    for stretch in stretches(commands):
-        last: float | None = None
-        for block in stretch:
-            if len(block):
-                start = float(block.xyze[0, E]) if last is None else last
-                last = float(block.xyze[-1, E])
-                report.filament_after += last - start
-            for event in block.events:
-                if isinstance(event, Pause) and isinstance(event.action, Passthrough):
-                    report.filament_after += event.action.filament
-            yield block
-
-
-def timed(commands: Iterable[Samples], report: Report) -> Iterator[Samples]:
-    """The commands as they are; print time with and without the rests is reported."""
-    resting = 0
-    for block in commands:
-        resting += sum(event.samples for event in block.events if isinstance(event, Rest))
-        report.time_after = block.end * TS
-        report.time_before = (block.end - resting) * TS
-        yield block

@@ -1,21 +1,16 @@
-"""Running figures of a conversion, and what is told of them: text and JSON."""
+"""What is told of a conversion, as text and JSON: the summaries of its stages."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from hframe_post.arrays import Array
-from hframe_post.compensation.guard import Peaks
+from hframe_post.compensation.guard import Clamped, Peaks
+from hframe_post.conversion.meters import InputSummary, PrintTime
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.writers.print_time import duration
-
-STRATEGY_NAMES = {
-    "none": "no compensation",
-    "fbs": "ringing only (fbs)",
-    "racking": "ringing and racking",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,67 +23,65 @@ class StepReport:
     motors: dict[str, int]
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Report:
-    """What one conversion did. Times in s, lengths in mm."""
+    """What one conversion did: the summaries of its stages. Lengths in mm.
+
+    lines_written, filament_after: None where nothing is written; busiest_second: most lines of
+    motion in a second, of the lines_per_second that the firmware can take.
+    """
 
     strategy: str
-    moves: int = 0
-    lines_read: int = 0
-    lines_written: int = 0
-    time_before: float = 0.0
-    time_after: float = 0.0
-    filament_before: float = 0.0
-    filament_after: float = 0.0
-    peaks: Peaks = field(default_factory=Peaks)
-    contour: dict[str, ErrorStatistics] = field(default_factory=dict)
+    read: InputSummary
+    time: PrintTime
+    peaks: Peaks
+    clamped: Clamped
+    contour: dict[str, ErrorStatistics]
+    lines_written: int | None = None
+    filament_after: float | None = None
+    busiest_second: int = 0
+    lines_per_second: float = math.inf
     steps: StepReport | None = None
-    busiest_second: int = 0  # most lines of motion in a second
-    lines_per_second: float = math.inf  # that the firmware can take
-
-    def add_errors(self, errors: dict[str, Array]) -> None:
-        """Takes contour errors by strategy."""
-        for name, values in errors.items():
-            self.contour.setdefault(name, ErrorStatistics()).add(values)
 
     def as_json(self) -> dict[str, Any]:
         """Everything, ready for ``json.dumps``."""
-        x, y = self.peaks.axis_acceleration.tolist()
+        x, y = self.peaks.axis_acceleration
+        filament = {"before": self.read.filament, "after": self.filament_after}
+        written: dict[str, Any] = {
+            "lines_written": self.lines_written,
+            "busiest_second_lines": self.busiest_second or None,
+            "steps": asdict(self.steps) if self.steps else None,
+        }
         return {
             "compensation": self.strategy,
-            "moves": self.moves,
-            "lines_read": self.lines_read,
-            "lines_written": self.lines_written,
+            "moves": self.read.moves,
+            "lines_read": self.read.lines,
             "print_time_s": {
-                "before": round(self.time_before, 3),
-                "after": round(self.time_after, 3),
+                "before": round(self.time.before, 3),
+                "after": round(self.time.after, 3),
             },
-            "filament_mm": {
-                "before": round(self.filament_before, 5),
-                "after": round(self.filament_after, 5),
-            },
+            "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             "contour_error_um": {n: s.micrometres() for n, s in sorted(self.contour.items())},
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
-            "busiest_second_lines": self.busiest_second,
-            "clamped_samples": self.peaks.clamped,
-            **({"steps": asdict(self.steps)} if self.steps else {}),
+            "clamped_samples": self.clamped.samples,
+            **{name: told for name, told in written.items() if told is not None},
         }
 
     def as_text(self) -> str:
         """A few lines for a person."""
-        change = 100.0 * (self.time_after / self.time_before - 1.0) if self.time_before else 0.0
+        before, after = self.time.before, self.time.after
+        change = 100.0 * (after / before - 1.0) if before else 0.0
         lines = [
-            f"{self.moves} moves, {self.lines_read} lines read, {self.lines_written} written",
-            f"print time  {duration(self.time_before)} → {duration(self.time_after)} "
-            f"({change:+.1f} %)",
+            f"{self.read.moves} moves, {self.read.lines} lines read, {self.lines_written} written",
+            f"print time  {duration(before)} → {duration(after)} ({change:+.1f} %)",
             f"filament    {self.filament_after:.2f} mm, unchanged",
         ]
-        for name in sorted(self.contour, key=list(STRATEGY_NAMES).index):
+        for name in [name for name in STRATEGIES if name in self.contour]:
             um = self.contour[name].micrometres()
             lines.append(
-                f"predicted   {STRATEGY_NAMES[name]}: contour error {um['rms']:.1f} µm RMS, "
+                f"predicted   {STRATEGIES[name].label}: contour error {um['rms']:.1f} µm RMS, "
                 f"{um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak"
             )
         lines.append(
@@ -106,16 +99,16 @@ class Report:
     def warnings(self) -> list[str]:
         """What a person must not overlook."""
         lines = []
-        if not self.moves:
+        if not self.read.moves:
             lines.append("NOTHING     was compensated: no move starts at a known position")
         if self.busiest_second > self.lines_per_second:
             lines.append(
                 f"TOO DENSE   up to {self.busiest_second} lines in a second, and the profile's "
                 f"lines_per_second is {self.lines_per_second:g}: the printer may stutter there"
             )
-        if self.peaks.clamped:
+        if self.clamped.samples:
             lines.append(
-                f"CLAMPED     {self.peaks.clamped} ms of motion at the printer's limits, first at "
-                f"line {self.peaks.clamped_line}; less is compensated there"
+                f"CLAMPED     {self.clamped.samples} ms of motion at the printer's limits, first "
+                f"at line {self.clamped.line}; less is compensated there"
             )
         return lines

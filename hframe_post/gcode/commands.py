@@ -105,14 +105,14 @@ def command_handling(name: str, arguments: bytes) -> Handling:
     if name in _CARRIED:
         return Handling.CARRY
     retraction = name in ("G10", "G11") and not arguments.strip()  # with words: a tool's offset
-    return Handling.REST if retraction or name in _AT_REST else Handling.YIELD
+    return Handling.REST if retraction or name in _AT_REST else Handling.RELEASE
 
 
 def macro_handling(name: bytes) -> Handling:
     """How a Klipper macro or extended command (upper case) reaches the machine."""
     if name in _CARRIED_MACROS:
         return Handling.CARRY
-    return Handling.REST if name in _MACROS_AT_REST else Handling.YIELD
+    return Handling.REST if name in _MACROS_AT_REST else Handling.RELEASE
 
 
 def may_be_zero(name: str, word: str) -> bool:

@@ -33,7 +33,7 @@ from hframe_post.gcode.lexer import (
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
-MOVES_PER_BLOCK = 4096
+MOVES_PER_ITEM = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 DEFAULT_FEED = 25.0  # mm/s, what Klipper moves at before the first F
 
@@ -112,7 +112,7 @@ class _Reader:
         if not place.allow(z):
             if place.scale != 1.0:  # the output is in mm
                 raise line.error("a move in inches from an unknown position")
-            self._passthrough(line, Handling.YIELD, filament=new[3] - old[3])
+            self._passthrough(line, Handling.RELEASE, filament=new[3] - old[3])
             place.arrive(new, x, y, z)
         elif new[0] != old[0] or new[1] != old[1]:
             self._travel(line, new)
@@ -125,7 +125,7 @@ class _Reader:
         """A move in which x or y travels joins the gathered ones."""
         self.items.travel(line.number, self._place.position, new, self._feed * self._factor)
         self._place.position = new
-        if len(self.items) >= MOVES_PER_BLOCK:
+        if len(self.items) >= MOVES_PER_ITEM:
             self.items.flush()
 
     def _set_feed(self, line: Line, feed: float) -> None:
@@ -188,7 +188,7 @@ class _Reader:
                 raise line.error("G92 names known and unknown positions at once")
             # that of E alone is harmless in the stream, whose E is relative
             only_e = words.keys() == {"E"}
-            self._passthrough(line, Handling.CARRY if only_e else Handling.YIELD)
+            self._passthrough(line, Handling.CARRY if only_e else Handling.RELEASE)
         elif coded.name in ("G2", "G3"):
             self._arc(line, words, ccw=coded.name == "G3")
         elif words:
@@ -222,7 +222,7 @@ class _Reader:
             return
         handling = commands.macro_handling(name)
         self._passthrough(line, handling)
-        if handling is Handling.YIELD:
+        if handling is Handling.RELEASE:
             self._place.forget()
 
     def _other(self, line: Line, coded: Command) -> None:
@@ -235,7 +235,7 @@ class _Reader:
         if coded.name == "G28":
             named = [axis for axis in range(3) if AXES[axis].encode() in coded.arguments.upper()]
             self._place.forget(named or range(3), homed=True)
-        elif handling is Handling.YIELD:
+        elif handling is Handling.RELEASE:
             self._place.forget()
 
     def _passthrough(
@@ -252,4 +252,4 @@ class _Reader:
             raise GcodeError("the file is empty")
         if not self._moved:
             raise GcodeError("there is not a single move in this file", number)
-        self._passthrough(Line(number, b""), Handling.YIELD)
+        self._passthrough(Line(number, b""), Handling.RELEASE)

@@ -12,7 +12,8 @@ from hframe_post.identification.identify import Measured
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from hframe_post.plotting import COLOURS, canvas, decibel, degrees
+from hframe_post.model.strategies import STRATEGIES
+from hframe_post.plotting import canvas, decibel, degrees
 
 
 def identification(name: str, measured: Measured, found: Fit) -> Figure:
@@ -21,7 +22,7 @@ def identification(name: str, measured: Measured, found: Fit) -> Figure:
     Below magnitude and phase: coherence, and what the model is off, relative.
     """
     figure, axes = canvas(4, 1, (6.0, 8.0))
-    axis = axes[:, 0]
+    axis, colour = axes[:, 0], STRATEGIES["racking"].colour
     hz, mean = measured.mean.hz, measured.mean
     delay = np.exp(-2j * np.pi * hz * found.delay)
     model = found.G.response(2.0 * np.pi * TS * hz) * delay
@@ -31,10 +32,12 @@ def identification(name: str, measured: Measured, found: Fit) -> Figure:
         axis[1].semilogx(hz, degrees(response.H), lw=0.6)
     axis[0].semilogx(hz, decibel(mean.H), color="k", lw=1.0, label="together")
     axis[1].semilogx(hz, degrees(mean.H), color="k", lw=1.0)
-    axis[0].semilogx(hz, decibel(model), "--", color=COLOURS["racking"], lw=1.5, label="model")
-    axis[1].semilogx(hz, degrees(model), "--", color=COLOURS["racking"], lw=1.5)
+    axis[0].semilogx(
+        hz, decibel(model), "--", color=STRATEGIES["racking"].colour, lw=1.5, label="model"
+    )
+    axis[1].semilogx(hz, degrees(model), "--", color=colour, lw=1.5)
     axis[2].semilogx(hz, mean.coherence, color="k", lw=1.0)
-    axis[3].loglog(hz, np.abs(mean.H / model - 1.0), color=COLOURS["fbs"], lw=1.0)
+    axis[3].loglog(hz, np.abs(mean.H / model - 1.0), color=STRATEGIES["fbs"].colour, lw=1.0)
     unit = "rad/mm" if name == "Gxtheta" else "mm/mm"
     axis[0].set(ylabel=f"magnitude, dB ({unit})", title=name)
     axis[0].legend(fontsize=7)

@@ -8,6 +8,7 @@ from typing import Any
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.reference_path import rectangle
 from hframe_post.studies.simulation import Study, simulate
@@ -36,7 +37,8 @@ class Recommendation:
 
     def gain(self) -> str:
         """What compensation is predicted to do for the paper's rectangle."""
-        rms = {name: 1e3 * figures.contour.rms for name, figures in self.predicted.whole.items()}
+        whole = self.predicted.parts.whole
+        rms = {name: 1e3 * figures.contour.rms for name, figures in whole.items()}
         told = ", ".join(f"{name} {rms[name]:.1f}" for name in self.predicted.strategies)
         return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
 
@@ -62,7 +64,6 @@ def recommend(plant: Plant, profile: Printer) -> Recommendation | None:
     x, y = best.windows
     chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
     own = replace(own, compensation=chosen)
-    predicted = SimulationReport("racking", plant=own.name)
-    options = Options("racking", ("racking", "fbs", "none"), clamp=True)
-    simulate(rectangle(own), own, options, Study(plant), predicted)
+    options = Options("racking", tuple(STRATEGIES), clamp=True)
+    predicted = simulate(rectangle(own), own, options, Study(plant, name=own.name))
     return Recommendation(best.windows, predicted)

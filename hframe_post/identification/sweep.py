@@ -38,7 +38,7 @@ from hframe_post.stream.types import (
     Standing,
     frozen,
 )
-from hframe_post.writers.gcode import Ledger, Output, write
+from hframe_post.writers.gcode import GcodeWriter, Output
 
 AROUND = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
 APPROACH = 100.0  # mm/s, to the place of a run
@@ -168,7 +168,7 @@ def gcode(
     height = plain(z, 3)
     head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
-    yield from write(_samples(planned, chips, z), "none", Klipper.of(printer), Ledger(), FINER)
+    yield from GcodeWriter("none", Klipper.of(printer), FINER).write(_samples(planned, chips, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 
@@ -184,17 +184,19 @@ def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[S
         measure = [f"ACCELEROMETER_MEASURE CHIP={chip}" for chip in chips]
         begun, end = first + len(still), first + len(command)
         events = (
-            _passed(first, approach, Handling.YIELD),
+            _passed(first, approach, Handling.RELEASE),
             # a move of no length: the stream, with its M400, begins here and not with the motion
             Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
             _passed(begun, "\n".join(measure), Handling.REST),
             _passed(end, "\n".join(f"{m} NAME={run.name}" for m in measure), Handling.REST),
-            _passed(end, "", Handling.YIELD),
+            _passed(end, "", Handling.RELEASE),
         )
         xyze = np.zeros((len(command), 4))
         xyze[:, :2], xyze[:, 2] = command, z
         line: Integers = np.zeros(len(command), dtype=np.int64)
-        yield Samples(first, frozen(xyze), line, events, {"none": frozen(command)})
+        yield Samples(
+            first, frozen(xyze), line, events, {"none": frozen(command)}, ends_stretch=True
+        )
         first = end
 
 

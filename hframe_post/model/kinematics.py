@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import TS, Array
 
 ROWS = {
     "hbot": ((1.0, 1.0), (1.0, -1.0)),
@@ -57,3 +57,37 @@ class Kinematics:
         """Greatest speed of the nozzle while neither belt moves faster than 1."""
         corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; the rest mirrors these
         return float(np.linalg.norm(np.linalg.solve(self.matrix, corners), axis=0).max())
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """How fast a command moves: of belts A, B and of x, y, (2, n) each; mm/s and mm/s²."""
+
+    belt_velocity: Array
+    belt_acceleration: Array
+    axis_acceleration: Array
+
+
+class Differences:
+    """Rates of a command that comes in pieces: each is differenced with the two samples before.
+
+    Before the first sample the machine stood there.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics = kinematics
+        self._before: Array | None = None
+
+    def of(self, command: Array) -> Rates:
+        """Rates at the next samples of the command (n, 2), mm."""
+        if not len(command):
+            none = np.zeros((2, 0))
+            return Rates(none, none, none)
+        if self._before is None:
+            self._before = command[:1].repeat(2, axis=0)
+        known = np.concatenate([self._before, command])
+        self._before = known[-2:]
+        velocity = np.diff(known, axis=0)[1:].T / TS
+        acceleration = np.diff(known, n=2, axis=0).T / TS**2
+        belts = self._kinematics.belts
+        return Rates(belts(*velocity), belts(*acceleration), acceleration)

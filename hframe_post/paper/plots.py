@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hframe_post.conversion.report import STRATEGY_NAMES
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.paper.results import (
     N_FIG_9,
     Approximation,
@@ -18,7 +18,7 @@ from hframe_post.paper.results import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from hframe_post.plotting import COLOURS, canvas, decibel, degrees
+from hframe_post.plotting import canvas, decibel, degrees
 
 
 def racking_response(responses: FrequencyResponses) -> Figure:
@@ -37,9 +37,9 @@ def axis_responses(responses: FrequencyResponses) -> Figure:
 
 
 def _bode(axes: Any, hz: Any, response: Any, unit: str, title: str) -> None:
-    axes[0].semilogx(hz, decibel(response), color=COLOURS["racking"])
+    axes[0].semilogx(hz, decibel(response), color=STRATEGIES["racking"].colour)
     axes[0].set(ylabel=f"magnitude, dB ({unit})", title=title)
-    axes[1].semilogx(hz, degrees(response), color=COLOURS["racking"])
+    axes[1].semilogx(hz, degrees(response), color=STRATEGIES["racking"].colour)
     axes[1].set(ylabel="phase, °", xlabel="frequency, Hz")
 
 
@@ -61,9 +61,11 @@ def time_response(responses: Sequence[TimeResponse]) -> Figure:
     figure, axes = canvas(1, 2, (9.0, 3.4))
     for response in responses:
         x, y = (response.nozzle - response.nozzle[0]).T
-        label = STRATEGY_NAMES[response.name]
-        axes[0, 0].plot(x, y, color=COLOURS[response.name], lw=1.0, label=label)
-        axes[0, 1].plot(response.along, response.error * 1e3, color=COLOURS[response.name], lw=1.0)
+        shown = STRATEGIES[response.name]
+        axes[0, 0].plot(x, y, color=shown.colour, lw=1.0, label=shown.label)
+        axes[0, 1].plot(
+            response.along, response.error * 1e3, color=STRATEGIES[response.name].colour, lw=1.0
+        )
     axes[0, 0].set(xlim=(112, 122), ylim=(-1.5, 6), xlabel="x, mm", ylabel="y, mm")
     axes[0, 0].set_title(f"(a) first corner, n = {N_FIG_9}")
     axes[0, 0].legend(loc="upper left")
@@ -77,9 +79,11 @@ def width_errors(widths: Sequence[Widths]) -> Figure:
     for axis, prism in zip(axes[0], widths, strict=True):
         names = list(prism.error)
         boxes = [np.abs(prism.error[name]).ravel() * 1e3 for name in names]
-        axis.boxplot(boxes, tick_labels=[STRATEGY_NAMES[name] for name in names])
+        axis.boxplot(boxes, tick_labels=[STRATEGIES[name].label for name in names])
         rms = [prism.rms(name) * 1e3 for name in names]
-        axis.plot(range(1, len(names) + 1), rms, "D", color=COLOURS["racking"], label="RMS")
+        axis.plot(
+            range(1, len(names) + 1), rms, "D", color=STRATEGIES["racking"].colour, label="RMS"
+        )
         axis.set(ylabel="|Δw|, µm", title=f"{prism.window} window")
         axis.tick_params(axis="x", labelsize=7)
         axis.legend()

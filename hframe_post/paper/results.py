@@ -12,14 +12,14 @@ from time import perf_counter
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
-from hframe_post.compensation.compensate import Compensator, compensate
-from hframe_post.conversion.pipeline import Options, commanded, prepared
-from hframe_post.conversion.report import Report
+from hframe_post.compensation.compensate import compensate
+from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.reader import read
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
+from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory
@@ -255,7 +255,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     options = Options("racking", ("none", "fbs", "racking"), False, clamp=True)
-    commands = commanded(lines, printer, compensator, options, Report("racking"))
+    commands = Commands(lines, printer, options, compensator=compensator).computed()
     error: dict[str, list[Array]] = {name: [] for name in options.predict}
     for walls in _outer_walls(predict(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

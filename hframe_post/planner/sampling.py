@@ -31,12 +31,12 @@ from hframe_post.stream.types import (
     frozen,
 )
 
-SAMPLES_PER_BLOCK = 1 << 15
+SAMPLES_PER_CHUNK = 1 << 15
 ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
 
 
 def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
-    """Samples of the whole stream. A pause that yields the machine ends its block."""
+    """Samples of the whole stream. A chunk ends where the machine is released."""
     sampler = _Sampler(limits, rests)
     for item in planned:
         if isinstance(item, Plan):
@@ -81,8 +81,8 @@ class _Sampler:
             math.ceil(self._clock / TS - ON_TIME) if stops else math.floor(self._clock / TS)
         )
         marks = list(plan.marks)
-        for first in range(self._index, stop + 1, SAMPLES_PER_BLOCK):
-            index = np.arange(first, min(first + SAMPLES_PER_BLOCK, stop + 1))
+        for first in range(self._index, stop + 1, SAMPLES_PER_CHUNK):
+            index = np.arange(first, min(first + SAMPLES_PER_CHUNK, stop + 1))
             t = TS * (index - self._section).astype(float)
             s = np.clip(phases.path(t), 0.0, plan.s[-1])
             if stops and index[-1] == stop:
@@ -162,14 +162,14 @@ class _Sampler:
             n = math.ceil(action.seconds / TS - ON_TIME)
             self._events.append(Pause(self._index, n, action, action.seconds))
             self._stand(self._last, n)
-        if action.handling is Handling.YIELD:
-            yield from self.flush()
+        if action.handling is Handling.RELEASE:
+            yield from self.flush(ends_stretch=True)
             self._last = None
 
     def _stand(self, where: Array, samples: int) -> None:
         self._emit(np.tile(where, (samples, 1)), np.full(samples, self._line))
 
-    # ------------------------------------------------------------------ blocks
+    # ------------------------------------------------------------------ chunks
 
     def _emit(self, xyze: Array, line: Integers) -> None:
         if len(xyze):
@@ -177,16 +177,16 @@ class _Sampler:
             self._index += len(xyze)
             self._last = xyze[-1]
 
-    def flush(self) -> Iterator[Samples]:
-        """What is held, as one block with its events."""
+    def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
+        """What is held, as one chunk with its events."""
         if not self._held and not self._events:
             return
         first = self._index - sum(map(len, self._held))
         empty = Samples(first, frozen(np.zeros((0, 4))), np.zeros(0, dtype=np.int64))
-        blocks = self._held or [empty]
-        xyze = np.concatenate([b.xyze for b in blocks])
-        line = np.concatenate([b.line for b in blocks])
-        yield Samples(first, frozen(xyze), line, tuple(self._events))
+        chunks = self._held or [empty]
+        xyze = np.concatenate([c.xyze for c in chunks])
+        line = np.concatenate([c.line for c in chunks])
+        yield Samples(first, frozen(xyze), line, tuple(self._events), ends_stretch=ends_stretch)
         self._held, self._events = [], []
 
 

@@ -19,7 +19,7 @@ _FEATURE = re.compile(rb"\s*;\s*(?:TYPE|FEATURE):\s*(.*\S)")
 
 @dataclass
 class Labels:
-    """Names by number, and those in force where the last block ended.
+    """Names by number, and those in force where the last chunk ended.
 
     Cura numbers its layers (``;LAYER:0``); where a slicer only says that one begins
     (``;LAYER_CHANGE``) they are counted from 0. Features are ``;TYPE:`` or ``;FEATURE:``.
@@ -31,18 +31,18 @@ class Labels:
     _feature: int = 1
     _e: float = -np.inf  # filament of the sample before
 
-    def of(self, block: Samples) -> tuple[Integers, Integers]:
-        """Numbers of the layer and the feature of each sample of the next block, (n,) each."""
-        n = len(block)
+    def of(self, chunk: Samples) -> tuple[Integers, Integers]:
+        """Numbers of the layer and the feature of each sample of the next chunk, (n,) each."""
+        n = len(chunk)
         layer, feature = np.full(n, self._layer), np.full(n, self._feature)
-        for event in block.events:
+        for event in chunk.events:
             if isinstance(event, Mark):
                 text = event.text
             elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
                 text = event.action.text
             else:
                 continue
-            at = max(event.index - block.first, 0)
+            at = max(event.index - chunk.first, 0)
             if match := _LAYER.match(text):
                 self._layer = _number(self.layers, self._named(match[1]))
                 layer[at:] = self._layer
@@ -50,7 +50,7 @@ class Labels:
                 self._feature = _number(self.features, match[1].decode("utf-8", "replace"))
                 feature[at:] = self._feature
         if n:
-            e = block.xyze[:, E]
+            e = chunk.xyze[:, E]
             feature[np.diff(e, prepend=self._e) <= 0.0] = 0
             self._e = float(e[-1])
         return layer, feature

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,66 +19,66 @@ from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Pause, Rest, Samples, frozen
 
 
-def predict(blocks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
-    """Each block and, for every strategy in its commands, the nozzle's x, y (n, 2)."""
-    for stretch in stretches(blocks):
+def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
+    """Each chunk and, for every strategy in its commands, the nozzle's x, y (n, 2)."""
+    for stretch in stretches(chunks):
         responses: dict[str, Response] = {}
-        for block in stretch:
-            if len(block) and not responses:
-                responses = {name: Response(plant, block.xyze[0, :Z]) for name in block.commands}
-            yield block, {name: r.run(block.commands[name]) for name, r in responses.items()}
+        for chunk in stretch:
+            if len(chunk) and not responses:
+                responses = {name: Response(plant, chunk.xyze[0, :Z]) for name in chunk.commands}
+            yield chunk, {name: r.run(chunk.commands[name]) for name, r in responses.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How well each strategy follows one block; k of its samples count.
+    """How well each strategy follows one chunk; k of its samples count.
 
-    at (k,): which samples of the block. contour: strategy → (k,), distance to the path.
+    at (k,): which samples of the chunk. contour: strategy → (k,), distance to the path.
     tracking: strategy → (k, 2), off the desired place at the same time. All mm.
     """
 
-    block: Samples
+    chunk: Samples
     at: Integers
     contour: dict[str, Array]
     tracking: dict[str, Array]
 
 
-def judge(blocks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
-    """One judgement a block, of its samples in motion.
+def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
+    """One judgement a chunk, of its samples in motion.
 
     Of the samples ``every`` second, third, … counts. Those at which the machine rests for
     something else are left out: nothing of the path is traced there.
     """
-    for stretch in stretches(blocks):
+    for stretch in stretches(chunks):
         originals: deque[Samples] = deque()
         predicted = _predicted(stretch, plant, originals)
-        for block, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
-            first = -block.first % every
-            moving = in_motion(block)[first::every]
-            here, path = np.arange(first, len(block), every), wide.xyze[:, :Z]
+        for chunk, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
+            first = -chunk.first % every
+            moving = in_motion(chunk)[first::every]
+            here, path = np.arange(first, len(chunk), every), wide.xyze[:, :Z]
             contour, tracking = {}, {}
-            for name, actual in block.commands.items():
+            for name, actual in chunk.commands.items():
                 judged = actual[first::every]
                 contour[name] = contour_error(path, judged, where.start + here)[moving]
-                tracking[name] = (judged - block.xyze[first::every, :Z])[moving]
+                tracking[name] = (judged - chunk.xyze[first::every, :Z])[moving]
             yield Judgement(originals.popleft(), here[moving], contour, tracking)
 
 
 def _predicted(
-    blocks: Iterable[Samples], plant: Plant, originals: deque[Samples]
+    chunks: Iterable[Samples], plant: Plant, originals: deque[Samples]
 ) -> Iterator[Samples]:
-    """The blocks with motion in place of commands; those with commands are remembered."""
-    for block, actual in predict(blocks, plant):
-        originals.append(block)
+    """The chunks with motion in place of commands; those with commands are remembered."""
+    for chunk, actual in predict(chunks, plant):
+        originals.append(chunk)
         motion = {name: frozen(xy) for name, xy in actual.items()}
-        yield Samples(block.first, block.xyze, block.line, block.events, motion)
+        yield replace(chunk, commands=motion)
 
 
-def in_motion(block: Samples) -> Flags:
+def in_motion(chunk: Samples) -> Flags:
     """Samples that are not part of a rest or pause, (n,)."""
-    moving = np.ones(len(block), dtype=bool)
-    for event in block.events:
+    moving = np.ones(len(chunk), dtype=bool)
+    for event in chunk.events:
         if isinstance(event, Rest | Pause):
-            start = event.index - block.first
+            start = event.index - chunk.first
             moving[start : start + event.samples] = False
     return moving

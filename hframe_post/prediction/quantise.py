@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,15 +14,15 @@ from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
 
-def quantise(blocks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
+def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
     """The stream with its commands stepped, at a millisecond each."""
-    for stretch in stretches(blocks):
-        for block, wide, where in with_neighbours(stretch, 1, 1):
+    for stretch in stretches(chunks):
+        for chunk, wide, where in with_neighbours(stretch, 1, 1):
             commands = {
                 name: frozen(stepped(command, kinematics, steps)[where])
                 for name, command in wide.commands.items()
             }
-            yield Samples(block.first, block.xyze, block.line, block.events, commands)
+            yield replace(chunk, commands=commands)
 
 
 def stepped(command: Array, kinematics: Kinematics, steps: Steps) -> Array:

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.arrays import Array
 
 BINS_PER_E = 100  # bins of 1 % for the percentiles
 BINS = 22 * BINS_PER_E  # up to 0.3 m
@@ -94,10 +93,3 @@ class Figures:
             "peak_belt_speed": round(self.velocity, 3),
             "peak_belt_acceleration": round(self.acceleration, 1),
         }
-
-
-def belt_rates(command: Array, kinematics: Kinematics) -> tuple[Array, Array]:
-    """Speed and acceleration (n,) of the faster belt under a command (2 + n, 2), mm, s."""
-    position = kinematics.belts(*command.T)
-    velocity, acceleration = (np.abs(np.diff(position, n=n)).max(axis=0) / TS**n for n in (1, 2))
-    return velocity[1:], acceleration

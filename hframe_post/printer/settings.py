@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.firmware_tables import Firmware
 from hframe_post.printer.schema import not_negative, positive, within
 
-STRATEGIES = ("racking", "fbs", "none")
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 LONGEST_RAMP = 60.0  # s
 LONGEST_PREVIEW = 2000  # samples; a window is solved with a matrix of its square
@@ -94,7 +94,7 @@ class Compensation:
     n_C: int = positive(most=1000)
     n_up: int = positive(most=1000)
     effort: tuple[float, float] = not_negative()
-    strategy: str = field(default="racking", metadata={"choices": STRATEGIES})
+    strategy: str = field(default="racking", metadata={"choices": tuple(STRATEGIES)})
     degree: int = within(2, 9, default=5)
     settle_tolerance: float = within(1e-6, 10.0, default=0.05)
 

@@ -1,4 +1,4 @@
-"""Re-cutting of blocks of samples: parts, joins, batches, neighbours, stretches."""
+"""Chunks of a stream of samples: parts, joins, batches, neighbours, stretches."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import numpy as np
 from hframe_post.stream.types import Samples, frozen
 
 
-def stretches(blocks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
-    """The stream in parts, each ending where the machine is yielded: state ends there too.
+def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
+    """The stream in parts, each ending where the machine may move on its own: state ends there too.
 
     Each part must be used up before the next one is asked for.
     """
-    source = iter(blocks)
+    source = iter(chunks)
 
-    def stretch(block: Samples) -> Iterator[Samples]:
-        yield block
-        while not block.yields and (following := next(source, None)) is not None:
-            block = following
-            yield block
+    def stretch(chunk: Samples) -> Iterator[Samples]:
+        yield chunk
+        while not chunk.ends_stretch and (following := next(source, None)) is not None:
+            chunk = following
+            yield chunk
 
     for first in source:
         yield stretch(first)
 
 
-def batches(blocks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """Contiguous blocks cut anew, ``n`` samples each, the last one what is left."""
+def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
+    """Contiguous chunks cut anew, ``n`` samples each, the last one what is left."""
     held: list[Samples] = []
-    for block in blocks:
-        held.append(block)
+    for chunk in chunks:
+        held.append(chunk)
         if sum(map(len, held)) < n:
             continue
         whole = join(held)
@@ -44,15 +44,15 @@ def batches(blocks: Iterable[Samples], n: int) -> Iterator[Samples]:
 
 
 def with_neighbours(
-    blocks: Iterable[Samples], before: int, after: int
+    chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
-    """Each block, a wider one with up to so many samples around it, and where it lies there."""
+    """Each chunk, a wider one with up to so many samples around it, and where it lies there."""
     past: Samples | None = None
     held: list[Samples] = []
-    for block in chain(blocks, [None]):
-        if block is not None:
-            held.append(block)
-        while held and (block is None or sum(map(len, held[1:])) >= after):
+    for chunk in chain(chunks, [None]):
+        if chunk is not None:
+            held.append(chunk)
+        while held and (chunk is None or sum(map(len, held[1:])) >= after):
             current = held.pop(0)
             parts = [current] if past is None else [past, current]
             start = len(parts[0]) if past is not None else 0
@@ -64,47 +64,49 @@ def with_neighbours(
             yield current, wide, slice(start, start + len(current))
 
 
-def join(blocks: list[Samples]) -> Samples:
-    """Contiguous blocks as one."""
-    if len(blocks) == 1:
-        return blocks[0]
+def join(chunks: list[Samples]) -> Samples:
+    """Contiguous chunks as one."""
+    if len(chunks) == 1:
+        return chunks[0]
     return Samples(
-        blocks[0].first,
-        frozen(np.concatenate([b.xyze for b in blocks])),
-        np.concatenate([b.line for b in blocks]),
-        tuple(event for b in blocks for event in b.events),
+        chunks[0].first,
+        frozen(np.concatenate([c.xyze for c in chunks])),
+        np.concatenate([c.line for c in chunks]),
+        tuple(event for c in chunks for event in c.events),
         {
-            name: frozen(np.concatenate([b.commands[name] for b in blocks]))
-            for name in blocks[0].commands
+            name: frozen(np.concatenate([c.commands[name] for c in chunks]))
+            for name in chunks[0].commands
         },
+        chunks[-1].ends_stretch,
     )
 
 
-def part(block: Samples, start: int, stop: int) -> Samples:
-    """Samples start … stop − 1 of a block; the events of ``stop`` only if the block ends there."""
-    low, high = block.first + start, block.first + stop
+def part(chunk: Samples, start: int, stop: int) -> Samples:
+    """Samples start … stop − 1 of a chunk; the events of ``stop`` only if the chunk ends there."""
+    low, high = chunk.first + start, chunk.first + stop
     events = tuple(
-        e for e in block.events if low <= e.index and (e.index < high or high >= block.end)
+        e for e in chunk.events if low <= e.index and (e.index < high or high >= chunk.end)
     )
-    commands = {name: xy[start:stop] for name, xy in block.commands.items()}
-    return Samples(low, block.xyze[start:stop], block.line[start:stop], events, commands)
+    commands = {name: xy[start:stop] for name, xy in chunk.commands.items()}
+    ends = chunk.ends_stretch and high >= chunk.end
+    return Samples(low, chunk.xyze[start:stop], chunk.line[start:stop], events, commands, ends)
 
 
-def branches(blocks: Iterable[Samples], count: int) -> list[Iterator[Samples]]:
-    """The same blocks ``count`` times over; held only until the slowest branch has taken them.
+def branches(chunks: Iterable[Samples], count: int) -> list[Iterator[Samples]]:
+    """The same chunks ``count`` times over; held only until the slowest branch has taken them.
 
-    ``itertools.tee`` lets go of what has been taken by dozens only, and a block is megabytes.
+    ``itertools.tee`` lets go of what has been taken by dozens only, and a chunk is megabytes.
     """
-    source, queues = iter(blocks), [deque[Samples]() for _ in range(count)]
+    source, queues = iter(chunks), [deque[Samples]() for _ in range(count)]
 
     def branch(queue: deque[Samples]) -> Iterator[Samples]:
         while True:
             if not queue:
-                block = next(source, None)
-                if block is None:
+                chunk = next(source, None)
+                if chunk is None:
                     return
                 for other in queues:
-                    other.append(block)
+                    other.append(chunk)
             yield queue.popleft()
 
     return [branch(queue) for queue in queues]

@@ -75,7 +75,7 @@ class Handling(Enum):
 
     CARRY = "in mid-motion"
     REST = "at rest, inside the stream"
-    YIELD = "at rest, with the user's limits and modes in force"
+    RELEASE = "at rest, with the user's limits and modes in force"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +159,7 @@ class Samples:
     xyze (n, 4): the path, as desired. line (n,): source line of each. events: in order of
     their index, which lies in [first, first + n] (n: after the last sample). commands:
     strategy → (n, 2), the x and y for the motors; empty until ``compensate`` has run.
+    ends_stretch: the machine is out of our hands after these, and may move itself.
     """
 
     first: int
@@ -166,6 +167,7 @@ class Samples:
     line: Integers
     events: tuple[Event, ...] = ()
     commands: dict[str, Array] = field(default_factory=dict)
+    ends_stretch: bool = False
 
     def __len__(self) -> int:
         return len(self.xyze)
@@ -174,13 +176,6 @@ class Samples:
     def end(self) -> int:
         """Index of the sample after the last."""
         return self.first + len(self.xyze)
-
-    @property
-    def yields(self) -> bool:
-        """Whether the machine is out of our hands after this block, and may move itself."""
-        last = self.events[-1] if self.events else None
-        action = last.action if isinstance(last, Pause) else None
-        return isinstance(action, Passthrough) and action.handling is Handling.YIELD
 
 
 def frozen(array: Array) -> Array:

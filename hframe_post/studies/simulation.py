@@ -1,37 +1,35 @@
 """What would it do for this part? Every strategy through the plant, and how far to trust it.
 
-lines → … → guard → (whole steps) → simulate, on the plant and on printers that are not
-quite the plant → figures by layer and feature
+commands → (whole steps) → judged on the plant, and on printers that are not quite the plant
+→ figures by layer and feature
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.pipeline import (
-    JUDGED_EVERY,
-    Options,
-    commanded,
-    counted,
-    extruded,
-    prepared,
-    timed,
-)
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.arrays import Integers
+from hframe_post.conversion.meters import JUDGED_EVERY
+from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.quantise import quantise
-from hframe_post.prediction.statistics import ErrorStatistics, Figures, belt_rates
+from hframe_post.prediction.statistics import ErrorStatistics, Figures
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Samples
-from hframe_post.studies.simulation_report import Group, SimulationReport, Uncertainty
+from hframe_post.studies.simulation_report import (
+    Group,
+    Parts,
+    SimulationReport,
+    Uncertainty,
+    known,
+)
 
 DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
 
@@ -40,26 +38,26 @@ DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
 class Study:
     """What stands in for the printer.
 
-    plant: what is simulated, whatever the compensator believes. drawn: share of model error
-    → printers that are off by up to that. steps: None for motors without steps.
+    plant: what is simulated, whatever the compensator believes; name: of it. drawn: share of
+    model error → printers that are off by up to that. steps: None for motors without steps.
     """
 
     plant: Plant
     drawn: dict[float, list[Plant]] = field(default_factory=dict)
     steps: Steps | None = None
+    name: str = ""
 
 
 def simulate(
-    lines: Iterable[bytes],
-    printer: Printer,
-    options: Options,
-    study: Study,
-    report: SimulationReport,
-) -> None:
-    """Fills the report; memory does not grow with the print. Raises HframeError."""
-    compensator = prepared(printer)
-    commands = prefetch(commanded(counted(lines, report), printer, compensator, options, report))
-    commands = _rated(extruded(timed(commands, report), report), printer.kinematics, report)
+    lines: Iterable[bytes], printer: Printer, options: Options, study: Study
+) -> SimulationReport:
+    """What the options' strategies would do; memory does not grow with the print.
+
+    Raises HframeError.
+    """
+    source = Commands(lines, printer, replace(options, predict=()), options.strategies)
+    parts, uncertainties = Parts(), list[Uncertainty]()
+    commands = _rated(source, printer.kinematics, parts)
     if study.steps is not None:
         commands = quantise(commands, printer.kinematics, study.steps)
     count = 1 + sum(map(len, study.drawn.values()))
@@ -68,61 +66,63 @@ def simulate(
     drawn: list[Iterator[None]] = []
     for share, plants in study.drawn.items():
         uncertainty = Uncertainty(share)
-        report.model_error.append(uncertainty)
+        uncertainties.append(uncertainty)
         for plant in plants:
             contour: dict[str, ErrorStatistics] = {}
             uncertainty.printers.append(contour)
             drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
     labels = Labels()
-    for judgement, *_ in zip(judged, *drawn, strict=True):  # block by block, to hold but one
-        _add_errors(judgement, labels, report)
+    for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
+        _add_errors(judgement, labels, parts)
+    contour = {name: figures.contour for name, figures in parts.whole.items()}
+    return SimulationReport(
+        **known(replace(source.report(), contour=contour)), plant=study.name,
+        quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),
+    )  # fmt: skip
 
 
 def _drawn(judged: Iterable[Judgement], contour: dict[str, ErrorStatistics]) -> Iterator[None]:
-    """Takes the contour errors of one printer, a block at a time."""
+    """Takes the contour errors of one printer, a chunk at a time."""
     for judgement in judged:
         for name, errors in judgement.contour.items():
             contour.setdefault(name, ErrorStatistics()).add(errors)
         yield
 
 
-def _add_errors(judgement: Judgement, labels: Labels, report: SimulationReport) -> None:
-    layer, feature = labels.of(judgement.block)
-    for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, report):
+def _add_errors(judgement: Judgement, labels: Labels, parts: Parts) -> None:
+    layer, feature = labels.of(judgement.chunk)
+    for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
         for name, contour in judgement.contour.items():
             figures = group.setdefault(name, Figures())
             figures.add_errors(contour[which], judgement.tracking[name][which])
-    report.add_errors(judgement.contour)
 
 
-def _rated(
-    blocks: Iterable[Samples], kinematics: Kinematics, report: SimulationReport
-) -> Iterator[Samples]:
-    """The blocks as they are; how fast the belts go is reported."""
-    labels, before = Labels(), dict[str, Array]()
-    for block in blocks:
-        layer, feature = labels.of(block)
-        for name, command in block.commands.items():
-            known = before.get(name, command[:1].repeat(2, axis=0))
+def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:
+    """The chunks as they are; how fast the belts go is noted."""
+    labels, differences = Labels(), dict[str, Differences]()
+    for chunk in chunks:
+        layer, feature = labels.of(chunk)
+        for name, command in chunk.commands.items():
             if len(command):
-                velocity, acceleration = belt_rates(np.concatenate([known, command]), kinematics)
-                for group, which in _groups(layer, feature, labels, report):
+                rates = differences.setdefault(name, Differences(kinematics)).of(command)
+                velocity = np.abs(rates.belt_velocity).max(axis=0)
+                acceleration = np.abs(rates.belt_acceleration).max(axis=0)
+                for group, which in _groups(layer, feature, labels, parts):
                     figures = group.setdefault(name, Figures())
                     figures.add_rates(velocity[which], acceleration[which])
-                before[name] = np.concatenate([known, command])[-2:]
-        if block.yields:
-            before = {}
-        yield block
+        if chunk.ends_stretch:
+            differences = {}
+        yield chunk
 
 
 def _groups(
-    layer: Integers, feature: Integers, labels: Labels, report: SimulationReport
+    layer: Integers, feature: Integers, labels: Labels, parts: Parts
 ) -> Iterator[tuple[Group, Integers]]:
     """The parts of the print that occur among the samples, each with the indices of its own."""
-    yield report.whole, np.arange(len(layer))
+    yield parts.whole, np.arange(len(layer))
     for numbers, names, groups in (
-        (layer, labels.layers, report.layers),
-        (feature, labels.features, report.features),
+        (layer, labels.layers, parts.layers),
+        (feature, labels.features, parts.features),
     ):
         for number in np.unique(numbers).tolist():
             group = groups.setdefault(names[number], {})

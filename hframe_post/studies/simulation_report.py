@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from statistics import median
 from typing import Any
 
-from hframe_post.conversion.report import STRATEGY_NAMES, Report
+from hframe_post.conversion.report import Report
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ErrorStatistics, Figures
 from hframe_post.writers.print_time import duration
 
@@ -43,30 +44,39 @@ class Uncertainty:
         return told
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Figures by strategy, of the whole print, and by layer and feature."""
+
+    whole: Group = field(default_factory=dict)
+    layers: dict[str, Group] = field(default_factory=dict)
+    features: dict[str, Group] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class SimulationReport(Report):
     """What each strategy would do. plant: name of what was simulated."""
 
     plant: str = ""
     quantised: bool = False
-    whole: Group = field(default_factory=dict)
-    layers: dict[str, Group] = field(default_factory=dict)
-    features: dict[str, Group] = field(default_factory=dict)
-    model_error: list[Uncertainty] = field(default_factory=list)
+    parts: Parts = field(default_factory=Parts)
+    model_error: tuple[Uncertainty, ...] = ()
 
     @property
     def strategies(self) -> list[str]:
         """Those simulated, from doing nothing to doing all."""
-        return [name for name in STRATEGY_NAMES if name in self.whole]
+        return [name for name in STRATEGIES if name in self.parts.whole]
 
     def as_json(self) -> dict[str, Any]:
         """The keys of a conversion, and those of a simulation."""
         return Report.as_json(self) | {
             "simulated_plant": self.plant,
             "quantised": self.quantised,
-            "strategies": _figures(self.whole),
-            "features": {name: _figures(group) for name, group in self._judged(self.features)},
-            "layers": {name: _figures(group) for name, group in self._judged(self.layers)},
+            "strategies": _figures(self.parts.whole),
+            "features": {
+                name: _figures(group) for name, group in self._judged(self.parts.features)
+            },
+            "layers": {name: _figures(group) for name, group in self._judged(self.parts.layers)},
             "model_error": [error.as_json(self.strategies) for error in self.model_error],
         }
 
@@ -74,15 +84,16 @@ class SimulationReport(Report):
         """Tables for a person."""
         stepped = ", in whole steps" if self.quantised else ""
         lines = [
-            f"{self.moves} moves, {duration(self.time_after)}, simulated on {self.plant}{stepped}",
+            f"{self.read.moves} moves, {duration(self.time.after)}, "
+            f"simulated on {self.plant}{stepped}",
             "",
             f"{'':21s}{'contour error, µm':>24s}{'tracking RMS, µm':>19s}{'belts, at most':>19s}",
             f"{'':21s}{'RMS':>8s}{'95 %':>8s}{'peak':>8s}{'x':>10s}{'y':>9s}"
             f"{'mm/s':>9s}{'mm/s²':>10s}",
-            *(_row(STRATEGY_NAMES[name], self.whole[name]) for name in self.strategies),
+            *(_row(STRATEGIES[name].label, self.parts.whole[name]) for name in self.strategies),
         ]
-        lines += self._table("feature", list(self._judged(self.features)))
-        layers = list(self._judged(self.layers))
+        lines += self._table("feature", list(self._judged(self.parts.features)))
+        layers = list(self._judged(self.parts.layers))
         title = "layer"
         if not all_layers and len(layers) > LAYERS_SHOWN:
             title = f"worst of {len(layers)} layers"
@@ -115,7 +126,7 @@ class SimulationReport(Report):
 
     def _trust(self) -> list[str]:
         """Where compensation helps and where it stops to."""
-        if "none" not in self.whole or len(self.strategies) < 2:
+        if "none" not in self.parts.whole or len(self.strategies) < 2:
             return []
         best, lines = self.strategies[-1], [""]
         for error in self.model_error:
@@ -129,11 +140,11 @@ class SimulationReport(Report):
             )
         harmed = [
             f"{kind} {name}"
-            for kind, groups in (("feature", self.features), ("layer", self.layers))
+            for kind, groups in (("feature", self.parts.features), ("layer", self.parts.layers))
             for name, group in self._judged(groups)
             if group[best].contour.rms >= group["none"].contour.rms
         ]
-        gain = self.whole["none"].contour.rms > self.whole[best].contour.rms
+        gain = self.parts.whole["none"].contour.rms > self.parts.whole[best].contour.rms
         if not gain:
             lines.append("NO HELP     compensation makes the whole of this print no better")
         elif harmed:
@@ -142,8 +153,13 @@ class SimulationReport(Report):
         return lines if len(lines) > 1 else []
 
 
+def known(report: Report) -> dict[str, Any]:
+    """The fields of a conversion's report, to start a simulation's from."""
+    return {field.name: getattr(report, field.name) for field in fields(Report)}
+
+
 def _figures(group: Group) -> dict[str, Any]:
-    return {name: group[name].as_json() for name in STRATEGY_NAMES if name in group}
+    return {name: group[name].as_json() for name in STRATEGIES if name in group}
 
 
 def _row(name: str, figures: Figures) -> str:

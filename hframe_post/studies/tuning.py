@@ -13,19 +13,20 @@ from statistics import median
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
-from hframe_post.compensation.compensate import Compensator, compensate
-from hframe_post.compensation.settle import settle
-from hframe_post.conversion.pipeline import JUDGED_EVERY, rests
+from hframe_post.arrays import X, Y
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.settle import rests, settle
+from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.reader import read
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ErrorStatistics, belt_rates
+from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Rests, Samples
@@ -97,7 +98,11 @@ def tune(
             compensators.append((trial, Compensator(printer.plant, trial.windows)))
         except ValueError as error:
             trial.refused = str(error)
-    offered = [rests(printer, compensator) for _, compensator in compensators] or [Rests(1, 1)]
+    tolerance = printer.compensation.settle_tolerance
+    offered = [
+        rests(compensator, printer.limits, printer.travel, tolerance)
+        for _, compensator in compensators
+    ] or [Rests(1, 1)]
     longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
     items = read(lines, dialect(printer.firmware.dialect), file_limits)
     samples = sample(plan(items, printer.limits), printer.limits, longest)
@@ -107,7 +112,7 @@ def tune(
             compensators, branches(samples, len(compensators)), strict=True
         )
     ]
-    for _ in zip_longest(*running):  # in step: no block is held for a branch far behind
+    for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
         pass
     return trials
 
@@ -129,7 +134,7 @@ def _tried(
     printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:
-    """Fills the trial, a block at a time."""
+    """Fills the trial, a chunk at a time."""
     commands = compensate(samples, compensator, ("racking",))
     tolerance = printer.compensation.settle_tolerance
     settled = _rated(settle(commands, "racking", tolerance), trial, printer.kinematics)
@@ -144,18 +149,15 @@ def _tried(
         yield
 
 
-def _rated(blocks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
-    """The blocks as they are; how hard the belts are driven is noted."""
-    before: Array | None = None
-    for block in blocks:
-        command = block.commands["racking"]
-        if len(command):
-            known = command[:1].repeat(2, axis=0) if before is None else before
-            whole = np.concatenate([known, command])
-            velocity, acceleration = belt_rates(whole, kinematics)
-            trial.velocity = max(trial.velocity, float(velocity.max()))
-            trial.acceleration = max(trial.acceleration, float(acceleration.max()))
-            before = whole[-2:]
-        if block.yields:
-            before = None
-        yield block
+def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
+    """The chunks as they are; how hard the belts are driven is noted."""
+    differences = Differences(kinematics)
+    for chunk in chunks:
+        if len(chunk):
+            rates = differences.of(chunk.commands["racking"])
+            trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))
+            acceleration = float(np.abs(rates.belt_acceleration).max())
+            trial.acceleration = max(trial.acceleration, acceleration)
+        if chunk.ends_stretch:
+            differences = Differences(kinematics)
+        yield chunk

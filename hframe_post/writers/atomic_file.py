@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO
 
-from hframe_post.writers.gcode import Late, Output
-from hframe_post.writers.print_time import late_line
+from hframe_post.writers.gcode import DeferredLine, Output
+from hframe_post.writers.print_time import told_anew
 
-ROOM = 24  # bytes beyond a late line's present length
+ROOM = 24  # bytes beyond a deferred line's present length
 
 
 class OutputFile:
@@ -24,7 +24,7 @@ class OutputFile:
     def __init__(self, path: Path | None, stdout: IO[bytes]) -> None:
         self._path = path.resolve() if path is not None else None
         self._stdout = stdout
-        self._late: list[tuple[int, int, Late]] = []
+        self._deferred: list[tuple[int, int, DeferredLine]] = []
         self._file: IO[bytes] | None = None
 
     def __enter__(self) -> OutputFile:
@@ -44,16 +44,16 @@ class OutputFile:
         """Writes it all. duration: the print's time (s), asked when the output is used up."""
         file = self.file
         for piece in output:
-            if isinstance(piece, Late):
+            if isinstance(piece, DeferredLine):
                 size = len(piece.line) + ROOM
-                self._late.append((file.tell(), size, piece))
+                self._deferred.append((file.tell(), size, piece))
                 file.write(b" " * size + b"\n")
             else:
                 file.write(piece)
         total = duration()
-        for offset, size, late in self._late:
+        for offset, size, deferred in self._deferred:
             file.seek(offset)
-            file.write(late_line(late, total).ljust(size)[:size])
+            file.write(told_anew(deferred, total).ljust(size)[:size])
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         name = Path(self.file.name)

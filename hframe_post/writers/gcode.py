@@ -23,10 +23,10 @@ from hframe_post.stream.types import Handling, Mark, Pause, Samples, Standing
 from hframe_post.writers import digits
 
 PER_SECOND = round(1.0 / TS)
-CHUNK = 2048 * LONGEST  # samples written at once
+SAMPLES_AT_ONCE = 2048 * LONGEST
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
 COUNTED = 5_000_000  # units of filament after which some firmware must count anew
-CATCH_UP = 0.01  # share of a chunk's time by which it may be hurried or delayed
+CATCH_UP = 0.01  # share of a batch's time by which it may be hurried or delayed
 DECIMALS = (3, 3, 3, 5)  # of x, y, z, e in mm
 PER_MM_E = 1e5  # output units of e
 FEED_DECIMALS = 1  # of F in mm/min
@@ -38,25 +38,31 @@ TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal
 
 
 @dataclass(frozen=True, slots=True)
-class Late:
+class DeferredLine:
     """A line that tells of the whole print's duration, which is known only at the end."""
 
     line: bytes
     elapsed: float
 
 
-Output = bytes | Late
+Output = bytes | DeferredLine
 
 
-@dataclass
-class Ledger:
-    """What was written: filament in steps of 0.00001 mm, and mm in lines passed on; lines."""
+@dataclass(frozen=True, slots=True)
+class GcodeSummary:
+    """What was written: lines, those of motion in the busiest second, filament (mm)."""
 
-    steps: int = 0
-    passed: float = 0.0
-    busiest: int = 0  # lines in the busiest second
-    _second: int = 0
-    _lines: int = 0  # in that second, so far
+    lines: int
+    busiest_second: int
+    filament: float
+
+
+class _Ledger:
+    """Filament in steps of 0.00001 mm, and mm in lines passed on; lines of motion a second."""
+
+    def __init__(self) -> None:
+        self.steps, self.passed, self.busiest = 0, 0.0, 0
+        self._second, self._lines = 0, 0  # lines in that second, so far
 
     def wrote(self, samples: Integers) -> None:
         """Counts lines by the samples, ascending, at which they are due."""
@@ -72,28 +78,39 @@ class Ledger:
         return self.steps / PER_MM_E + self.passed
 
 
-def write(
-    blocks: Iterable[Samples],
-    written: str,
-    player: Player,
-    ledger: Ledger,
-    finer: int = 0,
-) -> Iterator[Output]:
-    """The command ``written`` as text for a firmware; ``ledger`` is filled as it flows.
+class GcodeWriter:
+    """Commands as text for a firmware.
 
-    finer: digits that coordinates and F are given beyond those that a print needs.
+    strategy: whose command is written; finer: digits that coordinates and F are given beyond
+    those that a print needs.
     """
-    writer = _Writer(written, player, ledger, finer)
-    for block in blocks:
-        yield from writer.block(block)
-    yield from writer.span(last=True)
+
+    def __init__(self, strategy: str, player: Player, finer: int = 0) -> None:
+        self._ledger, self._lines = _Ledger(), 0
+        self._stream = _Stream(strategy, player, self._ledger, finer)
+
+    def write(self, chunks: Iterable[Samples]) -> Iterator[Output]:
+        """The text, in order; ``summary`` tells of what has been asked for so far."""
+        for output in self._outputs(chunks):
+            self._lines += 1 if isinstance(output, DeferredLine) else output.count(b"\n")
+            yield output
+
+    def _outputs(self, chunks: Iterable[Samples]) -> Iterator[Output]:
+        for chunk in chunks:
+            yield from self._stream.chunk(chunk)
+        yield from self._stream.span(last=True)
+
+    @property
+    def summary(self) -> GcodeSummary:
+        """Of everything, once it has been written."""
+        return GcodeSummary(self._lines, self._ledger.busiest, self._ledger.filament)
 
 
-class _Writer:
+class _Stream:
     """Where the machine stands in output units, and the samples not written yet."""
 
-    def __init__(self, written: str, player: Player, ledger: Ledger, finer: int) -> None:
-        self._written, self._player, self._ledger = written, player, ledger
+    def __init__(self, strategy: str, player: Player, ledger: _Ledger, finer: int) -> None:
+        self._strategy, self._player, self._ledger = strategy, player, ledger
         self._decimals = (*(decimals + finer for decimals in DECIMALS[:E]), DECIMALS[E])
         self._per_mm = 10.0 ** np.array(self._decimals)
         self._feed_decimals = FEED_DECIMALS + finer
@@ -105,36 +122,36 @@ class _Writer:
         self._feed = 0  # last F, in its output units
         self._before = 0.0  # speed of the last segment, mm/s
         self._still = 0  # samples of standstill since the last segment
-        self._late = 0.0  # s by which the machine lags, as far as rounding tells
+        self._lag = 0.0  # s by which the machine lags, as far as rounding tells
         self._start: Array = np.zeros(4)  # the point before the held ones
         self._held: list[Array] = []
         self._count = 0
         self._index = 0  # of the first held sample
         self._marks: list[Mark] = []
-        self._skip = 0  # samples of a pause that lie in the next blocks
+        self._skip = 0  # samples of a pause that lie in the next chunks
 
     # ------------------------------------------------------------------ samples in
 
-    def block(self, block: Samples) -> Iterator[Output]:
-        """Takes a block; yields what can be written."""
-        points = np.column_stack([block.commands[self._written], block.xyze[:, Z:]])
-        done = min(self._skip, len(block))
+    def chunk(self, chunk: Samples) -> Iterator[Output]:
+        """Takes a chunk; yields what can be written."""
+        points = np.column_stack([chunk.commands[self._strategy], chunk.xyze[:, Z:]])
+        done = min(self._skip, len(chunk))
         self._skip -= done
-        for event in block.events:
-            at = event.index - block.first
+        for event in chunk.events:
+            at = event.index - chunk.first
             if isinstance(event, Mark):
-                yield from self._take(points[done:at], block.first + done)
+                yield from self._take(points[done:at], chunk.first + done)
                 done = max(at, done)
                 self._marks.append(event)
                 if not self._count:
                     yield from self._carried(event.index)
             elif isinstance(event, Pause):
-                yield from self._take(points[done:at], block.first + done)
+                yield from self._take(points[done:at], chunk.first + done)
                 yield from self.span(last=True)
                 yield from self._pause(event)
-                done = min(at + event.samples, len(block))
+                done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
-        yield from self._take(points[done:], block.first + done)
+        yield from self._take(points[done:], chunk.first + done)
 
     def _take(self, points: Array, index: int) -> Iterator[Output]:
         if not len(points):
@@ -145,16 +162,16 @@ class _Writer:
             self._index, self._start = index, self._at / self._per_mm
         self._held.append(points)
         self._count += len(points)
-        while self._count > CHUNK:
+        while self._count > SAMPLES_AT_ONCE:
             yield from self.span(last=False)
 
     # ------------------------------------------------------------------ segments out
 
     def span(self, last: bool) -> Iterator[Output]:
-        """The held samples as segments: a chunk of them, or all up to a standstill."""
+        """The held samples as segments: a batch of them, or all up to a standstill."""
         if self._count:
             held = np.concatenate(self._held)
-            n = len(held) if last else CHUNK
+            n = len(held) if last else SAMPLES_AT_ONCE
             points = np.vstack([self._start, held[:n]])
             marks = [mark for mark in self._marks if mark.index - self._index < n]
             yield from self._segments(points, marks, last)
@@ -202,11 +219,11 @@ class _Writer:
         rest[0] |= self._before == 0.0
         mm = np.vstack([self._at, at]) / self._per_mm  # type: ignore[list-item]
         T = self._player.least_times(mm, T)
-        hurried = T * (1.0 - np.clip(self._late / T.sum(), -CATCH_UP, CATCH_UP))
+        hurried = T * (1.0 - np.clip(self._lag / T.sum(), -CATCH_UP, CATCH_UP))
         v = self._player.feed_rates(mm, hurried, rest, self._before)
         feed = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         taken = self._player.durations(mm, feed / self._per_feed, rest, self._before)
-        self._late += float((taken - T).sum())
+        self._lag += float((taken - T).sum())
         shown = delta != 0
         shown[0, :Z] |= self._feed == 0  # after the machine was yielded: both, to be plain
         faster = np.diff(feed, prepend=self._feed) != 0
@@ -249,7 +266,7 @@ class _Writer:
         if ELAPSED.match(mark.text):
             yield b";TIME_ELAPSED:%.6f\n" % elapsed
         elif TOTAL.match(mark.text):
-            yield Late(mark.text, elapsed)
+            yield DeferredLine(mark.text, elapsed)
         else:
             yield mark.text + b"\n"
         if self._inside and (mode := REASSERT.match(mark.text)):
@@ -266,14 +283,14 @@ class _Writer:
             yield from self._count_anew()
             self._ledger.wrote(np.array([pause.index]))
             yield from self._standing(action)
-            self._late += pause.exact - pause.samples * TS
+            self._lag += pause.exact - pause.samples * TS
             yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.MOTION)
-        elif action.handling is Handling.YIELD:
+        elif action.handling is Handling.RELEASE:
             if self._inside and self._at is not None:
                 end = self._player.end(action.state, self._at / self._per_mm)
                 yield b"".join(line + b"\n" for line in end)
             self._offset = action.state.offset
-            self._inside, self._at, self._feed, self._late = False, None, 0, 0.0
+            self._inside, self._at, self._feed, self._lag = False, None, 0, 0.0
             self._ledger.passed += action.filament
             if action.text:
                 yield action.text + b"\n"
@@ -296,12 +313,12 @@ class _Writer:
 
     def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Output]:
         """Standstill for so long, less what the machine is late."""
-        seconds = samples * TS - self._late
+        seconds = samples * TS - self._lag
         waiting = self._player.dwell(seconds, beside) if self._inside else None
         if waiting is not None:
             line, waited = waiting
             yield line
-            self._late += waited - samples * TS
+            self._lag += waited - samples * TS
 
     def _count_anew(self) -> Iterator[Output]:
         """Lets the firmware count filament from nothing, where it has counted much."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from hframe_post.writers.gcode import Late
+from hframe_post.writers.gcode import DeferredLine
 
 
 def duration(seconds: float) -> str:
@@ -18,19 +18,19 @@ def duration(seconds: float) -> str:
 _M73 = re.compile(rb"([PQRSC])\s*(\d+)", re.IGNORECASE)
 
 
-def late_line(late: Late, total: float) -> bytes:
+def told_anew(deferred: DeferredLine, total: float) -> bytes:
     """The line with print times as they are after compensation."""
-    left = max(total - late.elapsed, 0.0)
-    if late.line[:1] == b";":
-        head, mark, _ = late.line.partition(b"=" if b"=" in late.line else b":")
+    left = max(total - deferred.elapsed, 0.0)
+    if deferred.line[:1] == b";":
+        head, mark, _ = deferred.line.partition(b"=" if b"=" in deferred.line else b":")
         told = f" {duration(total)}" if mark == b"=" else str(math.ceil(total))
         return head + mark + told.encode()
-    percent = round(100.0 * late.elapsed / total) if total else 100
+    percent = round(100.0 * deferred.elapsed / total) if total else 100
 
     def renewed(match: re.Match[bytes]) -> bytes:
         letter = match[1].upper()
         value = percent if letter in b"PQ" else math.ceil(left / 60.0)
         return match[0] if letter == b"C" else letter + str(value).encode()
 
-    head, semicolon, comment = late.line.partition(b";")
+    head, semicolon, comment = deferred.line.partition(b";")
     return _M73.sub(renewed, head) + semicolon + comment

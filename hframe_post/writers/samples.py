@@ -15,24 +15,24 @@ from hframe_post.writers import digits
 # Path, command, lift and filament, prediction. s, mm, rad.
 COLUMNS = ("t", "x_d", "y_d", "x_dm", "y_dm", "z", "e", "theta", "x", "y")
 DECIMALS = (3, 6, 6, 6, 6, 6, 6, 9, 6, 6)
-ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever the blocks
+ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever the chunks
 
 
-def tabulate(blocks: Iterable[Samples], written: str, plant: Plant) -> Iterator[Array]:
-    """Tables (n, len(COLUMNS)) of the command ``written``. t: the end of a sample's millisecond.
+def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator[Array]:
+    """Tables (n, len(COLUMNS)) of a strategy's command. t: the end of a sample's millisecond.
 
     The prediction starts from rest wherever the machine may stand anew.
     """
-    for stretch in stretches(blocks):
+    for stretch in stretches(chunks):
         response: Response | None = None
-        for block in batches(stretch, ROWS_AT_ONCE):
-            if not len(block):
+        for chunk in batches(stretch, ROWS_AT_ONCE):
+            if not len(chunk):
                 continue
-            command = block.commands[written]
-            response = response or Response(plant, block.xyze[0, :Z])
+            command = chunk.commands[strategy]
+            response = response or Response(plant, chunk.xyze[0, :Z])
             x, y, theta = response.motion(command).T
-            t = np.arange(block.first + 1, block.end + 1) * TS
-            yield np.column_stack([t, block.xyze[:, :Z], command, block.xyze[:, Z:], theta, x, y])
+            t = np.arange(chunk.first + 1, chunk.end + 1) * TS
+            yield np.column_stack([t, chunk.xyze[:, :Z], command, chunk.xyze[:, Z:], theta, x, y])
 
 
 def as_csv(tables: Iterable[Array]) -> Iterator[bytes]:

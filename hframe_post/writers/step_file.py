@@ -90,47 +90,46 @@ class End:
 Item = Start | Stepped | End
 
 
-@dataclass
-class Lines:
-    """How much was written: rows of steps, and all lines of the step file."""
+class StepFileWriter:
+    """Steps as the text of a step file. rows, lines: of steps and of all, written so far."""
 
-    rows: int = 0
-    all: int = 0
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._render = _Ticks() if header.kind == "step-bits" else _steps
+        self.rows, self.lines = 0, 0
 
-
-def written(
-    items: Iterable[Item], header: Header, inline: bool, lines: Lines
-) -> Iterator[bytes | Note]:
-    """The text of a step file, and the notes for its file of events.
-
-    inline: notes become lines of the step file instead. ``lines`` is filled as it flows.
-    """
-    rows = _Ticks() if header.kind == "step-bits" else _steps
-    head = header.text()
-    lines.all += head.count(b"\n")
-    yield head
-    for item in items:
-        if isinstance(item, Stepped):
-            notes = item.notes if inline else ()
-            if not inline:
-                yield from item.notes
-            cuts = [int(np.searchsorted(item.keys, note.tick + 1 << KEY_BITS)) for note in notes]
-            for start, stop, note in zip([0, *cuts], [*cuts, None], [*notes, None], strict=True):
-                if len(keys := item.keys[start:stop]):
-                    count, text_of_rows = rows(keys)
-                    lines.rows += count
-                    lines.all += count
-                    yield text_of_rows
-                if note is not None:
-                    lines.all += 1
-                    yield b"#event," + note.line()
-        else:
-            lines.all += 1
+    def write(self, items: Iterable[Item]) -> Iterator[bytes | Note]:
+        """The text, and the notes after the steps of their tick, for a file of events."""
+        head = self._header.text()
+        self.lines += head.count(b"\n")
+        yield head
+        for item in items:
+            if isinstance(item, Stepped):
+                yield from self._stepped(item)
+                continue
+            self.lines += 1
             yield (
-                b"#end,%d,%d\n" % (item.tick, lines.rows)
+                b"#end,%d,%d\n" % (item.tick, self.rows)
                 if isinstance(item, End)
                 else b"#start,%d,%d,%d,%d,%d\n" % (item.tick, *item.position)
             )
+
+    def _stepped(self, item: Stepped) -> Iterator[bytes | Note]:
+        cuts = [int(np.searchsorted(item.keys, note.tick + 1 << KEY_BITS)) for note in item.notes]
+        for start, stop, note in zip([0, *cuts], [*cuts, None], [*item.notes, None], strict=True):
+            if len(keys := item.keys[start:stop]):
+                count, text = self._render(keys)
+                self.rows += count
+                self.lines += count
+                yield text
+            if note is not None:
+                yield note
+
+
+def inlined(pieces: Iterable[bytes | Note]) -> Iterator[bytes]:
+    """All as one text, in which notes are lines."""
+    for piece in pieces:
+        yield b"#event," + piece.line() if isinstance(piece, Note) else piece
 
 
 def _steps(keys: Integers) -> tuple[int, bytes]:

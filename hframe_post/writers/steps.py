@@ -1,4 +1,4 @@
-"""Samples → the steps of the motors, on the ticks of a stepping clock; and back: ``read``.
+"""Samples → the steps of the motors, on the ticks of a stepping clock.
 
 Rules:
  1. Between samples the command is a monotone cubic (``crossings``). A motor steps where it
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
@@ -34,33 +34,43 @@ SAMPLES_AT_ONCE = 1 << 14
 LATEST = 1e-3  # s that a step may be late beyond direction_setup
 LEEWAY = 1.0 + 1e-9  # limits met exactly are met
 
-HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.YIELD: "yielded"}
+HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE: "yielded"}
 
 
-@dataclass
-class Counts:
-    """What was stepped, by motor: all steps, and forwards less backwards."""
+@dataclass(frozen=True, slots=True)
+class StepCounts:
+    """What was stepped: by motor (4,) all steps, and forwards less backwards.
 
-    steps: Integers = field(default_factory=lambda: np.zeros(len(MOTORS), dtype=np.int64))
-    net: Integers = field(default_factory=lambda: np.zeros(len(MOTORS), dtype=np.int64))
-    ticks: int = 0  # of the whole print
-    starts: int = 0
-    passed: float = 0.0  # mm of filament in lines passed on
-
-
-def step(
-    blocks: Iterable[Samples], written: str, kinematics: Kinematics, table: Steps, counts: Counts
-) -> Iterator[Item]:
-    """The steps of the command ``written``, with a ``Start`` wherever the machine may stand anew.
-
-    ``counts`` is filled as it flows. Raises LimitError.
+    ticks: of the whole print; starts: how often the motors' places were given anew; passed: mm
+    of filament in lines passed on.
     """
-    machine = _Machine(written, kinematics, table, counts)
-    for stretch in stretches(blocks):
-        for block in stretch:
-            yield from machine.block(block)
-        machine.known = False
-    yield from machine.end()
+
+    steps: Integers
+    net: Integers
+    ticks: int
+    starts: int
+    passed: float
+
+
+class Stepper:
+    """Commands as steps. strategy: whose command is stepped."""
+
+    def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
+        self._machine = _Machine(strategy, kinematics, table)
+
+    def step(self, chunks: Iterable[Samples]) -> Iterator[Item]:
+        """The steps, with a ``Start`` wherever the machine may stand anew. Raises LimitError."""
+        for stretch in stretches(chunks):
+            for chunk in stretch:
+                yield from self._machine.chunk(chunk)
+            self._machine.known = False
+        yield from self._machine.end()
+
+    @property
+    def counts(self) -> StepCounts:
+        """Of everything, once all steps have been asked for."""
+        m = self._machine
+        return StepCounts(m.steps.copy(), m.net.copy(), m.ticks, m.starts, m.passed)
 
 
 class _Motor:
@@ -91,8 +101,11 @@ class _Motor:
 class _Machine:
     """All motors, the samples whose intervals are not finished, and steps not yet in order."""
 
-    def __init__(self, written: str, kinematics: Kinematics, table: Steps, counts: Counts) -> None:
-        self._written, self._kinematics, self._counts = written, kinematics, counts
+    def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
+        self._strategy, self._kinematics = strategy, kinematics
+        self.steps = np.zeros(len(MOTORS), dtype=np.int64)
+        self.net = np.zeros(len(MOTORS), dtype=np.int64)
+        self.ticks, self.starts, self.passed = 0, 0, 0.0
         self._lengths = np.array([table.belt, table.belt, table.z, table.e])
         self._per_sample, self._clock = table.clock_hz * TS, table.clock_hz
         self._motors = [_Motor(letter, table) for letter in MOTORS]
@@ -105,51 +118,51 @@ class _Machine:
         self._keys = np.zeros(0, dtype=np.int64)
         self._notes: list[Note] = []
 
-    def block(self, block: Samples) -> Iterator[Item]:
-        """Takes a block; yields what nothing can precede any more."""
-        x, y = block.commands[self._written].T
-        mm = np.column_stack([*self._kinematics.belts(x, y), block.xyze[:, Z:]])
+    def chunk(self, chunk: Samples) -> Iterator[Item]:
+        """Takes a chunk; yields what nothing can precede any more."""
+        x, y = chunk.commands[self._strategy].T
+        mm = np.column_stack([*self._kinematics.belts(x, y), chunk.xyze[:, Z:]])
         u = np.round(mm, GRAIN) / self._lengths + 0.5
         done = 0
-        for event in block.events:
+        for event in chunk.events:
             if isinstance(event, Mark):
                 tick = max(self._tick(event.index), self._floor)
                 self._notes.append(Note(tick, HANDLINGS[Handling.CARRY], event.text))
             elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
-                at = event.index - block.first
-                yield from self._take(u[done:at], block, done)
+                at = event.index - chunk.first
+                yield from self._take(u[done:at], chunk, done)
                 done = at
                 yield from self._rest(event.index)
-                yields = event.action.handling is Handling.YIELD
+                released = event.action.handling is Handling.RELEASE
                 name = HANDLINGS[event.action.handling]
-                if yields:
-                    self._counts.passed += event.action.filament
+                if released:
+                    self.passed += event.action.filament
                     name = name if event.action.text else "end"
                 self._notes.append(Note(self._floor, name, event.action.text))
-        yield from self._take(u[done:], block, done)
+        yield from self._take(u[done:], chunk, done)
 
     def end(self) -> Iterator[Item]:
         """What is left."""
         yield from self._rest(self._end)
         yield End(self._floor)
-        self._counts.ticks = self._floor
+        self.ticks = self._floor
 
     def _tick(self, index: int) -> int:
         """Tick at which the millisecond of the sample ``index`` begins."""
         return math.ceil(index * self._per_sample)
 
-    def _take(self, u: Array, block: Samples, row: int) -> Iterator[Item]:
-        """Samples u (n, 4), of which the first is row ``row`` of the block."""
+    def _take(self, u: Array, chunk: Samples, row: int) -> Iterator[Item]:
+        """Samples u (n, 4), of which the first is row ``row`` of the chunk."""
         if not len(u):
             return
-        line = block.line[row : row + len(u)]
-        self._end = block.first + row + len(u)
+        line = chunk.line[row : row + len(u)]
+        self._end = chunk.first + row + len(u)
         if not self.known:
-            self.known, self._index = True, block.first + row
+            self.known, self._index = True, chunk.first + row
             self._u, self._line = np.repeat(u[:1], 2, axis=0), np.repeat(line[:1], 2)
             tick = max(self._tick(self._index), self._floor)
             yield from self._emit(tick + 1)  # what was noted on the way here
-            self._counts.starts += 1
+            self.starts += 1
             yield Start(tick, tuple(np.floor(u[0]).astype(int).tolist()))
             u, line = u[1:], line[1:]
         for k in range(0, len(u), SAMPLES_AT_ONCE):
@@ -185,8 +198,8 @@ class _Machine:
             due = np.maximum(np.ceil(time).astype(np.int64), self._floor + 1)
             ticks = motor.place(due, direction, self._line[2:][interval])
             keys.append((ticks << KEY_BITS) + (2 * k + (direction > 0)))
-            self._counts.steps[k] += len(ticks)
-            self._counts.net[k] += int(direction.sum())
+            self.steps[k] += len(ticks)
+            self.net[k] += int(direction.sum())
         self._keys = np.sort(np.concatenate(keys), kind="stable")  # merges what is sorted
         self._u, self._line, self._index = self._u[n:], self._line[n:], self._index + n
 

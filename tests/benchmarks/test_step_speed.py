@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.compensation.compensate import Compensator
-from hframe_post.conversion.pipeline import Options, commanded
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers import step_reader
-from hframe_post.writers.step_file import Header, Lines, written
-from hframe_post.writers.steps import Counts, step
+from hframe_post.writers.step_file import Header, StepFileWriter
+from hframe_post.writers.steps import Stepper
 from tests.conftest import SAMPLES
 
 from .test_speed import fastest
@@ -32,27 +31,28 @@ GZIPPED = 10_000_000  # bytes, as many as the yardstick needs to be steady
 @pytest.fixture(scope="module")
 def prism(paper: Printer, compensator: Compensator) -> list[Samples]:
     """The commands of half an hour of print."""
-    options, report = Options("racking"), Report("racking")
     blocks: list[Samples] = []
     with (SAMPLES / "prism.gcode").open("rb") as lines:
-        for block in commanded(lines, paper, compensator, options, report):
+        commands = Commands(lines, paper, Options("racking"), compensator=compensator)
+        for block in commands.computed():
             blocks.append(block)
             if block.end > 1_800_000:
                 break
     return blocks
 
 
-def writing(prism: list[Samples], paper: Printer, kind: str) -> Callable[[], tuple[bytes, Lines]]:
+def writing(
+    prism: list[Samples], paper: Printer, kind: str
+) -> Callable[[], tuple[bytes, StepFileWriter]]:
     table = paper.steps
     assert table is not None
     lengths = (table.belt, table.belt, table.z, table.e)
     header = Header(kind, "", "", "", table.clock_hz, lengths, paper.kinematics.matrix)
 
-    def run() -> tuple[bytes, Lines]:
-        lines = Lines()
-        items = step(prism, "racking", paper.kinematics, table, Counts())
-        pieces = written(items, header, False, lines)
-        return b"".join(piece for piece in pieces if isinstance(piece, bytes)), lines
+    def run() -> tuple[bytes, StepFileWriter]:
+        stepper, writer = Stepper("racking", paper.kinematics, table), StepFileWriter(header)
+        pieces = writer.write(stepper.step(prism))
+        return b"".join(piece for piece in pieces if isinstance(piece, bytes)), writer
 
     return run
 

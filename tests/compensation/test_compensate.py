@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.compensate import Compensator, compensate
-from hframe_post.compensation.settle import FADE, LEAD_SHARE, settle
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.settle import FADE, LEAD_SHARE, rests, settle
 from hframe_post.model.plant import Response
+from hframe_post.model.strategies import Compensator
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Mark, Rest, Samples
 
@@ -82,14 +85,16 @@ def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int
 
 
 def test_rests_cover_the_fastest_stop(compensator: Compensator) -> None:
-    rests = compensator.rests(150.0, 5000.0, 140.0, 0.05)
+    limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
+    reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm
+    offered = rests(compensator, limits, reached, 0.05 / LEAD_SHARE)
     x = stroke(75, 150, 1000)
     samples = block(280.0 - x.max() + x, x)
     done = join(list(compensate([samples], compensator, ("racking",))))
     off = np.abs(done.commands["racking"] - samples.xyze[:, :2]).max(axis=1)
-    assert (off[-1000 + rests.settle + 5 :] < 0.06).all()
-    assert (off[: 1000 - rests.lead - 5] < 0.06).all()
-    assert off[-1000 + rests.settle - 20] > 0.04
+    assert (off[-1000 + offered.settle + 5 :] < 0.06).all()
+    assert (off[: 1000 - offered.lead - 5] < 0.06).all()
+    assert off[-1000 + offered.settle - 20] > 0.04
 
 
 def with_rests(samples: Samples, lead: int, tail: int) -> Samples:

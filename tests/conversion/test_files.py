@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import Options, convert_to_samples, convert_to_steps
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.pipeline import Options, SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
 from hframe_post.gcode import reader
 from hframe_post.planner import sampling
@@ -20,7 +19,7 @@ from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from hframe_post.writers import step_reader, steps
 from hframe_post.writers.samples import COLUMNS, as_csv
-from hframe_post.writers.step_file import MOTORS
+from hframe_post.writers.step_file import MOTORS, inlined
 from tests.cli.test_main import run
 from tests.conftest import ROOT, SAMPLES
 
@@ -38,11 +37,10 @@ def cube(last: int) -> list[bytes]:
 
 def converted(lines: list[bytes], printer: Printer, kind: str, strategy: str = "racking") -> bytes:
     """The file of a format; events of step files are inline."""
-    options, report = Options(strategy), Report(strategy)
+    options = Options(strategy)
     if kind == "samples":
-        return b"".join(as_csv(convert_to_samples(iter(lines), printer, options, report)))
-    pieces = convert_to_steps(iter(lines), printer, options, report, kind, inline=True)
-    return b"".join(piece for piece in pieces if isinstance(piece, bytes))
+        return b"".join(as_csv(SampleConversion(iter(lines), printer, options)))
+    return b"".join(inlined(StepConversion(iter(lines), printer, options, kind)))
 
 
 FORMATS = ["steps", "step-bits", "samples"]
@@ -59,8 +57,8 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
         whole = converted(lines, paper, kind)
         for moves, samples in cuts:
             with monkeypatch.context() as patch:
-                patch.setattr(reader, "MOVES_PER_BLOCK", moves)
-                patch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+                patch.setattr(reader, "MOVES_PER_ITEM", moves)
+                patch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
                 patch.setattr(steps, "SAMPLES_AT_ONCE", samples)
                 assert converted(lines, paper, kind) == whole
 
@@ -124,9 +122,9 @@ def assert_same(kind: str, now: bytes, then: bytes) -> None:
 
 
 def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
-    report = Report("racking")
-    pieces = convert_to_steps(iter(cube(1)), paper, Options("racking"), report)
+    pieces = StepConversion(iter(cube(1)), paper, Options("racking"))
     rows = b"".join(piece for piece in pieces if isinstance(piece, bytes)).splitlines()
+    report = pieces.report()
     steps = [row.split(b",") for row in rows if row[:1].isdigit()]
     assert report.steps is not None
     assert report.lines_written == len(rows)
@@ -134,10 +132,10 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     for motor in MOTORS:
         count = sum(row[1] == motor.encode() for row in steps)
         assert report.steps.motors[motor] == count
-    assert report.steps.ticks == round(report.time_after * report.steps.clock_hz)
+    assert report.steps.ticks == round(report.time.after * report.steps.clock_hz)
     assert "steps " in report.as_text()
     assert report.as_json()["steps"]["motors"] == report.steps.motors
-    assert report.filament_after == pytest.approx(report.filament_before, abs=0.0025)
+    assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
 
 
 def test_last_position_is_that_of_the_file(paper: Printer, tmp_path: Path) -> None:
@@ -170,7 +168,7 @@ def test_clock_that_is_too_slow_names_the_line_of_the_file() -> None:
 def test_examples_step(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(converted(cube(1), load(name), "steps"))
-    samples = list(convert_to_samples(iter(cube(1)), load(name), Options("racking"), Report("")))
+    samples = list(SampleConversion(iter(cube(1)), load(name), Options("racking")))
     *_, last = step_reader.read(path)
     end = samples[-1][-1]
     at = [end[COLUMNS.index(c)] for c in ("x_dm", "y_dm", "z", "e")]

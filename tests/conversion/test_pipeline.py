@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion import pipeline
-from hframe_post.conversion.pipeline import Options, convert
+from hframe_post.conversion.meters import InputMeter
+from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode import reader
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.gcode import Late
+from hframe_post.stream.types import Item
+from hframe_post.writers.gcode import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
 
@@ -31,9 +33,9 @@ OURS = re.compile(
 def converted(
     lines: list[bytes], profile: Printer, options: Options | None = None
 ) -> tuple[bytes, Report]:
-    report = Report("racking")
-    output = convert(iter(lines), profile, options or Options("racking"), report)
-    return b"".join(o.line + b"\n" if isinstance(o, Late) else o for o in output), report
+    conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
+    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion]
+    return b"".join(pieces), conversion.report()
 
 
 def sample(name: str) -> list[bytes]:
@@ -101,8 +103,8 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     options = Options("racking", ("none", "racking"))
     whole, report = converted(lines, paper, options)
     for moves, samples in cuts:
-        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut, cut_report = converted(lines, paper, options)
         assert cut == whole
         figures = cut_report.as_json()["contour_error_um"]
@@ -189,8 +191,8 @@ def test_command_outside_the_bed_is_an_error_with_its_line(paper: Printer) -> No
 def test_clamping_keeps_the_command_on_the_bed_and_reports(paper: Printer) -> None:
     text, report = converted(TO_THE_EDGE, paper, Options("racking", clamp=True))
     assert min(x for x, _, _ in follow(text).points[1:]) >= 0.0
-    assert report.peaks.clamped > 0
-    assert report.peaks.clamped_line == 4
+    assert report.clamped.samples > 0
+    assert report.clamped.line == 4
     assert "CLAMPED" in report.as_text()
 
 
@@ -219,17 +221,18 @@ def test_clamp_compensates_less_where_the_belts_cannot_follow(paper: Printer) ->
         sample("rectangle.gcode"), limited, Options("racking", ("none", "racking"), clamp=True)
     )
     assert report.peaks.belt_acceleration <= 16_000.0
-    assert report.peaks.clamped > 0
+    assert report.clamped.samples > 0
     error = report.as_json()["contour_error_um"]
     assert error["racking"]["rms"] < error["none"]["rms"]
 
 
 def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forgetful(items: Iterator[object], report: Report) -> Iterator[object]:
-        report.filament_before += 1.0
-        yield from items
+    class Forgetful(InputMeter):
+        def items(self, items: Iterable[Item]) -> Iterator[Item]:
+            self._filament += 1.0
+            return super().items(items)
 
-    monkeypatch.setattr(pipeline, "measured", forgetful)
+    monkeypatch.setattr(pipeline, "InputMeter", Forgetful)
     with pytest.raises(HframeError, match="filament"):
         converted(sample("rectangle.gcode"), paper)
 

@@ -11,8 +11,8 @@ import pytest
 
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.writers.atomic_file import OutputFile
-from hframe_post.writers.gcode import Late
-from hframe_post.writers.print_time import duration, late_line
+from hframe_post.writers.gcode import DeferredLine
+from hframe_post.writers.print_time import duration, told_anew
 
 
 def test_statistics_are_those_of_the_whole_stream() -> None:
@@ -47,13 +47,13 @@ def test_duration(seconds: float, text: str) -> None:
     ],
 )  # fmt: skip
 def test_print_times_are_told_anew(line: bytes, elapsed: float, told: bytes) -> None:
-    assert late_line(Late(line, elapsed), 2000.2) == told
+    assert told_anew(DeferredLine(line, elapsed), 2000.2) == told
 
 
-def test_late_lines_are_filled_in_at_their_place(tmp_path: Path) -> None:
+def test_told_anews_are_filled_in_at_their_place(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
     with OutputFile(target, io.BytesIO()) as out:
-        out.write([b"a\n", Late(b";TIME:9", 0.0), b"b\n"], lambda: 123456.0)
+        out.write([b"a\n", DeferredLine(b";TIME:9", 0.0), b"b\n"], lambda: 123456.0)
     assert [line.rstrip() for line in target.read_bytes().splitlines()] == [
         b"a", b";TIME:123456", b"b",
     ]  # fmt: skip

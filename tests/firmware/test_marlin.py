@@ -245,8 +245,8 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     whole = converted(lines, marlin)[0]
     assert converted(lines, marlin)[0] == whole
     for moves, samples in cuts:
-        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         assert converted(lines, marlin)[0] == whole
 
 

@@ -135,7 +135,7 @@ def test_retraction_and_lift_stand_still() -> None:
 
 def test_moves_from_unknown_places_go_to_the_firmware_as_they_stand() -> None:
     found = items("G28", "G1 Z2 F3000", "G1 X10 Y20", "G1 X20 E1")
-    verbatim = [i for i in found if isinstance(i, Passthrough) and i.handling is Handling.YIELD]
+    verbatim = [i for i in found if isinstance(i, Passthrough) and i.handling is Handling.RELEASE]
     assert [i.text for i in verbatim] == [b"G28", b"G1 Z2 F3000", b"G1 X10 Y20", b""]
     (block,) = (i for i in found if isinstance(i, Moves))
     assert block.points.tolist() == [[10, 20, 2, 0], [20, 20, 2, 1]]
@@ -173,7 +173,7 @@ def test_lines_that_are_not_motion_pass_byte_for_byte_and_in_order() -> None:
 
 
 def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "MOVES_PER_BLOCK", 2)
+    monkeypatch.setattr(reader, "MOVES_PER_ITEM", 2)
     lines = ("G1 X1", ";a", "G1 X2", "G1 X3", ";b", "G1 X4", ";c", "G1 X5")
     blocks = moves(*lines)
     assert [block.marks for block in blocks[:2]] == [(Mark(1, b";a"),), (Mark(1, b";b"),)]

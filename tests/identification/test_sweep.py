@@ -14,7 +14,7 @@ from hframe_post.identification.excitation import peaks
 from hframe_post.identification.sweep import Run, gcode, positions, runs, told
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.gcode import Late
+from hframe_post.writers.gcode import DeferredLine
 from tests.cli.test_main import run
 from tests.klipper.host import play
 
@@ -37,7 +37,7 @@ def short(tmp_path: Path) -> Path:
 
 def text(printer: Printer, planned: list[Run], chips: tuple[str, ...] = ("adxl345",)) -> str:
     pieces = gcode(printer, planned, chips, 10.0)
-    return b"".join(p.line if isinstance(p, Late) else p for p in pieces).decode()
+    return b"".join(p.line if isinstance(p, DeferredLine) else p for p in pieces).decode()
 
 
 def table(path: Path) -> Array:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.conversion.pipeline import Options, commanded, convert, prepared
+from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer import profile
-from hframe_post.writers.gcode import Late
+from hframe_post.writers.gcode import DeferredLine
 from tests.conftest import SAMPLES
 
 from .host import Playback, play
@@ -37,15 +37,14 @@ def played(name: str, folder: Path, options: Options, last_layer: int | None = N
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
     if last_layer is not None:
         lines = lines[: lines.index(b";LAYER:%d\n" % last_layer)]
-    report = Report("racking")
-    blocks = list(commanded(iter(lines), paper, prepared(paper), options, Report("racking")))
-    output = convert(iter(lines), paper, options, report)
-    text = b"".join(o.line + b"\n" if isinstance(o, Late) else o for o in output)
+    blocks = list(Commands(iter(lines), paper, options).computed())
+    output = GcodeConversion(iter(lines), paper, options)
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
     file = folder / "converted.gcode"
     file.write_bytes(text)
     command = np.concatenate([b.commands[options.strategy] for b in blocks])
     z_e = np.concatenate([b.xyze[:, 2:] for b in blocks])
-    return Played(command, z_e, play(file, workdir=folder), report, text)
+    return Played(command, z_e, play(file, workdir=folder), output.report(), text)
 
 
 def offset_between(run: Played, first: int, last: int, guess: float) -> float:
@@ -128,4 +127,4 @@ def test_print_time_is_close_to_klippers_own(tmp_path: Path) -> None:
     report = played("prism.gcode", tmp_path, Options("racking")).report
     limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
     own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
-    assert report.time_after <= 1.05 * own.print_time
+    assert report.time.after <= 1.05 * own.print_time

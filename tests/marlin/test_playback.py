@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Z
-from hframe_post.conversion.pipeline import Options, commanded, prepared
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.firmware.marlin import Marlin
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
@@ -71,7 +70,7 @@ def built(printer: Printer, **how: object) -> Build:
 def played(lines: list[bytes], printer: Printer, **how: object) -> Played:
     options = Options(printer.compensation.strategy)
     text = converted(lines, printer, options)[0]
-    blocks = commanded(iter(lines), printer, prepared(printer), options, Report("racking"))
+    blocks = Commands(iter(lines), printer, options).computed()
     command = np.concatenate([b.commands[options.strategy] for b in blocks])
     machine = Machine(build := built(printer, **how))
     run = max(machine.read(text), key=lambda r: len(r.time))

@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import Options, convert
-from hframe_post.conversion.report import Report
+from hframe_post.arrays import TS
+from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.firmware.klipper import StreamLimits
-from hframe_post.model.kinematics import ROWS, Kinematics
+from hframe_post.model.kinematics import ROWS, Differences, Kinematics
 from hframe_post.printer.profile import load, parse
 from tests.conftest import SAMPLES
 
@@ -61,7 +61,7 @@ def test_stream_in_x_and_y_does_not_know_how_the_motors_are_connected(change: st
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
     texts = []
     for profile in (mine, paper):
-        output = list(convert(iter(lines), profile, Options("racking"), Report("racking")))
+        output = list(GcodeConversion(iter(lines), profile, Options("racking")))
         texts.append(output[1:])  # without the stamp
     assert texts[0] == texts[1]
 
@@ -73,18 +73,47 @@ def test_examples_convert_the_samples(name: str, strategy: str, part: str) -> No
     lines = (SAMPLES / f"{part}.gcode").read_bytes().splitlines(keepends=True)
     if part == "cube":
         lines = lines[: lines.index(b";LAYER:4\n")]
-    options, report = Options(strategy, ("none", strategy)), Report(strategy)
-    for _ in convert(iter(lines), load(name), options, report):
+    conversion = GcodeConversion(iter(lines), load(name), Options(strategy, ("none", strategy)))
+    for _ in conversion:
         pass
+    report = conversion.report()
     error = report.as_json()["contour_error_um"]
-    assert report.moves >= 4
+    assert report.read.moves >= 4
     assert strategy == "none" or error[strategy]["rms"] < error["none"]["rms"] / 8
 
 
 def test_without_racking_both_compensations_are_one() -> None:
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
     texts = [
-        list(convert(iter(lines), load("example-corexy"), Options(name), Report(name)))[1:]
+        list(GcodeConversion(iter(lines), load("example-corexy"), Options(name)))[1:]
         for name in ("racking", "fbs")
     ]
     assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize("kind", ["hbot", "corexy", "cartesian"])
+@pytest.mark.parametrize("cut", [1, 7, 50])
+def test_rates_are_differences_however_the_command_was_cut(kind: str, cut: int) -> None:
+    rng = np.random.default_rng(5)
+    command = 100 + np.cumsum(rng.normal(size=(50, 2)), axis=0) * 0.1
+    differences = Differences(Kinematics(kind))
+    pieces = [differences.of(command[k : k + cut]) for k in range(0, 50, cut)]
+    velocity = np.concatenate([rates.belt_velocity for rates in pieces], axis=1)
+    acceleration = np.concatenate([rates.belt_acceleration for rates in pieces], axis=1)
+    axes = np.concatenate([rates.axis_acceleration for rates in pieces], axis=1)
+    stood = np.concatenate([command[:1], command[:1], command])
+    x, y = stood.T
+    belts = (x, y) if kind == "cartesian" else (x + y, x - y)
+    np.testing.assert_allclose(velocity, np.diff(belts, axis=1)[:, 1:] / TS, atol=1e-9)
+    np.testing.assert_allclose(acceleration, np.diff(belts, n=2, axis=1) / TS**2, atol=1e-5)
+    np.testing.assert_allclose(axes, np.diff(stood, n=2, axis=0).T / TS**2, atol=1e-5)
+
+
+def test_rates_of_a_known_motion() -> None:
+    """x at 3 mm/s² from rest: on an H-bot both belts alike, y stands."""
+    t = np.arange(102) * TS
+    command = np.column_stack([1.5 * t**2, np.full(102, 7.0)])
+    rates = Differences(Kinematics("hbot")).of(command)
+    np.testing.assert_allclose(rates.belt_acceleration[:, 2:], 3.0, rtol=1e-6)
+    np.testing.assert_allclose(rates.belt_velocity[0, 2:], 3.0 * (t[2:] - TS / 2), rtol=1e-9)
+    assert rates.axis_acceleration[1].max() == 0.0

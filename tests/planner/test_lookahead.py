@@ -436,7 +436,7 @@ def test_carried_line_at_rest_passes_as_it_is() -> None:
     [
         Standing(3, (5, 0, 0, 0), (5, 0, 0, -1), 30.0),
         Passthrough(3, b"M400", Handling.REST, STATE),
-        Passthrough(3, b"G28", Handling.YIELD, STATE),
+        Passthrough(3, b"G28", Handling.RELEASE, STATE),
     ],
 )
 def test_what_happens_at_rest_follows_a_stop(item: Item) -> None:

@@ -231,7 +231,7 @@ def test_carried_line_at_rest_is_at_the_present_sample() -> None:
 # ---------------------------------------------------------------------- rests and pauses
 
 RETRACT = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
-YIELD = Passthrough(5, b"G28", Handling.YIELD, STATE)
+YIELD = Passthrough(5, b"G28", Handling.RELEASE, STATE)
 DWELL = Passthrough(6, b"G4 P12.5", Handling.REST, STATE, seconds=0.0125)
 
 
@@ -289,8 +289,8 @@ def test_dwell_lasts_whole_samples_and_tells_its_exact_time() -> None:
 
 def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() -> None:
     blocks = sampled([there(), YIELD, there(70.0)])
-    assert [b.yields for b in blocks].count(True) == 1
-    first = next(k for k, b in enumerate(blocks) if b.yields)
+    assert [b.ends_stretch for b in blocks].count(True) == 1
+    first = next(k for k, b in enumerate(blocks) if b.ends_stretch)
     after = blocks[first + 1]
     assert after.events[0] == Rest(after.first, RESTS.lead, settling=False)
     np.testing.assert_array_equal(after.xyze[0], [70.0, 0, 0.2, 2])
@@ -416,7 +416,7 @@ def test_samples_do_not_depend_on_the_size_of_blocks(
 ) -> None:
     items = mixed()
     expected = stream_bits(sampled(items))
-    monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", size)
+    monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", size)
     assert stream_bits(sampled(items)) == expected
 
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import signal
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.compensation.compensate import Compensator
 from hframe_post.model.plant import Response
+from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.contour import NEAREST, contour_error
 from hframe_post.prediction.predict import judge
 from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Rest, Samples
@@ -94,6 +94,6 @@ def test_standstill_for_something_else_does_not_count(compensator: Compensator) 
     events = (Rest(10, 30, True), Pause(40, 20, wait, 0.02))
     block = Samples(0, path, np.zeros(100, np.int64), events, {"none": path[:, :2]})
     (judgement,) = judge([block], compensator.plant)
-    assert judgement.block is block
+    assert judgement.chunk is block
     assert len(judgement.contour["none"]) == len(judgement.tracking["none"]) == 100 - 50
     assert judgement.at.tolist() == [*range(10), *range(60, 100)]

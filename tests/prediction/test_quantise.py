@@ -94,12 +94,13 @@ def test_a_faster_clock_and_finer_steps_come_nearer() -> None:
 def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
     """A command under two strategies, cut; the machine is yielded after one of the blocks."""
     command, first, cut = curve(sum(sizes)), 0, []
-    line = Passthrough(1, b"G28", Handling.YIELD, STATE)
+    line = Passthrough(1, b"G28", Handling.RELEASE, STATE)
     for number, n in enumerate(sizes):
         xy = command[first : first + n]
         events = (Pause(first + n, 0, line),) if number == yields else ()
         xyze, lines = np.pad(xy, ((0, 0), (0, 2))), np.zeros(n, np.int64)
-        cut.append(Samples(first, xyze, lines, events, {"racking": xy, "none": xy + 0.003}))
+        commands = {"racking": xy, "none": xy + 0.003}
+        cut.append(Samples(first, xyze, lines, events, commands, number == yields))
         first += n
     return cut
 

@@ -9,14 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.arrays import TS, Array
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import (
     BINS_PER_E,
     SMALLEST,
     ErrorStatistics,
     Figures,
-    belt_rates,
 )
 
 ERRORS = st.lists(st.floats(0.0, 300.0), min_size=1, max_size=60).map(np.array)
@@ -99,27 +97,3 @@ def test_figures_of_nothing_are_zero() -> None:
     told = Figures().as_json()
     assert told["tracking_error_um"] == {"x": 0.0, "y": 0.0}
     assert told["peak_belt_speed"] == told["peak_belt_acceleration"] == 0.0
-
-
-@pytest.mark.parametrize("kind", ["hbot", "corexy", "cartesian"])
-def test_belt_rates_are_those_of_the_faster_belt(kind: str) -> None:
-    rng = np.random.default_rng(5)
-    command = 100 + np.cumsum(rng.normal(size=(50, 2)), axis=0) * 0.1
-    velocity, acceleration = belt_rates(command, Kinematics(kind))
-    x, y = command.T
-    belts = (x, y) if kind == "cartesian" else (x + y, x - y)
-    for k in range(2, 50):
-        speeds = [(abs(b[k] - b[k - 1]) / TS) for b in belts]
-        changes = [abs(b[k] - 2 * b[k - 1] + b[k - 2]) / TS**2 for b in belts]
-        assert velocity[k - 2] == pytest.approx(max(speeds))
-        assert acceleration[k - 2] == pytest.approx(max(changes), abs=1e-5)
-    assert len(velocity) == len(acceleration) == 48
-
-
-def test_belt_rates_of_a_known_motion() -> None:
-    """x at 3 mm/s² from rest: on an H-bot both belts alike, y stands."""
-    t = np.arange(102) * TS
-    command = np.column_stack([1.5 * t**2, np.full(102, 7.0)])
-    velocity, acceleration = belt_rates(command, Kinematics("hbot"))
-    np.testing.assert_allclose(acceleration, 3.0, rtol=1e-6)
-    np.testing.assert_allclose(velocity, 3.0 * (t[2:] - TS / 2), rtol=1e-9)

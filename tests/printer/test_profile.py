@@ -186,7 +186,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nn_C = 0", "compensation.n_C", "above 0"),
         ("[compensation]\nn_up = 89", "compensation", "n_up ≤ n_C"),
         ("[compensation]\neffort = [1.0, -1.0]", "compensation.effort", "at least 0"),
-        ("[compensation]\nstrategy = 'best'", "compensation.strategy", "racking, fbs, none"),
+        ("[compensation]\nstrategy = 'best'", "compensation.strategy", "none, fbs, racking"),
         ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
         ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
         ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -139,10 +140,10 @@ def test_neighbours_are_given_as_soon_as_they_are_known(after: int, read: int) -
 # ---------------------------------------------------------------------- stretches
 
 
-def yielding(block: Samples, handling: Handling = Handling.YIELD) -> Samples:
+def yielding(block: Samples, handling: Handling = Handling.RELEASE) -> Samples:
     action = Passthrough(1, b"G28", handling, STATE)
     events: tuple[Event, ...] = (*block.events, Pause(block.end, 0, action))
-    return Samples(block.first, block.xyze, block.line, events, block.commands)
+    return replace(block, events=events, ends_stretch=handling is Handling.RELEASE)
 
 
 @given(st.lists(st.booleans(), max_size=12))
@@ -154,9 +155,9 @@ def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
     found = [list(stretch) for stretch in stretches(blocks)]
     assert [id(b) for stretch in found for b in stretch] == [id(b) for b in blocks]
     for stretch in found:
-        assert not any(block.yields for block in stretch[:-1])
+        assert not any(block.ends_stretch for block in stretch[:-1])
     for stretch in found[:-1]:
-        assert stretch[-1].yields
+        assert stretch[-1].ends_stretch
     assert len(found) == sum(yields) + (len(yields) > 0 and not yields[-1])
 
 

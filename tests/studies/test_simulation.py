@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.pipeline import Options
-from hframe_post.conversion.report import STRATEGY_NAMES
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import reader
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner import sampling
 from hframe_post.prediction.labels import BEFORE, TRAVEL
 from hframe_post.printer import profile
@@ -21,7 +21,7 @@ from hframe_post.studies.simulation_report import Group, SimulationReport
 from hframe_post.studies.uncertainty import draws
 from tests.conftest import SAMPLES
 
-ALL = tuple(STRATEGY_NAMES)
+ALL = tuple(STRATEGIES)
 
 
 def sample(name: str, last: int | None = None) -> list[bytes]:
@@ -34,11 +34,8 @@ def simulated(
     lines: list[bytes], study: Study | None = None, strategies: tuple[str, ...] = ALL
 ) -> SimulationReport:
     paper = profile.load("paper")
-    report = SimulationReport("racking", plant="paper")
-    simulate(
-        iter(lines), paper, Options("racking", strategies), study or Study(paper.plant), report
-    )
-    return report
+    options = Options("racking", strategies)
+    return simulate(iter(lines), paper, options, study or Study(paper.plant))
 
 
 def rms(group: Group) -> list[float]:
@@ -59,15 +56,15 @@ PARTS = [
 
 @pytest.mark.parametrize(("name", "last"), PARTS, ids=[name for name, _ in PARTS])
 def test_each_strategy_is_better_than_the_one_before(name: str, last: int | None) -> None:
-    none, fbs, racking = rms(simulated(sample(name, last)).whole)
+    none, fbs, racking = rms(simulated(sample(name, last)).parts.whole)
     assert none > fbs > 2.0 * racking > 0.0
 
 
 def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None:
-    assert {"0", "1", "2"} <= cube.layers.keys()
-    assert {TRAVEL, "WALL-OUTER", "WALL-INNER"} <= cube.features.keys()
-    for groups in (cube.layers, cube.features):
-        for name, whole in cube.whole.items():
+    assert {"0", "1", "2"} <= cube.parts.layers.keys()
+    assert {TRAVEL, "WALL-OUTER", "WALL-INNER"} <= cube.parts.features.keys()
+    for groups in (cube.parts.layers, cube.parts.features):
+        for name, whole in cube.parts.whole.items():
             parts = [group[name] for group in groups.values()]
             contours = [part.contour for part in parts]
             assert sum(c.count for c in contours) == whole.contour.count > 0
@@ -82,19 +79,19 @@ def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None
 
 
 def test_the_whole_is_what_a_conversion_reports(cube: SimulationReport) -> None:
-    assert cube.contour.keys() == cube.whole.keys()
-    for name, figures in cube.whole.items():
+    assert cube.contour.keys() == cube.parts.whole.keys()
+    for name, figures in cube.parts.whole.items():
         assert cube.contour[name].micrometres() == figures.contour.micrometres()
-    assert cube.whole["racking"].velocity == pytest.approx(cube.peaks.belt_velocity)
-    assert cube.whole["racking"].acceleration == pytest.approx(cube.peaks.belt_acceleration)
-    assert cube.filament_after == pytest.approx(cube.filament_before, abs=1e-6)
+    assert cube.parts.whole["racking"].velocity == pytest.approx(cube.peaks.belt_velocity)
+    assert cube.parts.whole["racking"].acceleration == pytest.approx(cube.peaks.belt_acceleration)
+    assert cube.filament_after is None  # nothing is written
 
 
 def test_only_filament_makes_a_feature() -> None:
     """The rectangle's one wall is one feature; coming to it is travel."""
     report = simulated(sample("rectangle.gcode"))
-    wall = report.features["WALL-OUTER"]["none"].contour
-    assert wall.count > 0.8 * report.whole["none"].contour.count
+    wall = report.parts.features["WALL-OUTER"]["none"].contour
+    assert wall.count > 0.8 * report.parts.whole["none"].contour.count
     dry = simulated([line.split(b" E")[0] + b"\n" for line in sample("rectangle.gcode")])
     assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
 
@@ -104,13 +101,13 @@ def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)
     whole = simulated(sample("rectangle.gcode"), study)
     for moves, samples in [(1, 7), (7, 100), (100, 10_000)]:
-        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut = simulated(sample("rectangle.gcode"), study)
-        assert cut.layers.keys() == whole.layers.keys()
-        pairs = [(cut.whole, whole.whole)]
-        pairs += [(cut.layers[name], group) for name, group in whole.layers.items()]
-        pairs += [(cut.features[name], group) for name, group in whole.features.items()]
+        assert cut.parts.layers.keys() == whole.parts.layers.keys()
+        pairs = [(cut.parts.whole, whole.parts.whole)]
+        pairs += [(cut.parts.layers[name], group) for name, group in whole.parts.layers.items()]
+        pairs += [(cut.parts.features[name], group) for name, group in whole.parts.features.items()]
         for one, other in pairs:
             for name, figures in other.items():
                 assert one[name].contour.count == figures.contour.count
@@ -137,7 +134,7 @@ def test_a_printer_that_is_the_model_has_its_figures() -> None:
     """A draw with no model error, judged at every fourth sample instead of every second."""
     plant = profile.load("paper").plant
     report = simulated(sample("rectangle.gcode"), Study(plant, {0.0: draws(plant, 0.0, 1, 0)}))
-    for name, figures in report.whole.items():
+    for name, figures in report.parts.whole.items():
         assert report.model_error[0].rms(name) == pytest.approx([figures.contour.rms], rel=0.02)
 
 
@@ -148,7 +145,7 @@ def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     report = simulated(rectangle(paper), study)
     (error,) = report.model_error
     assert len(error.rms("racking")) == 50
-    assert median(error.rms("racking")) < report.whole["fbs"].contour.rms
+    assert median(error.rms("racking")) < report.parts.whole["fbs"].contour.rms
     assert error.better("racking", "none") == 50
 
 
@@ -159,13 +156,13 @@ def test_more_model_error_is_more_error() -> None:
     medians = [median(error.rms("racking")) for error in report.model_error]
     assert [error.share for error in report.model_error] == [0.02, 0.05, 0.2]
     assert medians == sorted(medians)
-    assert medians[0] > report.whole["racking"].contour.rms
+    assert medians[0] > report.parts.whole["racking"].contour.rms
 
 
 def test_a_printer_that_does_not_rack_needs_no_racking_compensation() -> None:
     """Simulated on another plant than is compensated for."""
     plant = replace(profile.load("paper").plant, Gxtheta=None)
-    none, fbs, racking = rms(simulated(sample("rectangle.gcode"), Study(plant)).whole)
+    none, fbs, racking = rms(simulated(sample("rectangle.gcode"), Study(plant)).parts.whole)
     assert fbs < 0.1 * none
     assert racking > 2.0 * fbs
 
@@ -173,8 +170,8 @@ def test_a_printer_that_does_not_rack_needs_no_racking_compensation() -> None:
 def test_steps_add_less_than_their_size() -> None:
     paper = profile.load("paper")
     assert paper.steps is not None
-    smooth = simulated(sample("rectangle.gcode")).whole
-    stepped = simulated(sample("rectangle.gcode"), Study(paper.plant, {}, paper.steps)).whole
+    smooth = simulated(sample("rectangle.gcode")).parts.whole
+    stepped = simulated(sample("rectangle.gcode"), Study(paper.plant, {}, paper.steps)).parts.whole
     for name, figures in stepped.items():
         assert figures.contour.rms != smooth[name].contour.rms
         assert abs(figures.contour.rms - smooth[name].contour.rms) < paper.steps.belt / 2

@@ -19,7 +19,6 @@ from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.reference_path import rectangle
 from hframe_post.studies.simulation import Study, simulate
-from hframe_post.studies.simulation_report import SimulationReport
 from hframe_post.studies.tuning import (
     EFFORTS,
     KNOTS,
@@ -94,9 +93,8 @@ def test_every_candidate_is_tried_on_every_printer(trials: list[Trial]) -> None:
 
 def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
-    report = SimulationReport("racking")
-    simulate(rectangle(profiled), profiled, Options("racking"), Study(profiled.plant), report)
-    figures = report.whole["racking"]
+    report = simulate(rectangle(profiled), profiled, Options("racking"), Study(profiled.plant))
+    figures = report.parts.whole["racking"]
     assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
     assert trial.contour.count == figures.contour.count
     assert trial.robust == trial.contour.rms
@@ -117,8 +115,8 @@ def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch
     grid = candidates(profiled.compensation, (10,), (50.0,))
     (whole,) = tune(rectangle(profiled), profiled, grid, [])
     for moves, samples in [(1, 7), (7, 100)]:
-        monkeypatch.setattr(reader, "MOVES_PER_BLOCK", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_BLOCK", samples)
+        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         (cut,) = tune(rectangle(profiled), profiled, grid, [])
         assert cut.contour.count == whole.contour.count
         assert cut.contour.rms == pytest.approx(whole.contour.rms, rel=1e-6)

@@ -66,7 +66,7 @@ def test_printer_that_does_not_rack_has_no_theta(commands: Callable[[str], Sampl
 
 def test_prediction_starts_anew_after_a_yield(paper: Printer) -> None:
     moving = np.column_stack([np.linspace(100, 101, 50), np.full(50, 50.0), np.zeros((50, 2))])
-    home = Pause(50, 0, line(b"G28", Handling.YIELD))
+    home = Pause(50, 0, line(b"G28", Handling.RELEASE))
     second = moving + np.array([50.0, 0.0, 0.0, 0.0])
     first, again = tabulate([block(moving, 0, (home,)), block(second, 50)], "none", paper.plant)
     np.testing.assert_array_equal(column(again, "x_d"), column(first, "x_d") + 50.0)

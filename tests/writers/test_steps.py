@@ -219,8 +219,8 @@ def test_lift_is_stepped_in_z() -> None:
 
 def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:
     first, second = at_rest_around(moving(0, 5, 50)), at_rest_around(moving(100, 90, 50))
-    home = Pause(len(first), 0, line(b"G28", Handling.YIELD))
-    end = Pause(len(first) + len(second), 0, line(b"", Handling.YIELD))
+    home = Pause(len(first), 0, line(b"G28", Handling.RELEASE))
+    end = Pause(len(first) + len(second), 0, line(b"", Handling.RELEASE))
     blocks = [block(first, events=(home,)), block(second, len(first), (Mark(60, b";a"), end))]
     done = stepped(blocks, TABLE)
     assert [start.position[0] for start in done.starts] == [0, 5000]
