@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,8 @@ from hframe_post.cli.options import (
 from hframe_post.studies.tuning_report import trial_as_json, trials_table
 
 if TYPE_CHECKING:
+    from hframe_post.printer.settings import Printer
+
     pass
 
 
@@ -54,11 +57,16 @@ if TYPE_CHECKING:
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write a profile with the recommended values; may be the one given with -p.",
 )  # fmt: skip
+@click.option(
+    "--shaper", is_flag=True,
+    help="Instead, for those who want no dense stream: the [input_shaper] section for Klipper's "
+    "printer.cfg that serves this printer and print best.",
+)  # fmt: skip
 @json_option
 def tune(
     source: Path | None, path: str | None, printer: str, limits: str, knots: tuple[int, ...],
     effort: tuple[float, ...], model_error: float, draws: int, seed: int, figure: Path | None,
-    output: Path | None, json_file: Path | None,
+    output: Path | None, shaper: bool, json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best the motors can follow.
 
@@ -77,6 +85,12 @@ def tune(
     from hframe_post.writers.atomic_file import OutputFile
 
     profile = load(printer)
+    if shaper:
+        if figure is not None or output is not None:
+            raise click.UsageError("--shaper writes neither figure nor profile")
+        with opened(source, path, profile, quiet=False) as lines:
+            _shaper(lines, profile, limits == "file", json_file)
+        return
     if figure is not None:
         if figure.suffix not in (".png", ".svg"):
             raise click.UsageError("--figure must end in .png or .svg")
@@ -103,3 +117,17 @@ def tune(
     if output is not None:
         with OutputFile(output, sys.stdout.buffer) as file:
             file.write([with_windows(printer, best.windows).encode()], lambda: 0.0)
+
+
+def _shaper(
+    lines: Iterable[bytes], profile: Printer, file_limits: bool, json_file: Path | None
+) -> None:
+    """Prints the best input shaper there is, and what leaving it to Klipper would give."""
+    from hframe_post.studies.shaping import calibrated, error, excerpt, search
+    from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
+
+    path, counted = excerpt(lines, profile, file_limits)
+    found = search(profile.plant, path, counted)
+    usual = error(profile.plant, calibrated(profile.plant), path, counted)
+    write_json(shapings_as_json(found, usual), json_file)
+    click.echo(shapings_as_text(found, usual), err=str(json_file) == "-")

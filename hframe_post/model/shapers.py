@@ -1,0 +1,121 @@
+"""Input shapers: the path convolved with a few impulses that leave no ringing of one mode.
+
+What printers use where nothing inverts their plant, kept here to be compared with. With
+damped frequency f_d = f·√(1 − ζ²), period t_d = 1/f_d and K = exp(−π·ζ/√(1 − ζ²)), the part of
+an oscillation that half a period leaves, a shaper is a set of amplitudes A_i at times T_i:
+
+=============  =============================================================================
+``zv``         cancels one mode: two impulses half a period apart (Singer and Seering 1990)
+``zvd`` …      the same once, twice, three times more, flat in frequency: ``zvdd``, ``zvddd``
+``mzv``        three impulses in three quarters of a period
+``ei``         a little ringing allowed at f, to be deaf to errors of f (Singhose 1994)
+``2hump_ei``   ``ei`` with two, and
+``3hump_ei``   with three humps of that ringing: deafer, and longer (Singhose et al. 1997)
+=============  =============================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import HframeError
+
+TOLERATED = 0.05  # of the ringing without a shaper, V of the ei family
+
+
+@dataclass(frozen=True)
+class Shaper:
+    """Amplitudes A (k,) with sum 1 at times T (k,), s, ascending, about their mean: no delay."""
+
+    A: Array
+    T: Array
+
+    @property
+    def reach(self) -> int:
+        """Samples before and after a sample of the path on which its command depends."""
+        return int(np.ceil(np.abs(self.T).max() / TS)) + 1
+
+    def taps(self) -> Array:
+        """The impulses on samples −reach … reach, (2·reach + 1,): each between its neighbours."""
+        taps = np.zeros(2 * self.reach + 1)
+        place = self.T / TS + self.reach
+        before = np.floor(place).astype(int)
+        np.add.at(taps, before, self.A * (1.0 - (place - before)))
+        np.add.at(taps, before + 1, self.A * (place - before))
+        return taps
+
+    def run(self, path: Array) -> Array:
+        """The command (n,) for a path (n,) that stands before its first and after its last."""
+        held = np.pad(path, self.reach, mode="edge")
+        return np.convolve(held, self.taps(), mode="valid")
+
+    def residual(self, hz: Array, damping: float) -> Array:
+        """Share of the ringing of modes at ``hz`` (k,) that is left, (k,): Singer and Seering."""
+        omega = 2.0 * np.pi * hz[:, None]
+        phase = omega * np.sqrt(1.0 - damping**2) * self.T
+        growth = self.A * np.exp(damping * omega * (self.T - self.T[-1]))
+        return np.asarray(
+            np.hypot((growth * np.cos(phase)).sum(1), (growth * np.sin(phase)).sum(1))
+        )
+
+
+def shaper(name: str, hz: float, damping: float) -> Shaper:
+    """The shaper of that name for a mode at ``hz`` with a damping ratio. Raises HframeError."""
+    if name not in SHAPERS:
+        raise HframeError(f"no shaper is named {name!r}; there are {', '.join(SHAPERS)}")
+    root = np.sqrt(1.0 - damping * damping)
+    K = float(np.exp(-np.pi * damping / root))
+    amplitudes, periods = SHAPERS[name](K)
+    A, T = np.array(amplitudes) / sum(amplitudes), np.array(periods) / (hz * root)
+    return Shaper(A, T - A @ T)
+
+
+Impulses = tuple[list[float], list[float]]  # amplitudes, and times in damped periods
+
+
+def _zv(more: int) -> Callable[[float], Impulses]:
+    """Zero vibration, and ``more`` derivatives of it: the binomials of 1 + K."""
+    n = more + 1
+
+    def impulses(K: float) -> Impulses:
+        return [comb(n, k) * K**k for k in range(n + 1)], [k / 2.0 for k in range(n + 1)]
+
+    return impulses
+
+
+def _mzv(K: float) -> Impulses:
+    K = K**0.75  # what three quarters of a half period leave
+    ends, middle = 1.0 - 1.0 / np.sqrt(2.0), (np.sqrt(2.0) - 1.0) * K
+    return [ends, middle, ends * K * K], [0.0, 0.375, 0.75]
+
+
+def _ei(K: float) -> Impulses:
+    V = TOLERATED
+    return [(1.0 + V) / 4.0, (1.0 - V) / 2.0 * K, (1.0 + V) / 4.0 * K * K], [0.0, 0.5, 1.0]
+
+
+def _two_humps(K: float) -> Impulses:
+    V2 = TOLERATED**2
+    X = np.cbrt(V2 * (np.sqrt(1.0 - V2) + 1.0))
+    a1 = (3.0 * X * X + 2.0 * X + 3.0 * V2) / (16.0 * X)
+    a2 = 0.5 - a1
+    return [a1, a2 * K, a2 * K**2, a1 * K**3], [0.0, 0.5, 1.0, 1.5]
+
+
+def _three_humps(K: float) -> Impulses:
+    V = TOLERATED
+    a1 = (1.0 + 3.0 * V + 2.0 * np.sqrt(2.0 * (V + V * V))) / 16.0
+    a2 = (1.0 - V) / 4.0
+    a3 = 1.0 - 2.0 * (a1 + a2)
+    return [a1, a2 * K, a3 * K**2, a2 * K**3, a1 * K**4], [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+SHAPERS: dict[str, Callable[[float], Impulses]] = {
+    "zv": _zv(0), "mzv": _mzv, "ei": _ei, "2hump_ei": _two_humps, "3hump_ei": _three_humps,
+    "zvd": _zv(1), "zvdd": _zv(2), "zvddd": _zv(3),
+}  # fmt: skip

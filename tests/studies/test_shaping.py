@@ -1,0 +1,81 @@
+"""The best input shaper for a printer: better than none, and than a rule of thumb."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import Array, Flags
+from hframe_post.errors import HframeError
+from hframe_post.model.shapers import shaper
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples
+from hframe_post.studies.reference_path import rectangle
+from hframe_post.studies.shaping import (
+    AxisShaping,
+    Shaping,
+    best,
+    calibrated,
+    error,
+    excerpt,
+    shape,
+)
+from tests.cli.test_main import run
+
+
+@pytest.fixture(scope="module")
+def corner(paper: Printer) -> tuple[Array, Flags]:
+    return excerpt(rectangle(paper), paper, True)
+
+
+def test_the_excerpt_begins_where_filament_is_laid(corner: tuple[Array, Flags]) -> None:
+    path, counted = corner
+    assert len(path) == len(counted)
+    assert counted.sum() > 0.9 * len(path)
+    assert np.ptp(path, axis=0) == pytest.approx([120.0, 20.0], abs=0.01)
+
+
+def test_nothing_extruded_is_an_error(paper: Printer) -> None:
+    with pytest.raises(HframeError, match="nothing is extruded"):
+        excerpt([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, True)
+
+
+def test_the_best_beats_the_calibrated_and_that_none(
+    paper: Printer, corner: tuple[Array, Flags]
+) -> None:
+    none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
+    bare = error(paper.plant, none, *corner).rms
+    usual = error(paper.plant, calibrated(paper.plant), *corner).rms
+    found = best(paper.plant, *corner, "mzv")
+    assert found.rms < 0.65 * usual < 0.65 * bare
+    assert found.rms == error(paper.plant, found, *corner).rms
+
+
+def test_the_stream_is_shaped_as_the_whole_is(corner: tuple[Array, Flags]) -> None:
+    path = np.pad(corner[0], ((0, 0), (0, 2)))
+    line = np.zeros(len(path), np.int64)
+    x = y = AxisShaping("ei", 30.0, 0.2)
+    for cut in (1, 7, 100, 10_000):
+        pieces = [
+            Samples(k, path[k : k + cut], line[k : k + cut]) for k in range(0, len(path), cut)
+        ]
+        done = list(shape(pieces, {"ei": Shaping(x, y)}))
+        got = np.concatenate([chunk.commands["ei"] for chunk in done])
+        whole = np.column_stack([shaper("ei", 30.0, 0.2).run(column) for column in path[:, :2].T])
+        np.testing.assert_allclose(got, whole, atol=1e-12)
+
+
+def test_tune_prints_the_section_for_klipper(tmp_path: Path) -> None:
+    out = tmp_path / "s.json"
+    done = run("tune", "--path", "rectangle", "--shaper", "--json", out)
+    assert done.returncode == 0
+    text = done.stdout.decode()
+    section = text[text.index("[input_shaper]") :]
+    assert section.count("shaper_freq_") == 2
+    told = json.loads(out.read_text())
+    errors = [s["contour_error_rms_um"] for s in told["shapers"]]
+    assert errors == sorted(errors)
+    assert errors[0] < 0.65 * told["klipper_calibration"]["contour_error_rms_um"]
