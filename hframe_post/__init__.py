@@ -1,3 +1,88 @@
-"""Feedforward compensation of racking and ringing for H-frame 3D printers, as G-code."""
+"""Feedforward compensation of racking and ringing for H-frame 3D printers.
 
-__version__ = "0.1.0"
+The library: what ``__all__`` names, imported when it is first used. Arrays in, arrays out:
+``compensate``, ``predict``, ``contour_error``. Files in, files out: ``convert``, ``simulate``,
+``tune``, ``identify``, ``read_steps``. Lengths are mm, times s, one sample is 1 ms.
+
+    >>> import hframe_post as hp
+    >>> hp.load_printer("paper").plant.Gxx.order
+    4
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from hframe_post.version import __version__
+
+if TYPE_CHECKING:
+    from hframe_post.conversion.report import Report
+    from hframe_post.errors import HframeError
+    from hframe_post.identification.identify import identify
+    from hframe_post.library import (
+        compensate,
+        contour_error,
+        convert,
+        load_printer,
+        predict,
+        simulate,
+        tune,
+    )
+    from hframe_post.model.lpfbs import Lpfbs, Window
+    from hframe_post.model.plant import Plant
+    from hframe_post.model.transfer_function import TransferFunction
+    from hframe_post.printer.settings import Printer
+    from hframe_post.writers.step_reader import read as read_steps
+
+__all__ = [
+    "HframeError",
+    "Lpfbs",
+    "Plant",
+    "Printer",
+    "Report",
+    "TransferFunction",
+    "Window",
+    "__version__",
+    "compensate",
+    "contour_error",
+    "convert",
+    "identify",
+    "load_printer",
+    "predict",
+    "read_steps",
+    "simulate",
+    "tune",
+]
+
+_ROOMS = {  # of the names above: the module that has each, and what it is called there if otherwise
+    "HframeError": "errors",
+    "Lpfbs": "model.lpfbs",
+    "Plant": "model.plant",
+    "Printer": "printer.settings",
+    "Report": "conversion.report",
+    "TransferFunction": "model.transfer_function",
+    "Window": "model.lpfbs",
+    "compensate": "library",
+    "contour_error": "library",
+    "convert": "library",
+    "identify": "identification.identify",
+    "load_printer": "library",
+    "predict": "library",
+    "read_steps": "writers.step_reader:read",
+    "simulate": "library",
+    "tune": "library",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports what is first asked for, so that the package itself costs nothing (PEP 562)."""
+    if name not in _ROOMS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, own = _ROOMS[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{module}"), own or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """All names, imported or not."""
+    return sorted({*globals(), *__all__})

@@ -19,8 +19,6 @@ from hframe_post.cli.options import (
     write_json,
 )
 
-TOLERANCE = 0.002  # mm
-
 
 @click.command()
 @click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
@@ -72,7 +70,7 @@ def convert(
     """
     from hframe_post.conversion.files import chosen_format
     from hframe_post.conversion.files import convert as converted
-    from hframe_post.conversion.pipeline import Options
+    from hframe_post.conversion.pipeline import TOLERANCE, Options
     from hframe_post.errors import HframeError
     from hframe_post.firmware.registry import firmware as chosen
     from hframe_post.model.strategies import STRATEGIES

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from hframe_post import __version__
 from hframe_post.cli.convert import convert
 from hframe_post.cli.identify import identify
 from hframe_post.cli.paper import paper
 from hframe_post.cli.simulate import simulate
 from hframe_post.cli.sweep import sweep
 from hframe_post.cli.tune import tune
+from hframe_post.version import __version__
 
 # One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
 # before numpy is imported, and the matrices are too small to gain from more.

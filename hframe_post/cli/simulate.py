@@ -54,27 +54,15 @@ def simulate(
     Contour error is the distance of the nozzle to the slicer's path; tracking error is how far
     it is from where it should be at that time. Nothing is written but the summary.
     """
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.errors import PrinterError
-    from hframe_post.model.strategies import STRATEGIES
-    from hframe_post.printer.profile import load
-    from hframe_post.studies.simulation import Study
-    from hframe_post.studies.simulation import simulate as simulation
-    from hframe_post.studies.uncertainty import draws as drawn
+    from hframe_post import library
 
-    profile = load(printer)
-    simulated = load(plant_file) if plant_file else profile
-    if steps and profile.steps is None:
-        raise PrinterError("the table is missing; --steps needs it", "steps", printer)
-    study = Study(
-        simulated.plant,
-        {share: drawn(simulated.plant, share, draws, seed) for share in dict.fromkeys(shares)},
-        profile.steps if steps else None,
-        simulated.name,
-    )
-    options = Options("racking", tuple(STRATEGIES), limits == "file", on_limit == "clamp")
+    profile = library.load_printer(printer)
+    simulated = library.load_printer(plant_file) if plant_file else profile
     with opened(source, path, profile, quiet) as lines:
-        report = simulation(lines, profile, options, study)
+        report = library.simulate(
+            lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
+            steps=steps, file_limits=limits == "file", clamp=on_limit == "clamp",
+        )  # fmt: skip
     write_json(report.as_json(), json_file)
     if not quiet:
         click.echo(report.as_text(layers), err=str(json_file) == "-")

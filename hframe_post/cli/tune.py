@@ -26,8 +26,6 @@ from hframe_post.studies.tuning_report import trial_as_json, trials_table
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
-    pass
-
 
 @click.command()
 @source_argument
@@ -74,17 +72,14 @@ def tune(
     can cancel faster ringing. Recommended is the gentlest of those whose error, under model
     error, is within a tenth of the best.
     """
-    from hframe_post import plotting
+    from hframe_post import library, plotting
     from hframe_post.errors import HframeError
     from hframe_post.printer.edit import with_windows
-    from hframe_post.printer.profile import load
     from hframe_post.studies.plots import trade_off
-    from hframe_post.studies.tuning import EFFORTS, KNOTS, candidates, recommended
-    from hframe_post.studies.tuning import tune as tuning
-    from hframe_post.studies.uncertainty import draws as drawn
+    from hframe_post.studies.tuning import EFFORTS, KNOTS
     from hframe_post.writers.atomic_file import OutputFile
 
-    profile = load(printer)
+    profile = library.load_printer(printer)
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither figure nor profile")
@@ -95,11 +90,12 @@ def tune(
         if figure.suffix not in (".png", ".svg"):
             raise click.UsageError("--figure must end in .png or .svg")
         plotting.canvas(1, 1, (1.0, 1.0))  # say at once that matplotlib is missing
-    grid = candidates(profile.compensation, knots or KNOTS, effort or EFFORTS)
-    plants = drawn(profile.plant, model_error, draws, seed)
     with opened(source, path, profile, quiet=False) as lines:
-        trials = tuning(lines, profile, grid, plants, limits == "file")
-    best = recommended(trials, profile.motors)
+        tuned = library.tune(
+            lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
+            model_error=model_error, draws=draws, seed=seed, file_limits=limits == "file",
+        )  # fmt: skip
+    trials, best = tuned.trials, tuned.best
     summary: dict[str, Any] = {
         "model_error": model_error if draws else 0.0,
         "draws": draws,

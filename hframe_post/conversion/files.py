@@ -69,26 +69,6 @@ def convert(
     return conversion.report()
 
 
-def convert_file(
-    source: str | Path,
-    target: str | Path,
-    printer: Printer,
-    options: Options | None = None,
-    kind: str | None = None,
-) -> Report:
-    """Converts one file to another; both may be the same. Raises HframeError, OSError.
-
-    options: the profile's strategy and the default settings, if not given. kind: one of
-    ``FORMATS``; what the target's suffix says, if not given.
-    """
-    target = Path(target)
-    options = options or Options(
-        printer.compensation.strategy, ("none", printer.compensation.strategy)
-    )
-    with Path(source).open("rb") as lines:
-        return convert(lines, target, printer, options, chosen_format(target, kind))
-
-
 def chosen_format(output: Path | None, asked: str | None) -> str:
     """The format for the file ``output``; None: another or no file. Raises HframeError."""
     if asked is not None and asked not in FORMATS:

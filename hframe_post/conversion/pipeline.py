@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from hframe_post import __version__
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Clamp, Guard
@@ -27,11 +26,13 @@ from hframe_post.planner.sampling import sample
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Samples
+from hframe_post.version import __version__
 from hframe_post.writers.gcode import GcodeWriter, Output
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps import Stepper
 
+TOLERANCE = 0.002  # mm by which G-code may be off the computed command
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
 
 
@@ -49,7 +50,7 @@ class Options:
     predict: tuple[str, ...] = ()
     file_limits: bool = True
     clamp: bool = False
-    tolerance: float | None = 0.002
+    tolerance: float | None = TOLERANCE
 
     @property
     def strategies(self) -> tuple[str, ...]:

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post import __version__
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.firmware.klipper import Klipper
@@ -38,6 +37,7 @@ from hframe_post.stream.types import (
     Standing,
     frozen,
 )
+from hframe_post.version import __version__
 from hframe_post.writers.gcode import GcodeWriter, Output
 
 AROUND = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)

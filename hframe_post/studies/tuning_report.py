@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def trial_as_json(trial: Trial) -> dict[str, Any]:
     }
 
 
-def trials_table(trials: list[Trial], best: Trial | None) -> str:
+def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
     """All trials, the recommended one marked."""
     lines = [
         f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",

@@ -1,0 +1,200 @@
+"""The library: what ``import hframe_post`` offers, and that it is what the tool does."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hframe_post as hp
+from hframe_post.arrays import Array
+from hframe_post.paper.results import path
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.uncertainty import draws
+from tests.conftest import SAMPLES
+
+RECTANGLE = SAMPLES / "rectangle.gcode"
+
+
+def rms(error: Array) -> float:
+    return float(np.sqrt(np.square(error).mean()))
+
+
+def stroke(start: tuple[float, float], by: tuple[float, float], n: int) -> Array:
+    """A move from rest to rest, (n, 2)."""
+    share = np.arange(n) / (n - 1)
+    smooth = share - np.sin(2 * np.pi * share) / (2 * np.pi)
+    moved: Array = np.asarray(start) + smooth[:, None] * np.asarray(by)
+    return moved
+
+
+# ---------------------------------------------------------------------- the package itself
+
+
+def test_import_costs_nothing_until_a_name_is_used() -> None:
+    program = (
+        "import sys, hframe_post as hp; heavy = {'numpy', 'scipy', 'click', 'ruckig'};"
+        "assert not heavy & set(sys.modules); assert set(hp.__all__) <= set(dir(hp));"
+        "hp.TransferFunction; assert 'numpy' in sys.modules and 'ruckig' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@pytest.mark.parametrize("name", hp.__all__)
+def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
+    offered = getattr(hp, name)
+    assert name == "__version__" or offered.__doc__
+
+
+def test_what_is_not_offered_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'compensation_of_all'"):
+        _ = hp.compensation_of_all
+
+
+# ---------------------------------------------------------------------- arrays
+
+
+@pytest.mark.paper
+def test_fig_9_through_arrays(paper: Printer) -> None:
+    """The figures that the whole tool predicts for its G-code."""
+    xy = path(paper)
+    off = {
+        name: rms(hp.contour_error(hp.predict(hp.compensate(xy, paper, name), paper), xy)) * 1e3
+        for name in ("none", "fbs", "racking")
+    }
+    assert off["none"] == pytest.approx(242, abs=8)
+    assert off["fbs"] == pytest.approx(117, abs=5)
+    assert off["racking"] < 9.5
+
+
+@pytest.mark.parametrize("strategy", ["none", "fbs", "racking"])
+def test_command_begins_and_ends_at_rest_on_the_path(paper: Printer, strategy: str) -> None:
+    xy = np.concatenate([stroke((60, 60), (140, 0), 700), stroke((200, 60), (0, 90), 500)])
+    command = hp.compensate(xy.tolist(), paper, strategy)
+    r, odd = divmod(len(command) - len(xy), 2)
+    assert not odd
+    assert r > 400  # the settling of the shipped printer's fastest stop
+    for end, place in ((0, xy[0]), (-1, xy[-1])):
+        assert np.abs(command[end] - place).max() <= paper.compensation.settle_tolerance
+    if strategy == "none":
+        np.testing.assert_array_equal(command[r:-r], xy)
+    else:
+        assert np.abs(command[r:-r] - xy).max() > 0.1
+
+
+def test_a_single_place_is_a_path(paper: Printer) -> None:
+    command = hp.compensate([[100.0, 50.0]], paper)
+    np.testing.assert_allclose(command, np.tile([100.0, 50.0], (len(command), 1)), atol=1e-9)
+    assert hp.contour_error(hp.predict(command, paper), [[100.0, 50.0]]).tolist() == [0.0]
+
+
+def test_contour_error_is_the_distance_to_the_path_and_rests_do_not_count() -> None:
+    xy = stroke((0, 0), (30, 40), 200)
+    beside = xy + 0.1 * np.array([-0.8, 0.6])
+    late = np.concatenate([xy[:1], xy[:-1]])
+    far = np.full((50, 2), 1e3)
+    np.testing.assert_allclose(hp.contour_error(beside, xy), 0.1, atol=1e-9)
+    np.testing.assert_allclose(hp.contour_error(late, xy), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        hp.contour_error(np.concatenate([far, beside, far]), xy), 0.1, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("n", [199, 201, 203])
+def test_nozzle_that_does_not_belong_to_the_path_is_refused(n: int) -> None:
+    with pytest.raises(ValueError, match=f"{n} samples of the nozzle"):
+        hp.contour_error(np.zeros((n, 2)), np.zeros((200, 2)))
+
+
+@pytest.mark.parametrize(
+    "wrong", [[], [1.0, 2.0], [[1.0, 2.0, 3.0]], [[0.0, np.nan]], np.zeros((0, 2))]
+)
+def test_what_is_no_path_is_refused(paper: Printer, wrong: list[float]) -> None:
+    with pytest.raises(ValueError, match="xy must be"):
+        hp.compensate(wrong, paper)
+    with pytest.raises(ValueError, match="command must be"):
+        hp.predict(wrong, paper)
+
+
+def test_unknown_strategies_and_profiles_are_the_tools_errors(paper: Printer) -> None:
+    with pytest.raises(hp.HframeError, match="no strategy is named 'raking'"):
+        hp.compensate(np.zeros((5, 2)), paper, "raking")
+    with pytest.raises(hp.HframeError, match="no such profile"):
+        hp.load_printer("nobody")
+
+
+def test_another_printer_is_another_prediction(paper: Printer) -> None:
+    xy = path(paper)
+    command = hp.compensate(xy, paper)
+    other = replace(paper, plant=draws(paper.plant, 0.05, 1, seed=0)[0])
+    own, others = (hp.contour_error(hp.predict(command, p), xy) for p in (paper, other))
+    assert rms(others) > 1.2 * rms(own)
+
+
+# ---------------------------------------------------------------------- files
+
+
+def test_convert_is_what_the_command_line_does(paper: Printer, tmp_path: Path) -> None:
+    report = hp.convert(RECTANGLE, tmp_path / "by_library.gcode", paper)
+    arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q"]
+    subprocess.run([*arguments, "-o", str(tmp_path / "by_tool.gcode")], check=True)
+    assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()
+    assert set(report.contour) == {"none", "racking"}
+    assert report.contour["racking"].rms < report.contour["none"].rms / 8
+
+
+def test_convert_takes_lines_and_writes_what_the_suffix_says(
+    paper: Printer, tmp_path: Path
+) -> None:
+    lines = RECTANGLE.read_bytes().splitlines(keepends=True)
+    hp.convert(lines, tmp_path / "out.csv", paper, strategy="fbs", predict=())
+    assert hp.read_steps(tmp_path / "out.csv").header.printer == "paper"
+    report = hp.convert(lines, tmp_path / "out.npz", paper, strategy="none")
+    assert set(report.contour) == {"none"}
+    with np.load(tmp_path / "out.npz") as table:
+        np.testing.assert_array_equal(table["x_dm"], table["x_d"])
+
+
+def test_convert_that_fails_leaves_the_target(paper: Printer, tmp_path: Path) -> None:
+    target = tmp_path / "part.gcode"
+    target.write_bytes(b"G1 X10 Y10 Z1 F6000\nG1 X1000\n")
+    before = target.read_bytes()
+    wrongs: list[dict[str, Any]] = [
+        {},
+        {"strategy": "raking"},
+        {"predict": ("raking",)},
+        {"format": "rtf"},
+    ]
+    for wrong in wrongs:
+        with pytest.raises(hp.HframeError):
+            hp.convert(target, target, paper, **wrong)
+        assert target.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["part.gcode"]
+
+
+def test_simulate_judges_every_strategy_and_drawn_printers(paper: Printer) -> None:
+    report = hp.simulate(RECTANGLE, paper, model_error=(0.05, 0.2), draws=3, seed=1)
+    assert report.strategies == ["none", "fbs", "racking"]
+    five, twenty = report.model_error
+    assert (five.share, twenty.share) == (0.05, 0.2)
+    assert len(five.rms("racking")) == 3
+    assert max(five.rms("racking")) < max(twenty.rms("racking"))
+
+
+def test_whole_steps_need_their_table(paper: Printer) -> None:
+    with pytest.raises(hp.HframeError, match="steps: the table is missing"):
+        hp.simulate(RECTANGLE, replace(paper, steps=None), steps=True)
+    assert hp.simulate(RECTANGLE, paper, steps=True).quantised
+
+
+def test_tune_recommends_among_what_it_tried(paper: Printer) -> None:
+    tuned = hp.tune(RECTANGLE, paper, knots=(5,), efforts=(30.0, 96.0), draws=1)
+    assert [trial.windows[0].effort for trial in tuned.trials] == [30.0, 96.0]
+    assert tuned.best in tuned.trials
+    weak = replace(paper, motors=replace(paper.motors, belt_velocity=10.0))
+    assert hp.tune(RECTANGLE, weak, knots=(5,), efforts=(96.0,), draws=0).best is None
