@@ -18,7 +18,8 @@ from hframe_post.conversion.meters import Clock, ErrorMeter, FilamentMeter, Inpu
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.commands import STAMP, dialect
+from hframe_post.gcode.commands import STAMP
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
@@ -93,8 +94,8 @@ class Commands:
         printer, options = self._printer, self._options
         limits, tolerance = printer.limits, printer.compensation.settle_tolerance
         lines = self._input.lines(self._lines)
-        chosen = dialect(printer.firmware.dialect)
-        items = self._input.items(read(lines, chosen, options.file_limits))
+        reading = ReadOptions.of(printer, "file-all" if options.file_limits else "printer")
+        items = self._input.items(read(lines, reading))
         offered = rests(self._compensator, limits, printer.travel, tolerance)
         samples = sample(plan(items, limits), limits, offered)
         commands = compensate(samples, self._compensator, self._strategies)

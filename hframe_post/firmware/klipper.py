@@ -139,9 +139,9 @@ class Klipper:
                 )
         return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
 
-    def modes_after(self, code: bytes) -> bytes:
+    def modes_after(self, name: str) -> bytes:
         """G90 means nothing to E."""
-        return {b"91": b"G90\n", b"82": b"M83\n"}.get(code, b"")
+        return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")
 
     def reset_extruder(self) -> bytes:
         """Klipper counts in doubles."""

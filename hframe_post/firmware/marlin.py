@@ -104,10 +104,10 @@ class Marlin:
             lines += ["M82", f"G92 E{plain(state.e, 5)}"]
         return [line.encode() for line in lines]
 
-    def modes_after(self, code: bytes) -> bytes:
+    def modes_after(self, name: str) -> bytes:
         """G90 and G91 are for E, too; linear advance stays off."""
-        modes = {b"90": b"M83\n", b"91": b"G90\nM83\n", b"82": b"M83\n", b"900": b"M900 K0\n"}
-        return modes[code]
+        modes = {"G90": b"M83\n", "G91": b"G90\nM83\n", "M82": b"M83\n", "M900": b"M900 K0\n"}
+        return modes.get(name, b"")
 
     def reset_extruder(self) -> bytes:
         """Marlin counts in floats, which forget the smallest moves when they have grown."""

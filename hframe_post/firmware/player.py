@@ -33,8 +33,8 @@ class Player(Protocol):
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """Back to the user's limits and to the modes and places that the file believes in."""
 
-    def modes_after(self, code: bytes) -> bytes:
-        """Lines that bring the stream's modes back after a G or M ``code`` of the file's."""
+    def modes_after(self, name: str) -> bytes:
+        """Lines that bring the stream's modes back after a command of the file's, if it needs."""
 
     def reset_extruder(self) -> bytes:
         """A line that lets the firmware count filament anew, if it should now and then."""

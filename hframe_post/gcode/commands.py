@@ -6,8 +6,9 @@ with the user's own limits and modes in force, and the position after it is unkn
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from enum import Enum
 
 from hframe_post.errors import HframeError
 from hframe_post.stream.types import Handling
@@ -16,18 +17,20 @@ STAMP = b"; processed by hframe-post"
 
 Words = dict[str, float]  # letter → number of a command's words
 
-MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJRP", "G3": "XYZEFIJRP", "G92": "XYZE"}
-MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
-LIMIT_WORDS = {
-    "M201": "XYZEFST",
-    "M203": "XYZEFST",
-    "M204": "PRST",
-    "M205": "XYZEJSTB",
-    "M220": "SBR",
+MOTION_WORDS = {
+    "G0": "XYZEF",
+    "G1": "XYZEF",
+    "G2": "XYZEFIJRP",
+    "G3": "XYZEFIJRP",
+    "G5": "XYZEFIJPQ",
+    "G92": "XYZE",
 }
+MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
+LIMITS = "SET_VELOCITY_LIMIT"
+LIMIT_WORDS = {"M201": "XYZE", "M203": "XYZE", "M204": "PTS", "M205": "XY", "M220": "S"}
+LIMIT_PARAMETERS = ("VELOCITY", "ACCEL", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")
 MISREAD = {
-    "G5": "splines cannot be followed",
-    "G5.1": "splines cannot be followed",
+    "G5.1": "splines of the second degree cannot be followed",
     "G53": "machine coordinates cannot be followed",
     **{f"G{code}": "work coordinate systems cannot be followed" for code in range(54, 60)},
     "G92.1": "coordinate resets cannot be followed",
@@ -35,17 +38,77 @@ MISREAD = {
     "G95": "feed per revolution cannot be followed",
 }
 
-_CARRIED = frozenset(
-    {"M73", "M104", "M105", "M106", "M107", "M110", "M115", "M117", "M118", "M140", "M141"}
-    | {"M155", "M207", "M208", "M209", "M221", "M300", "M413", "M486", "M566", "M572", "M900"}
+
+class Effect(Enum):
+    """What a command that is no move, mode or limit does to the motion."""
+
+    NONE = "moves nothing"
+    WAITS = "moves nothing, but must happen at rest"
+    RETURNS = "may move or change modes, and comes back to where it was"
+    UNKNOWN = "may move or change modes"
+
+    @property
+    def handling(self) -> Handling:
+        """How such a command must reach the machine."""
+        if self is Effect.NONE:
+            return Handling.CARRY
+        return Handling.REST if self is Effect.WAITS else Handling.RELEASE
+
+
+_NONE = (
+    # temperatures, fans, lights, sounds, power
+    "M104 M106 M107 M108 M140 M141 M142 M150 M300 M301 M302 M304 M355 M710",
+    # what a screen, a host or a log is told
+    "M27 M31 M70 M72 M73 M74 M75 M77 M105 M110 M111 M114 M115 M117 M118 M119 M136 M137 M155",
+    "M412 M413 M555 M862 M862.1 M862.2 M862.3 M862.4 M862.5 M862.6",
+    # settings of the extruder
+    "M101 M102 M103 M126 M127 M207 M208 M209 M211 M221 M566 M572 M900",
+    # limits of other firmwares, which these know nothing of
+    "M202 M320 M592",
+    "EXCLUDE_OBJECT_DEFINE SET_PRINT_STATS_INFO SET_PRESSURE_ADVANCE SET_FAN_SPEED SET_PIN",
+    "SET_HEATER_TEMPERATURE SET_DISPLAY_TEXT SET_GCODE_VARIABLE RESPOND SET_RETRACTION",
+    "SET_LED SET_LED_EFFECT SET_LED_TEMPLATE STOP_LED_EFFECTS STATUS_*",
+    "SET_FILAMENT_SENSOR SET_IDLE_TIMEOUT SET_TEMPERATURE_FAN_TARGET UPDATE_DELAYED_GCODE",
 )
-_AT_REST = frozenset({"G4", "M109", "M190", "M191", "M400"})
-_CARRIED_MACROS = frozenset(
-    {b"EXCLUDE_OBJECT_DEFINE"}  # its START and END yield: what was skipped is caught up on after
-    | {b"SET_PRINT_STATS_INFO", b"SET_PRESSURE_ADVANCE", b"SET_FAN_SPEED", b"SET_PIN", b"SET_LED"}
-    | {b"SET_HEATER_TEMPERATURE", b"SET_DISPLAY_TEXT", b"SET_GCODE_VARIABLE", b"RESPOND"}
+_WAITS = (
+    "G4 M109 M190 M191 M400 TEMPERATURE_WAIT EXCLUDE_OBJECT_START",
+    "M17 M569 M906 M907 G130 SET_TMC_CURRENT",  # the motors' drivers
 )
-_MACROS_AT_REST = frozenset({b"TEMPERATURE_WAIT"})
+_RETURNS = ("M593 SET_INPUT_SHAPER",)  # shaping, which the stream must turn off again
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """The effects of commands by name, upper case; a name may end in ``*``."""
+
+    names: dict[str, Effect]
+    prefixes: tuple[tuple[str, Effect], ...]
+
+    @classmethod
+    def of(cls, harmless: Iterable[str] = (), returns: Iterable[str] = ()) -> Vocabulary:
+        """The usual commands, and those that a user's profile adds or knows better."""
+        names = {
+            name.upper(): effect
+            for texts, effect in (
+                (_NONE, Effect.NONE), (_WAITS, Effect.WAITS), (_RETURNS, Effect.RETURNS),
+                (harmless, Effect.NONE), (returns, Effect.RETURNS),
+            )
+            for text in texts
+            for name in text.split()
+        }  # fmt: skip
+        stems = tuple((name[:-1], names.pop(name)) for name in list(names) if name.endswith("*"))
+        return cls(names, stems)
+
+    def effect(self, name: str, arguments: bytes = b"") -> Effect:
+        """Of a coded command or a macro, its name in upper case."""
+        if name in ("G10", "G11") and not arguments.strip():  # with words: a tool's offset
+            return Effect.WAITS
+        if name == "M486" and b"S" not in arguments.upper():  # names objects; S goes to one
+            return Effect.NONE
+        if (known := self.names.get(name)) is not None:
+            return known
+        stems = (effect for stem, effect in self.prefixes if name.startswith(stem))
+        return next(stems, Effect.UNKNOWN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +117,20 @@ class Dialect:
 
     g90_sets_e: whether G90 makes E absolute and G91 makes it relative, as M82 and M83 do;
     elsewhere E is relative while the file is in G91, and M82 and M83 stay as they were.
-    path_acceleration: what M204 asks for (mm/s²), given its words and what held before.
-    dwell: seconds that G4 waits, given its words.
+    obeyed: which commands that set limits it obeys. keeps_factor: whether M220 B keeps the
+    speed factor and M220 R brings it back. zero_feed: whether F0 means nothing, instead of
+    being an error. splines: whether it plays G5. cr_ends_lines: whether a carriage return ends
+    a line, in a comment too. path_acceleration: what M204 asks for (mm/s²), given its words
+    and what held before. dwell: seconds that G4 waits, given its words.
     """
 
     name: str
     g90_sets_e: bool
+    obeyed: frozenset[str]
+    keeps_factor: bool
+    zero_feed: bool
+    splines: bool
+    cr_ends_lines: bool
     path_acceleration: Callable[[Words, float], float]
     dwell: Callable[[Words], float]
 
@@ -84,12 +155,18 @@ def _klipper_dwell(words: Words) -> float:
 
 
 def _marlin_dwell(words: Words) -> float:
-    """P is in ms, S in s."""
-    return words["P"] / 1000.0 if "P" in words else words.get("S", 0.0)
+    """S is in s; P, in ms, counts only without it."""
+    return words["S"] if "S" in words else words.get("P", 0.0) / 1000.0
 
 
-KLIPPER = Dialect("klipper", False, _klipper_acceleration, _klipper_dwell)
-MARLIN = Dialect("marlin", True, _marlin_acceleration, _marlin_dwell)
+KLIPPER = Dialect(
+    "klipper", False, frozenset({"M204", LIMITS}), False, False, False, False,
+    _klipper_acceleration, _klipper_dwell,
+)  # fmt: skip
+MARLIN = Dialect(
+    "marlin", True, frozenset({"M201", "M203", "M204", "M205"}), True, True, True, True,
+    _marlin_acceleration, _marlin_dwell,
+)  # fmt: skip
 DIALECTS = {each.name: each for each in (KLIPPER, MARLIN)}
 
 
@@ -98,23 +175,3 @@ def dialect(name: str) -> Dialect:
     if name not in DIALECTS:
         raise HframeError(f"no G-code dialect {name!r}; known are {', '.join(DIALECTS)}")
     return DIALECTS[name]
-
-
-def command_handling(name: str, arguments: bytes) -> Handling:
-    """How G, M and T commands other than moves, modes and limits reach the machine."""
-    if name in _CARRIED:
-        return Handling.CARRY
-    retraction = name in ("G10", "G11") and not arguments.strip()  # with words: a tool's offset
-    return Handling.REST if retraction or name in _AT_REST else Handling.RELEASE
-
-
-def macro_handling(name: bytes) -> Handling:
-    """How a Klipper macro or extended command (upper case) reaches the machine."""
-    if name in _CARRIED_MACROS:
-        return Handling.CARRY
-    return Handling.REST if name in _MACROS_AT_REST else Handling.RELEASE
-
-
-def may_be_zero(name: str, word: str) -> bool:
-    """Whether zero is a meaning and not a mistake: corner speeds and ratios, no limits."""
-    return name == "M205" or word in ("SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from hframe_post.gcode.commands import Dialect, Words
+from hframe_post.gcode.options import Extrusion
 from hframe_post.stream.types import ModalState, Position
 
 INCH = 25.4
@@ -17,12 +18,16 @@ class Coordinates:
 
     position: x, y, z on the machine and e, all the filament since the start of the file, in
     mm. offset: position less what the file calls it, which G92 changes. known: whether x, y
-    and z are certain, or a command may have moved the machine.
+    and z are certain, or a command may have moved the machine. e_told: whether the file, or
+    the user (``extrusion``), has said what E is.
     """
 
-    def __init__(self, dialect: Dialect) -> None:
+    def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
         self._g90_sets_e = dialect.g90_sets_e
         self.absolute = self.absolute_e = self.xy_plane = True
+        self.e_told = False
+        if extrusion is not None:
+            self.tell_e(extrusion == "absolute")
         self.scale = 1.0  # mm in the file's unit
         self.position: Position = (0.0, 0.0, 0.0, 0.0)
         self.offset: Position = (0.0, 0.0, 0.0, 0.0)
@@ -44,14 +49,18 @@ class Coordinates:
             pe if e is None else oe + e * scale,
         )
 
+    def tell_e(self, absolute: bool) -> None:
+        """What E is from now on."""
+        self.absolute_e, self.e_told = absolute, True
+
     def set_mode(self, name: str) -> None:
         """G90, G91, M82, M83, G20, G21, G17, G18 or G19."""
         if name in ("G90", "G91"):
             self.absolute = name == "G90"
             if self._g90_sets_e:
-                self.absolute_e = self.absolute
+                self.tell_e(self.absolute)
         elif name in ("M82", "M83"):
-            self.absolute_e = name == "M82"
+            self.tell_e(name == "M82")
         elif name in ("G20", "G21"):
             self.scale = INCH if name == "G20" else 1.0
         else:

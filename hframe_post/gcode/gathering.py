@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from hframe_post.arrays import Array, E, Integers
+from hframe_post.errors import GcodeError
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.stream.types import (
     Handling,
@@ -16,6 +20,10 @@ from hframe_post.stream.types import (
     frozen,
 )
 
+LONGEST_MOVE = 4 * 3600.0  # s; a move that takes longer is a mistake, and would never end
+CARRIED_AT_ONCE = 1 << 21  # bytes of lines between two moves that are carried without a stop
+PER_LINE = 200  # bytes that a carried line takes beside its text
+
 
 class Gathering:
     """Rows of the moves gathered since the last item, and items that are ready in ``out``."""
@@ -25,6 +33,7 @@ class Gathering:
         self._start: Position = (0.0, 0.0, 0.0, 0.0)
         self._rows: list[tuple[float, ...]] = []
         self._marks: list[Mark] = []
+        self._carried = 0  # bytes since the last move or stop
         self.out: list[Item] = []
 
     def __len__(self) -> int:
@@ -34,29 +43,47 @@ class Gathering:
         """A move in which x or y travels joins the gathered ones, under the present limits."""
         if not self._rows:
             self._start = start
+        self._carried = 0
         self._rows.append((number, *end, speed, self._limits.acceleration, self._limits.corner))
 
     def stand(self, move: Standing) -> None:
-        """A move in which x and y stand ends the gathered ones."""
+        """A move in which x and y stand ends the gathered ones. Raises GcodeError."""
         self.flush()
+        length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
+        if length > LONGEST_MOVE * move.speed:
+            raise _endless(length / move.speed, move.line)
+        self._carried = 0
         self.out.append(move)
 
     def pass_through(self, item: Passthrough) -> None:
-        """A carried line among gathered moves is a mark; all others end the gathered moves."""
+        """A carried line among gathered moves is a mark; all others end the gathered moves.
+
+        Where more lines follow each other than can be held, one of them has to stop the
+        machine: only then does everything before it leave the memory of later stages.
+        """
+        self._carried += len(item.text) + PER_LINE
+        if self._carried > CARRIED_AT_ONCE:
+            item = replace(item, handling=Handling.RELEASE)
         if item.handling is Handling.CARRY and self._rows:
             self._marks.append(Mark(len(self._rows), item.text))
-        else:
-            self.flush()
-            self.out.append(item)
+            return
+        if item.handling is Handling.RELEASE:
+            self._carried = 0
+        self.flush()
+        self.out.append(item)
 
     def flush(self) -> None:
-        """The gathered moves become one item; the axis limits are those of now."""
+        """The gathered moves become one item; the axis limits are those of now.
+
+        Raises GcodeError where a move would take too long.
+        """
         if not self._rows:
             return
         table = np.array(self._rows)
         points = np.vstack([self._start, table[:, 1:5]])
         speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
         line = table[:, 0].astype(np.int64)
+        _check_end(points, speed, line)
         self.out.append(
             Moves(
                 line, frozen(points), speed, acceleration, corner, self._limits.axes,
@@ -64,3 +91,15 @@ class Gathering:
             )
         )  # fmt: skip
         self._rows, self._marks = [], []
+
+
+def _check_end(points: Array, speed: Array, line: Integers) -> None:
+    seconds = np.sqrt(np.square(np.diff(points[:, :E], axis=0)).sum(axis=1)) / speed
+    worst = int(seconds.argmax())
+    if seconds[worst] > LONGEST_MOVE:
+        raise _endless(float(seconds[worst]), int(line[worst]))
+
+
+def _endless(seconds: float, number: int) -> GcodeError:
+    hours, most = seconds / 3600.0, LONGEST_MOVE / 3600.0
+    return GcodeError(f"this move would take {hours:.3g} h; at most {most:g} h can be", number)

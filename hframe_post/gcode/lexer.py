@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from functools import reduce
 from operator import xor
 from typing import NamedTuple
@@ -14,11 +15,13 @@ _NUMBER = rb"([-+.\d]+)"
 PLAIN_MOVE = re.compile(  # as slicers write it, words in their order; all else is read slowly
     rb"G([01])(?: F%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?\s*(?:;.*)?$" % ((_NUMBER,) * 6)
 )
-_COMMENT = re.compile(rb"\([^()]*\)|;.*")
-_COMMAND = re.compile(rb"\s*(?:[Nn]\s*\d+\s*)?([GMTgmt])\s*(\d+)(?:\.(\d+))?(?![\d_])")
-_CHECKSUM = re.compile(rb"\*\s*(\d+)\s*$")
+_BRACKET = re.compile(rb"[()]")
+_COMMAND = re.compile(
+    rb"\s*([Nn]\s*\d+\s*)?([GMTgmt])\s*(\d{1,9})(?!\d)(?:\.(\d{1,9})(?!\d))?(?!_)"
+)
+_CHECKSUM = re.compile(rb"\*\s*(\d{1,9})\s*$")
 _WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_PARAMETER = re.compile(rb"([A-Z_]+)\s*=\s*([-+.\d]+)", re.IGNORECASE)
+_EXTENDED = re.compile(rb"\s*(?:[Nn]\d+\s*)?[A-Za-z_]\w+(?:\s+|$)([^#*;]*)")
 
 
 class Line(NamedTuple):
@@ -44,26 +47,45 @@ class Command(NamedTuple):
 
 def uncommented(text: bytes) -> bytes:
     """The line without comments of either form, nested ones included."""
-    while (shorter := _COMMENT.sub(b" ", text)) != text:
-        text = shorter
-    return text
+    if b"(" not in text:
+        return text.partition(b";")[0]
+    opened: list[int] = []
+    closed: list[tuple[int, int]] = []  # outermost pairs so far, ascending
+    for bracket in _BRACKET.finditer(text):
+        if bracket[0] == b"(":
+            opened.append(bracket.start())
+        elif opened:
+            start = opened.pop()
+            while closed and closed[-1][0] > start:
+                closed.pop()
+            closed.append((start, bracket.end()))
+    kept, after = [], 0
+    for start, end in closed:
+        kept.append(text[after:start])
+        if b";" in kept[-1]:
+            break
+        after = end
+    else:
+        kept.append(text[after:])
+    return b" ".join(kept).partition(b";")[0]
 
 
 def command(line: Line) -> Command | None:
     """The coded command of a line, None where it has none.
 
-    Raises GcodeError where a checksum does not hold.
+    Raises GcodeError where the checksum of a numbered line does not hold.
     """
     body = uncommented(line.text)
     match = _COMMAND.match(body)
     if match is None:
         return None
+    numbered, letter, code, sub = match.groups()
     arguments = body[match.end() :]
     if (checksum := _CHECKSUM.search(arguments)) is not None:
-        if reduce(xor, body[: body.rindex(b"*")]) != int(checksum[1]):
+        # without a number a line has no checksum: it may be a text, and firmware ignores it
+        if numbered and reduce(xor, body[: body.rindex(b"*")]) != int(checksum[1]):
             raise line.error("the checksum does not hold")
         arguments = arguments[: checksum.start()]
-    letter, code, sub = match.groups()
     name = f"{letter.decode().upper()}{int(code)}" + (f".{int(sub)}" if sub else "")
     return Command(name, arguments)
 
@@ -80,15 +102,40 @@ def numbers(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
         found[key] = float(digits)
     if _WORD.sub(b"", arguments).strip():
         raise line.error("a word or number cannot be read")
+    return _finite(line, found)
+
+
+def numbers_among(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
+    """Letter → number of those words that are asked for, whatever else there is."""
+    found: dict[str, float] = {}
+    for letter, digits in _WORD.findall(arguments):
+        key = letter.decode().upper()
+        if key in letters:
+            found[key] = float(digits)
+    return _finite(line, found)
+
+
+def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:
+    """NAME → number of those parameters of a Klipper command that are asked for.
+
+    As Klipper reads them: quotes as in a shell, any number that Python knows, names in
+    either case, the last of equals.
+    """
+    match = _EXTENDED.match(line.text)
+    found = {}
+    try:
+        for part in shlex.split(match[1].decode("latin-1")) if match else ():
+            name, equals, value = part.partition("=")
+            if not equals:
+                raise line.error(f"{part!r} is no NAME=value")
+            if name.upper() in names:
+                found[name.upper()] = float(value)
+    except ValueError:
+        raise line.error("a parameter cannot be read") from None
+    return _finite(line, found)
+
+
+def _finite(line: Line, found: dict[str, float]) -> dict[str, float]:
     if not all(map(math.isfinite, found.values())):
         raise line.error("a number is out of all bounds")
     return found
-
-
-def parameters(line: Line) -> dict[str, float]:
-    """NAME → number of a Klipper command's NAME=value arguments; others are left out."""
-    pairs = _PARAMETER.findall(uncommented(line.text))
-    try:
-        return {name.decode().upper(): float(value) for name, value in pairs}
-    except ValueError:
-        raise line.error("a number cannot be read") from None

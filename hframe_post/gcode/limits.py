@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 
 from hframe_post.gcode.commands import Dialect, Words
+from hframe_post.gcode.lexer import Line
 from hframe_post.stream.types import FileLimits
+
+MAY_BE_ZERO = ("M205", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")
+LEAST_VELOCITY = 0.1  # mm/s; below it a print would never end
+LEAST_ACCELERATION = 1.0  # mm/s²
 
 
 class RequestedLimits:
@@ -16,8 +21,16 @@ class RequestedLimits:
         self.acceleration = self.corner = math.inf
         self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 
-    def take(self, name: str, words: Words) -> None:
-        """M201, M203, M204, M205 or SET_VELOCITY_LIMIT, with its words or NAME=value."""
+    def take(self, line: Line, name: str, words: Words) -> None:
+        """M201, M203, M204, M205 or SET_VELOCITY_LIMIT, with its words or NAME=value.
+
+        Raises GcodeError where a limit would stop the print, or nearly so.
+        """
+        for word, value in words.items():
+            least = LEAST_VELOCITY if name == "M203" or word == "VELOCITY" else LEAST_ACCELERATION
+            least = 0.0 if name in MAY_BE_ZERO or word in MAY_BE_ZERO else least
+            if value < least:
+                raise line.error(f"{word} must be at least {least:g}")
         velocity, acceleration = self.axes.velocity, self.axes.acceleration
         if name == "M204":
             self.acceleration = self._dialect.path_acceleration(words, self.acceleration)

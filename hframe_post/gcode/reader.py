@@ -13,13 +13,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from itertools import chain
 
 import numpy as np
 
+from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import arcs, commands
-from hframe_post.gcode.commands import Dialect, Words
+from hframe_post.gcode.bed import Bed
+from hframe_post.gcode.commands import Effect, Words
 from hframe_post.gcode.coordinates import AXES, Coordinates, Word
+from hframe_post.gcode.extrusion import is_absolute
 from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lexer import (
     PLAIN_MOVE,
@@ -27,30 +31,34 @@ from hframe_post.gcode.lexer import (
     Line,
     command,
     numbers,
+    numbers_among,
     parameters,
     uncommented,
 )
 from hframe_post.gcode.limits import RequestedLimits
+from hframe_post.gcode.lines import Lines
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 MOVES_PER_ITEM = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
+MOST_FILAMENT = 1e4  # mm of one move
+SLOWEST = 1.0 / 60.0  # mm/s, F1; what is slower would never end
+LONGEST_DWELL = 24 * 3600.0  # s
+MOST_TURNS = 100  # of an arc
 DEFAULT_FEED = 25.0  # mm/s, what Klipper moves at before the first F
+AT_THE_START = "the start"  # why the first moves' place is unknown
 
 
-def read(lines: Iterable[bytes], dialect: Dialect, file_limits: bool = True) -> Iterator[Item]:
-    """Items of a G-code file, streaming.
+def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
+    """Items of a G-code file, streaming. lines: with or without line ends.
 
-    lines: with or without line ends. dialect: of the firmware for which the file was sliced.
-    file_limits: whether M201, M203, M204, M205 and SET_VELOCITY_LIMIT are obeyed. Raises
-    GcodeError.
+    Raises GcodeError, LimitError.
     """
-    reader = _Reader(dialect, file_limits)
+    source = Lines(lines, options.dialect.cr_ends_lines)
+    reader = _Reader(options, source)
     out = reader.items.out
-    number = 0
-    for number, raw in enumerate(lines, 1):
-        text = raw.removesuffix(b"\n")
-        line = Line(number, _first_line(text) if number == 1 else text)
+    for line in source:
         match = PLAIN_MOVE.match(line.text)
         if match is None:
             reader.line(line)
@@ -59,28 +67,22 @@ def read(lines: Iterable[bytes], dialect: Dialect, file_limits: bool = True) -> 
         if out:
             yield from out
             out.clear()
-    reader.finish(number)
+    reader.finish(source.number)
     yield from out
-
-
-def _first_line(text: bytes) -> bytes:
-    if text.startswith(b"GCDE"):
-        raise GcodeError(
-            "this is binary G-code; in PrusaSlicer or OrcaSlicer turn off "
-            "'Supports binary G-code' in the printer's settings and slice again"
-        )
-    return text.removeprefix(b"\xef\xbb\xbf")
 
 
 class _Reader:
     """Takes line after line; what it has read is in ``items``."""
 
-    def __init__(self, dialect: Dialect, file_limits: bool) -> None:
-        self._dialect, self._file_limits = dialect, file_limits
-        self._place = Coordinates(dialect)
-        self._limits = RequestedLimits(dialect)
-        self._feed, self._factor = DEFAULT_FEED, 1.0
-        self._moved = False
+    def __init__(self, options: ReadOptions, source: Lines) -> None:
+        self._options, self._source = options, source
+        self._dialect = options.dialect
+        self._bed = Bed(options.travel)
+        self._place = Coordinates(options.dialect, options.extrusion)
+        self._limits = RequestedLimits(options.dialect)
+        self._feed, self._factor, self._kept_factor = DEFAULT_FEED, 1.0, 1.0
+        self._moved = self._ran_macro = self._in_object = False
+        self._cause = AT_THE_START
         self.items = Gathering(self._limits)
 
     # ------------------------------------------------------------------ moves
@@ -105,56 +107,122 @@ class _Reader:
     def _move(self, line: Line, x: Word, y: Word, z: Word, e: Word) -> None:
         """One straight move to the file's coordinates."""
         place = self._place
-        old, new = place.position, place.target(x, y, z, e)
-        self._moved = True
-        if not (min(new) > -FARTHEST and max(new) < FARTHEST):
-            raise line.error("a coordinate is out of all bounds")
+        old, new = place.position, self._target(line, x, y, z, e)
         if not place.allow(z):
-            if place.scale != 1.0:  # the output is in mm
-                raise line.error("a move in inches from an unknown position")
-            self._passthrough(line, Handling.RELEASE, filament=new[3] - old[3])
-            place.arrive(new, x, y, z)
+            self._as_it_stands(line, new, math.dist(old[:3], new[:3]), (x, y, z))
         elif new[0] != old[0] or new[1] != old[1]:
             self._travel(line, new)
         elif new != old:
+            if new[2] != old[2]:
+                self._bed.check(line, 2, new[2])
             top = self._limits.axes.velocity[2 if new[2] != old[2] else 3]
             self.items.stand(Standing(line.number, old, new, min(self._feed * self._factor, top)))
             place.position = new
 
+    def _target(self, line: Line, x: Word, y: Word, z: Word, e: Word) -> Position:
+        """Where a move leads, on the bed or not."""
+        if e is not None and not self._place.e_told:
+            self._place.tell_e(self._e_is_absolute(line))
+        new = self._place.target(x, y, z, e)
+        self._moved = True
+        if not (min(new) > -FARTHEST and max(new) < FARTHEST):
+            raise line.error("a coordinate is out of all bounds")
+        if abs(new[3] - self._place.position[3]) > MOST_FILAMENT:
+            raise line.error(f"more than {MOST_FILAMENT:g} mm of filament in one move")
+        return new
+
     def _travel(self, line: Line, new: Position) -> None:
         """A move in which x or y travels joins the gathered ones."""
+        x, y, z, _ = new
+        least, greatest = self._bed.least, self._bed.greatest
+        if not (
+            least[0] <= x <= greatest[0]
+            and least[1] <= y <= greatest[1]
+            and least[2] <= z <= greatest[2]
+        ):
+            for axis in range(3):
+                self._bed.check(line, axis, new[axis])
         self.items.travel(line.number, self._place.position, new, self._feed * self._factor)
         self._place.position = new
         if len(self.items) >= MOVES_PER_ITEM:
             self.items.flush()
 
+    def _as_it_stands(
+        self, line: Line, new: Position, path: float, words: tuple[Word, Word, Word]
+    ) -> None:
+        """A move from an unknown place goes to the firmware; what it names is known after it."""
+        place = self._place
+        if place.scale != 1.0:  # the output is in mm
+            raise line.error("a move in inches from an unknown position")
+        if place.absolute:
+            for axis, word in enumerate(words):
+                if word is not None:
+                    self._bed.check(line, axis, new[axis])
+        filament = new[3] - place.position[3]
+        self._passthrough(line, Handling.RELEASE, filament=filament, path=path, cause=self._cause)
+        place.arrive(new, *words)
+
     def _set_feed(self, line: Line, feed: float) -> None:
-        if not 0.0 < feed < math.inf:
+        if feed == 0.0 and self._dialect.zero_feed:
+            return
+        speed = feed * self._place.scale / 60.0
+        if not 0.0 < speed < math.inf:
             raise line.error("the feed rate must be positive")
-        self._feed = feed * self._place.scale / 60.0
+        if speed < SLOWEST:
+            raise line.error(f"a feed rate below {60.0 * SLOWEST:g} mm/min would never end")
+        self._feed = speed
+
+    # ------------------------------------------------------------------ curves
 
     def _arc(self, line: Line, words: Words, ccw: bool) -> None:
+        """G2 or G3. P counts the turns that it begins."""
         place = self._place
         if not place.xy_plane:
             raise line.error("arcs outside the x-y plane are not supported")
-        if not place.allow(words.get("Z")):
-            raise line.error("an arc from an unknown position")
-        x0, y0, z0, e0 = place.position
-        x1, y1, z1, e1 = place.target(*(words.get(axis) for axis in AXES))
-        offset = None
+        turns = words.pop("P", 1.0) or 1.0
+        if turns != int(turns) or not 1 <= turns <= MOST_TURNS:
+            raise line.error(f"P must be a number of turns, 1 to {MOST_TURNS}")
+        start = place.position
+        x, y, z, e = (words.get(axis) for axis in AXES)
+        new = self._target(line, x, y, z, e)
+        ends = start[:2], new[:2]
+        centre = None
         if "I" in words or "J" in words:
-            offset = (words.get("I", 0.0) * place.scale, words.get("J", 0.0) * place.scale)
-        radius = words["R"] * place.scale if "R" in words else None
-        centre = arcs.centre((x0, y0), (x1, y1), offset, radius, ccw)
-        if centre is None:
+            i, j = (words.get(letter, 0.0) * place.scale for letter in "IJ")
+            centre = start[0] + i, start[1] + j
+        elif "R" in words:
+            centre = arcs.centre_of_radius(*ends, words["R"] * place.scale, ccw)
+        if not place.allow(z):  # then it cannot be checked either
+            self._as_it_stands(line, new, math.dist(start[:3], new[:3]), (x, y, z))
+            return
+        arc = arcs.arc(*ends, centre, ccw, int(turns)) if centre else None
+        if arc is None:
             raise line.error("the arc's centre or radius does not fit its ends")
-        points = arcs.chords((x0, y0), (x1, y1), centre, ccw)
-        lengths = np.hypot(*np.diff(points, axis=0, prepend=[(x0, y0)]).T)
-        share = np.cumsum(lengths) / lengths.sum()
-        z, e = z0 + share * (z1 - z0), e0 + share * (e1 - e0)
-        z[-1], e[-1] = z1, e1
-        self._moved = True
-        for row in np.column_stack([points, z, e]).tolist():
+        self._curve(line, new, *arc.chords())
+
+    def _spline(self, line: Line, words: Words) -> None:
+        """G5: a cubic Bézier curve, its control points relative to its ends."""
+        place = self._place
+        start = place.position
+        x, y, z, e = (words.get(axis) for axis in AXES)
+        new = self._target(line, x, y, z, e)
+        if not place.allow(z):
+            if not self._dialect.splines:
+                raise line.error("a spline from an unknown position")
+            self._as_it_stands(line, new, math.dist(start[:3], new[:3]), (x, y, z))
+            return
+        i, j, p, q = (words.get(letter, 0.0) * place.scale for letter in "IJPQ")
+        ends = (start[0], start[1]), (new[0], new[1])
+        first, second = (ends[0][0] + i, ends[0][1] + j), (ends[1][0] + p, ends[1][1] + q)
+        self._curve(line, new, *arcs.spline(ends[0], first, second, ends[1]))
+
+    def _curve(self, line: Line, new: Position, points: Array, share: Array) -> None:
+        """Chords to points (k, 2); z and e grow with the share (k,) of the curve."""
+        _, _, z0, e0 = self._place.position
+        z, e = z0 + share * (new[2] - z0), e0 + share * (new[3] - e0)
+        rows = np.column_stack([points, z, e]).tolist()
+        rows[-1] = new
+        for row in rows:
             self._travel(line, tuple(row))
 
     # ------------------------------------------------------------------ all other lines
@@ -169,17 +237,22 @@ class _Reader:
         elif coded.name in commands.MISREAD:
             raise line.error(f"{coded.name}: {commands.MISREAD[coded.name]}")
         elif coded.name in commands.LIMIT_WORDS:
-            words = numbers(line, coded.arguments, commands.LIMIT_WORDS[coded.name])
-            self._limit(line, coded.name, words)
+            words = numbers_among(line, coded.arguments, commands.LIMIT_WORDS[coded.name])
+            if coded.name == "M220":
+                self._scale_speed(line, coded, words)
+            else:
+                self._limit(line, coded.name, words)
         elif coded.name in commands.MODAL:
             self._place.set_mode(coded.name)
             if coded.name != "G20":  # the output is in mm, and Klipper has no inches
                 self._passthrough(line, Handling.CARRY)
+        elif coded.name == "G4":
+            self._dwell(line, coded)
         else:
-            self._other(line, coded)
+            self._other(line, coded.name, coded.arguments)
 
     def _motion(self, line: Line, coded: Command) -> None:
-        """G0, G1, G2, G3 and G92, written in any way."""
+        """G0, G1, G2, G3, G5 and G92, written in any way."""
         words = numbers(line, coded.arguments, commands.MOTION_WORDS[coded.name])
         if "F" in words:
             self._set_feed(line, words.pop("F"))
@@ -191,20 +264,36 @@ class _Reader:
             self._passthrough(line, Handling.CARRY if only_e else Handling.RELEASE)
         elif coded.name in ("G2", "G3"):
             self._arc(line, words, ccw=coded.name == "G3")
+        elif coded.name == "G5":
+            self._spline(line, words)
         elif words:
             self._move(line, *(words.get(axis) for axis in AXES))
 
     def _limit(self, line: Line, name: str, words: Words) -> None:
-        """M201, M203, M204, M205, M220 or SET_VELOCITY_LIMIT."""
-        for letter, value in words.items():
-            if value < 0.0 or (value == 0.0 and not commands.may_be_zero(name, letter)):
-                raise line.error(f"{letter} must be positive")
-        if name == "M220":
-            self._factor = words.get("S", 100.0 * self._factor) / 100.0
-        elif self._file_limits:
+        """M201, M203, M204, M205 or SET_VELOCITY_LIMIT."""
+        obeyed = self._options.limits
+        if obeyed == "file-all" or (obeyed == "file" and name in self._dialect.obeyed):
             if name in ("M201", "M203") or "VELOCITY" in words:
                 self.items.flush()  # axis limits hold for all moves of an item
-            self._limits.take(name, words)
+            self._limits.take(line, name, words)
+
+    def _scale_speed(self, line: Line, coded: Command, words: Words) -> None:
+        """M220: the feed-rate factor; B keeps it for R to bring back."""
+        given = coded.arguments.upper()
+        if self._dialect.keeps_factor and b"B" in given:
+            self._kept_factor = self._factor
+        if self._dialect.keeps_factor and b"R" in given:
+            self._factor = self._kept_factor
+        percent = words.get("S", 100.0 * self._factor)
+        if percent < 1.0:
+            raise line.error("the speed factor must be at least 1 %")
+        self._factor = percent / 100.0
+
+    def _dwell(self, line: Line, coded: Command) -> None:
+        seconds = self._dialect.dwell(numbers_among(line, coded.arguments, "PS"))
+        if not 0.0 <= seconds <= LONGEST_DWELL:
+            raise line.error(f"a dwell lasts from 0 to {LONGEST_DWELL / 3600.0:g} h")
+        self._passthrough(line, Handling.REST, seconds)
 
     def _uncoded(self, line: Line) -> None:
         """A comment, a Klipper macro or anything that is not G, M or T."""
@@ -212,38 +301,66 @@ class _Reader:
             raise line.error("this file has been through hframe-post already")
         if b"\0" in line.text:
             raise GcodeError("this is not a text file", line.number)
-        words = uncommented(line.text).split()
+        words = uncommented(line.text).split(maxsplit=1)
         if not words or words == [b"%"]:
             self._passthrough(line, Handling.CARRY)
             return
-        name = words[0].upper()
-        if name == b"SET_VELOCITY_LIMIT":
-            self._limit(line, "SET_VELOCITY_LIMIT", parameters(line))
-            return
-        handling = commands.macro_handling(name)
-        self._passthrough(line, handling)
-        if handling is Handling.RELEASE:
-            self._place.forget()
+        name = words[0].decode("latin-1").upper()
+        if name == commands.LIMITS:
+            self._limit(line, name, parameters(line, commands.LIMIT_PARAMETERS))
+        else:
+            self._other(line, name)
 
-    def _other(self, line: Line, coded: Command) -> None:
-        """A coded command that is neither motion, mode nor limit."""
-        handling = commands.command_handling(*coded)
-        seconds = 0.0
-        if coded.name == "G4":
-            seconds = self._dialect.dwell(numbers(line, coded.arguments, "PS"))
-        self._passthrough(line, handling, seconds)
-        if coded.name == "G28":
-            named = [axis for axis in range(3) if AXES[axis].encode() in coded.arguments.upper()]
-            self._place.forget(named or range(3), homed=True)
-        elif handling is Handling.RELEASE:
+    def _other(self, line: Line, name: str, arguments: bytes = b"") -> None:
+        """A command or macro that is neither motion, mode nor limit."""
+        effect = self._options.vocabulary.effect(name, arguments)
+        if name in ("EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END"):
+            effect = self._object(name, effect)
+        self._passthrough(line, effect.handling)
+        if effect is not Effect.UNKNOWN:
+            return
+        self._cause = name[:40]
+        if name == "G28":
+            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
+            self._place.forget(homed or range(3), homed=True)
+        else:
             self._place.forget()
+            self._ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
+
+    def _object(self, name: str, effect: Effect) -> Effect:
+        """Klipper drops the moves of an object that is left out, and catches up after its end.
+
+        So it drives where it should be in the first move after the end, at the speed and
+        with the limits of that move; where an object follows without an end, after its start.
+        """
+        starts = name == "EXCLUDE_OBJECT_START"
+        inside, self._in_object = self._in_object, starts
+        return effect if starts and not inside else Effect.UNKNOWN
+
+    def _e_is_absolute(self, line: Line) -> bool:
+        """What E is, in a file that has not said so before the first."""
+        absolute = is_absolute(chain([line], self._source.ahead()))
+        if absolute is False and self._ran_macro:
+            return False
+        if absolute or (absolute is None and not self._ran_macro):
+            return True
+        raise line.error(
+            "nothing before tells whether E is absolute (M82) or relative (M83), and a macro may "
+            "have set it: say --extrusion absolute or --extrusion relative"
+        )
 
     def _passthrough(
-        self, line: Line, handling: Handling, seconds: float = 0.0, filament: float = 0.0
+        self,
+        line: Line,
+        handling: Handling,
+        seconds: float = 0.0,
+        filament: float = 0.0,
+        path: float = 0.0,
+        cause: str = "",
     ) -> None:
         """A line that passes as it stands, with what the file believes of the firmware."""
         state = self._place.state(self._feed)
-        item = Passthrough(line.number, line.text, handling, state, seconds, filament)
+        item = Passthrough(line.number, line.text, handling, state, seconds, filament, path, cause)
         self.items.pass_through(item)
 
     def finish(self, number: int) -> None:

@@ -15,7 +15,7 @@ from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
@@ -150,7 +150,7 @@ def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
 
 def path(printer: Printer) -> Array:
     """The rectangle of Fig. 7, planned, (E + 1, 2); it begins and ends at rest."""
-    items = read(rectangle(printer), dialect(printer.firmware.dialect))
+    items = read(rectangle(printer), ReadOptions.of(printer))
     blocks = sample(plan(items, printer.limits), printer.limits, Rests(0, 1))
     xy = np.concatenate([block.xyze[:, :Z] for block in blocks])
     corners = xy[0] + np.array([[120, 0], [120, 20], [0, 20], [0, 0]])
@@ -269,7 +269,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
 def _middle(lines: Iterable[bytes], printer: Printer) -> float:
     """Middle in x of what is extruded."""
     low, high = np.inf, -np.inf
-    for item in read(lines, dialect(printer.firmware.dialect)):
+    for item in read(lines, ReadOptions.of(printer, "file-all")):
         if isinstance(item, Moves):
             laid = np.flatnonzero(np.diff(item.points[:, E]) > 0.0)
             ends = item.points[np.concatenate([laid, laid + 1]), X]

@@ -80,7 +80,11 @@ class Handling(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Passthrough:
-    """A line that passes byte for byte. seconds: known duration; filament: mm it extrudes."""
+    """A line that passes byte for byte.
+
+    seconds: known duration. filament, path: mm that it extrudes and moves, as the file has it,
+    where it is a move that starts at an unknown place; cause: the command that made it so.
+    """
 
     line: int
     text: bytes
@@ -88,6 +92,8 @@ class Passthrough:
     state: ModalState
     seconds: float = 0.0
     filament: float = 0.0
+    path: float = 0.0
+    cause: str = ""
 
 
 Item = Moves | Standing | Passthrough

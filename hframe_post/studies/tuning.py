@@ -17,7 +17,7 @@ from hframe_post.arrays import X, Y
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.settle import rests, settle
 from hframe_post.conversion.meters import JUDGED_EVERY
-from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
@@ -104,7 +104,7 @@ def tune(
         for _, compensator in compensators
     ] or [Rests(1, 1)]
     longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
-    items = read(lines, dialect(printer.firmware.dialect), file_limits)
+    items = read(lines, ReadOptions.of(printer, "file-all" if file_limits else "printer"))
     samples = sample(plan(items, printer.limits), printer.limits, longest)
     running = [
         _tried(trial, compensator, branch, printer, drawn)

@@ -19,6 +19,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.decimate import LONGEST
 from hframe_post.firmware.player import Dwelling, Player, plain
+from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import Handling, Mark, Pause, Samples, Standing
 from hframe_post.writers import digits
 
@@ -30,9 +31,6 @@ CATCH_UP = 0.01  # share of a batch's time by which it may be hurried or delayed
 DECIMALS = (3, 3, 3, 5)  # of x, y, z, e in mm
 PER_MM_E = 1e5  # output units of e
 FEED_DECIMALS = 1  # of F in mm/min
-REASSERT = re.compile(
-    rb"\s*(?:[Nn]\d+\s*)?[GgMm]0*(900|90|91|82)(?!\d)"
-)  # what ends the stream's modes
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
 
@@ -269,8 +267,8 @@ class _Stream:
             yield DeferredLine(mark.text, elapsed)
         else:
             yield mark.text + b"\n"
-        if self._inside and (mode := REASSERT.match(mark.text)):
-            yield self._player.modes_after(mode[1])
+        if self._inside and (coded := command(Line(0, mark.text))) is not None:
+            yield self._player.modes_after(coded.name)
 
     # ------------------------------------------------------------------ at standstill
 

@@ -1,0 +1,35 @@
+"""How a file is to be read: for which firmware and printer, and what to obey."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hframe_post.gcode.commands import Dialect, Vocabulary, dialect
+from hframe_post.printer.settings import Printer, Travel
+
+FileLimits = Literal["file", "file-all", "printer"]
+Extrusion = Literal["absolute", "relative"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """What a reader must know beside the file.
+
+    limits: which of the file's limits lower the printer's: those that its firmware obeys,
+    all that are known, or none. extrusion: what E is before the first M82 or M83; None: as
+    the file shows. travel: where the path may go; None: anywhere.
+    """
+
+    dialect: Dialect
+    limits: FileLimits = "file"
+    extrusion: Extrusion | None = None
+    travel: Travel | None = None
+    vocabulary: Vocabulary = field(default_factory=Vocabulary.of)
+
+    @classmethod
+    def of(
+        cls, printer: Printer, limits: FileLimits = "file", extrusion: Extrusion | None = None
+    ) -> ReadOptions:
+        """For a printer. Raises HframeError where its firmware is unknown."""
+        return cls(dialect(printer.firmware.dialect), limits, extrusion, printer.travel)

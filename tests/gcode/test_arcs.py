@@ -1,0 +1,153 @@
+"""Arcs and splines: round the centre that the file gives, to the end that it gives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.gcode import arcs
+from hframe_post.stream.types import Moves
+from tests.gcode.test_reader import ends, items, moves
+
+Point = tuple[float, float]
+
+SHARES = st.one_of(  # of a full circle: ordinary, half, quarter, nearly full, tiny
+    st.floats(0.001, 0.999),
+    st.sampled_from([0.5, 0.25, 0.75, 1.0 - 1e-4, 1.0 - 1e-5, 1.0 - 1e-6, 1e-4]),
+)
+
+
+def rounded(point: Point) -> Point:
+    return round(point[0], 3), round(point[1], 3)
+
+
+def off_circle(points: Array, start: Point, centre: Point) -> float:
+    """How far chords, at their ends and middles, are from the circle through the start."""
+    whole = np.vstack([start, points])
+    both = np.vstack([whole, (whole[1:] + whole[:-1]) / 2])
+    return float(np.abs(np.hypot(*(both - centre).T) - math.dist(start, centre)).max())
+
+
+def turned(points: Array, start: Point, centre: Point) -> float:
+    """Turns that the chords make round a centre."""
+    angle = np.arctan2(*(np.vstack([start, points]) - centre).T[::-1])
+    return float((np.diff(np.unwrap(angle)) / math.tau).sum())
+
+
+@given(st.floats(0.05, 300.0), SHARES, st.floats(0.0, math.tau), st.booleans())
+def test_numbers_of_a_slicer_go_round_the_centre_that_they_give(
+    radius: float, share: float, angle: float, ccw: bool
+) -> None:
+    sweep = math.tau * share * (1 if ccw else -1)
+    start = rounded((100 + radius * math.cos(angle), 100 + radius * math.sin(angle)))
+    end = rounded((100 + radius * math.cos(angle + sweep), 100 + radius * math.sin(angle + sweep)))
+    offset = rounded((100 - start[0], 100 - start[1]))
+    centre = start[0] + offset[0], start[1] + offset[1]
+    arc = arcs.arc(start, end, centre, ccw)
+    assert arc is not None
+    points, shares = arc.chords()
+    assert points[-1] == pytest.approx(end, abs=1e-9)
+    assert (shares[-1], shares[0] > 0.0) == (1.0, True)
+    assert off_circle(points, start, centre) <= arcs.TOLERANCE + abs(np.diff(arc.radii))[0] + 1e-9
+    if radius * math.tau * min(share, 1.0 - share) > 0.01:  # else rounding decides which way
+        assert turned(points, start, centre) == pytest.approx(sweep / math.tau, abs=0.01 / radius)
+
+
+@pytest.mark.parametrize(
+    ("start", "line", "offset"),
+    [
+        ((90.48, 128.046), "G3 X90.565 Y128.099 I5.387 J-8.425 E2", (5.387, -8.425)),
+        ((116.516, 130.151), "G3 I6.268 J18.992 E2", (6.268, 18.992)),
+    ],
+)
+def test_nearly_full_and_full_circles_keep_their_centre(
+    start: Point, line: str, offset: Point
+) -> None:
+    points = np.array(ends(f"G1 X{start[0]} Y{start[1]}", line))[1:, :2]
+    centre = start[0] + offset[0], start[1] + offset[1]
+    assert off_circle(points, start, centre) <= arcs.TOLERANCE + 1e-3
+    assert turned(points, start, centre) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("p", "turns"), [("", 0.5), ("P0", 0.5), ("P1", 0.5), ("P3", 2.5)])
+def test_p_counts_the_turns_that_an_arc_begins(p: str, turns: float) -> None:
+    rows = np.array(ends(f"G3 X20 Y0 Z5 I10 J0 E8 {p}"))
+    assert turned(rows[:, :2], (0.0, 0.0), (10.0, 0.0)) == pytest.approx(turns)
+    assert rows[-1].tolist() == [20, 0, 5, 8]
+    np.testing.assert_allclose(rows[:, 3] / 8, rows[:, 2] / 5)
+
+
+def test_a_spiral_lift_is_one_turn() -> None:
+    """As OrcaSlicer writes it: no X, no Y."""
+    rows = np.array(ends("G17", "G3 Z.8 I.044 J-1.216 P1 F30000"))
+    assert turned(rows[:, :2], (0.0, 0.0), (0.044, -1.216)) == pytest.approx(1.0)
+    assert rows[-1].tolist() == [0, 0, 0.8, 0]
+
+
+def test_arcs_in_relative_coordinates() -> None:
+    points = np.array(ends("G1 X30 Y30", "G91", "G2 X10 Y0 I5 J0 E1", "G90", "G1 X0"))[1:-1]
+    assert off_circle(points[:, :2], (30.0, 30.0), (35.0, 30.0)) <= arcs.TOLERANCE + 1e-9
+    assert points[-1].tolist() == [40, 30, 0, 1]
+
+
+def test_hundreds_of_arcs_lose_no_filament() -> None:
+    """Shares of every arc add up to what the file says, however often."""
+    lines, e = [], 0.0
+    for k in range(200):
+        e += 0.03127
+        back = k % 2
+        lines.append(f"G{2 + back} X{30 - 10 * back} Y20 I{5 - 10 * back} J0 E{e:.5f}")
+    for mode in ("M82", "M83"):
+        written = lines if mode == "M82" else [f"{li.split('E')[0]}E.03127" for li in lines]
+        last = moves("G1 X20 Y20", mode, "G92 E0", *written)[-1]
+        assert last.points[-1, 3] == pytest.approx(e, abs=1e-9)
+
+
+def test_arcs_without_room_are_points() -> None:
+    """Chords never vanish, whatever the radius."""
+    (block,) = moves("G2 X0.001 Y0.001 I0.001 J0 E1")
+    assert (np.hypot(*np.diff(block.points[:, :2], axis=0).T) > 0.0).all()
+
+
+def test_arcs_from_an_unknown_place_pass_as_they_stand() -> None:
+    found = items("M83", "G28", "G3 Z.8 I.044 J-1.216 P1 F30000", "G1 X10 Y10 Z.8", "G1 X20 E1")
+    (block,) = (item for item in found if isinstance(item, Moves))
+    assert block.points[0].tolist() == [10, 10, 0.8, 0]
+
+
+# ---------------------------------------------------------------------- splines
+
+
+def bezier(p: Array, t: Array) -> Array:
+    u = 1.0 - t[:, None]
+    v = t[:, None]
+    return np.asarray(u**3 * p[0] + 3 * u * u * v * p[1] + 3 * u * v * v * p[2] + v**3 * p[3])
+
+
+PLACES = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0))
+
+
+@given(PLACES, PLACES, PLACES, PLACES)
+def test_splines_stay_within_the_tolerance(a: Point, b: Point, c: Point, d: Point) -> None:
+    points, share = arcs.spline(a, b, c, d)
+    assert points[-1] == pytest.approx(d, abs=1e-9)
+    assert share[-1] == pytest.approx(1.0)
+    whole = np.vstack([a, points])
+    k = len(points)
+    middles = bezier(np.array([a, b, c, d]), (np.arange(k) + 0.5) / k)
+    chords = (whole[1:] + whole[:-1]) / 2
+    assert np.hypot(*(middles - chords).T).max() <= arcs.TOLERANCE * 1.001
+
+
+def test_g5_has_control_points_relative_to_its_ends() -> None:
+    rows = np.array(ends("G1 X10 Y10", "G5 X30 Y10 I5 J20 P-5 Q20 Z1 E3"))[1:]
+    expected = bezier(np.array([(10, 10), (15, 30), (25, 30), (30, 10)]), np.linspace(0, 1, 401))
+    gap = np.hypot(*(rows[:, None, :2] - expected[None]).transpose(2, 0, 1)).min(axis=1)
+    assert gap.max() < 0.1
+    assert rows[-1].tolist() == [30, 10, 1, 3]
+    assert rows[:, 1].max() == pytest.approx(25.0, abs=0.01)

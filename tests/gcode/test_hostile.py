@@ -1,0 +1,169 @@
+"""Files that would never end, fill the memory, leave the bed or hide what E is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import repeat
+
+import pytest
+
+from hframe_post.errors import GcodeError, LimitError
+from hframe_post.gcode import gathering, lines
+from hframe_post.gcode.commands import KLIPPER, MARLIN
+from hframe_post.gcode.options import Extrusion, ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.printer.settings import Travel
+from hframe_post.stream.types import Handling, Item, Moves, Passthrough
+from tests.gcode.test_reader import HOME, carried, items, moves
+
+BED = ReadOptions(KLIPPER, travel=Travel((0.0, 200.0), (0.0, 100.0), (-1.0, 50.0)))
+
+
+def on_bed(*text: str) -> list[Item]:
+    return list(read([line.encode() for line in text], BED))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "G1 X9 F0.01", "M203 Y0.001", "M204 S0.0000001", "G1 E219414", "M220 S0.01",
+        "SET_VELOCITY_LIMIT VELOCITY=1e-3", "G4 P-5000", "G4 P" + "9" * 400,
+        "G3 X0 Y0 I1 J0 P1000000", "G3 X0 Y0 I1 J0 P1.5", "G1 X" + "9" * 5000,
+        "G1 X" + "5" * 2_000_000,
+    ],
+    ids=lambda line: line[:24],
+)  # fmt: skip
+def test_what_would_never_end_is_an_error_with_its_line(line: str) -> None:
+    with pytest.raises(GcodeError) as caught:
+        items(*HOME, line)
+    assert caught.value.line == len(HOME) + 1
+    assert len(str(caught.value)) < 300
+
+
+def test_a_move_of_many_hours_is_an_error_with_its_line() -> None:
+    for line in ("G1 Z250 F1", "G1 X500 F1.5", "G1 E900 F1"):
+        with pytest.raises(GcodeError, match=r"line 5: this move would take .* h"):
+            items(*HOME, "G1 X1", line, "G1 X3 F6000")
+
+
+def test_marlin_ignores_a_feed_rate_of_zero() -> None:
+    (block,) = moves("G1 X1 F600", "G1 X2 F0", firmware="marlin")
+    assert block.speed.tolist() == [10, 10]
+
+
+# ---------------------------------------------------------------------- memory
+
+
+def many(line: bytes, count: int) -> Iterator[bytes]:
+    yield from (b"M83", b"G1 X1 Y1 Z1 F6000", b"G1 X5 E1", b"G1 X6 E1")
+    yield from repeat(line, count)
+    yield b"G1 X9 E1"
+
+
+@pytest.mark.parametrize("line", [b"M73 P5", b"; comment"])
+def test_carried_lines_without_end_are_released_now_and_then(line: bytes) -> None:
+    """So that no stage has to hold them all; the place stays known."""
+    released, held, most = 0, 0, 0
+    for item in read(many(line, 100_000), ReadOptions(KLIPPER)):
+        if isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
+            released, held = released + 1, 0
+        held += len(item.marks) if isinstance(item, Moves) else 1
+        most = max(most, held)
+    assert 3 <= released < 30
+    assert most * gathering.PER_LINE <= 1.1 * gathering.CARRIED_AT_ONCE
+    assert isinstance(item, Passthrough)
+    assert item.line == 100_005
+
+
+def test_lines_longer_than_any_slicer_writes_are_refused() -> None:
+    assert items(*HOME, ";" + "x" * (lines.LONGEST - 1))
+    with pytest.raises(GcodeError, match="line 4: a line of more than"):
+        items(*HOME, ";" + "x" * lines.LONGEST)
+
+
+# ---------------------------------------------------------------------- the bed
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        (("G28", "G1 X9999 Y9999"), "x"), (("T1", "G1 X-500"), "x"), (("G28", "G1 Z-20"), "z"),
+        (("G92 X0 Y0 Z0", "G1 X5 Y-2 E1"), "y"), (("G92 X0 Y0 Z0", "G1 Z60"), "z"),
+        (("G92 X0 Y0 Z0", "G2 X20 Y0 I10 J0"), ""), (("G92 X0 Y0 Z0", "G3 X20 Y0 I10 J0"), "y"),
+        (("G92 X0 Y0 Z0", "G91", "G1 X-1"), "x"), (("G28", "G3 X50 Y500 I5 J5"), "y"),
+    ],
+)  # fmt: skip
+def test_paths_beyond_the_bed_name_move_distance_and_key(text: tuple[str, ...], key: str) -> None:
+    if not key:
+        assert on_bed("M83", *text)
+        return
+    with pytest.raises(LimitError, match=rf"travel\.{key}") as caught:
+        on_bed("M83", *text)
+    assert caught.value.line == len(text) + 1
+    assert text[-1] in str(caught.value)
+
+
+def test_how_far_a_purge_line_is_out_is_told() -> None:
+    with pytest.raises(LimitError, match=r"line 3: .*'G1 X60 Y-2 E9 ; purge' leads 2 mm beyond"):
+        on_bed("M83", "G1 X10 Y5 Z1", "G1 X60 Y-2 E9 ; purge")
+
+
+def test_the_edge_itself_is_on_the_bed() -> None:
+    assert on_bed("M83", "G92 X0 Y0 Z0", "G1 X200 Y100", "G1 Z50", "G1 X0 Y0")
+
+
+# ---------------------------------------------------------------------- line ends
+
+
+def test_a_carriage_return_ends_a_line_for_marlin_only() -> None:
+    """What hides behind it in a comment would be obeyed there."""
+    text = [b"G92 X0 Y0 Z0", b"G1 X5 ; was\rG91\r\n", b"G1 X5"]
+    ends = {}
+    for dialect in (KLIPPER, MARLIN):
+        found = list(read(text, ReadOptions(dialect)))
+        ends[dialect.name] = [m.points[-1, 0] for m in found if isinstance(m, Moves)][-1]
+    assert ends == {"klipper": 5, "marlin": 10}
+    assert carried(found)[-1] == b"G91"
+
+
+# ---------------------------------------------------------------------- hidden E
+
+
+def filament(*text: str, extrusion: Extrusion | None = None) -> float:
+    found = list(read([t.encode() for t in text], ReadOptions(KLIPPER, extrusion=extrusion)))
+    return sum(float(i.points[-1, 3] - i.points[0, 3]) for i in found if isinstance(i, Moves))
+
+
+START = ("PRINT_START BED=60", "G92 E0", "G1 X10 Y10 Z0.2 F6000")
+EQUAL = [f"G1 X{20 + 10 * k} E1" for k in range(4)]
+GROWING = [f"G1 X{20 + 10 * k} E{1 + k}" for k in range(4)]
+
+
+def test_e_that_never_grows_after_a_macro_is_relative() -> None:
+    assert filament(*START, *EQUAL) == 4.0
+    varied = [f"G1 X{20 + 10 * k} Y{10 + 7 * (k % 3)} E{0.03 * (10 + k % 3):.4f}" for k in range(8)]
+    assert filament(*START, *varied) == pytest.approx(0.03 * sum(10 + k % 3 for k in range(8)))
+
+
+def test_e_that_grows_is_absolute() -> None:
+    assert filament(*START, *GROWING) == 4.0
+    assert filament(*START[1:], *GROWING) == 4.0
+
+
+@pytest.mark.parametrize(
+    "text", [(*START, "G1 X20 E1", "G1 X30 E1"), (*START[1:], *EQUAL)], ids=["few", "no macro"]
+)
+def test_what_shows_nothing_must_be_told(text: tuple[str, ...]) -> None:
+    with pytest.raises(GcodeError, match="--extrusion absolute or --extrusion relative"):
+        filament(*text)
+    e = float(sum(line.startswith("G1") and "E1" in line for line in text))
+    assert filament(*text, extrusion="relative") == e
+    assert filament(*text, extrusion="absolute") == 1.0
+
+
+def test_one_e_is_the_same_either_way() -> None:
+    assert filament(*START, "G1 X20 E1") == 1.0
+
+
+def test_the_file_has_the_last_word() -> None:
+    assert filament(*START, "M83", *EQUAL, extrusion="absolute") == 4.0

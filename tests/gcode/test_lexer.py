@@ -1,0 +1,82 @@
+"""Lines as words: what firmwares accept, in linear time, without a number too large."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.errors import GcodeError
+from hframe_post.gcode.commands import LIMIT_PARAMETERS
+from hframe_post.gcode.lexer import Line, command, parameters, uncommented
+
+
+def stripped(text: bytes) -> bytes:
+    """Comments away, innermost first: the plain way, which takes quadratic time."""
+    while (shorter := re.sub(rb"\([^()]*\)|;.*", b" ", text)) != text:
+        text = shorter
+    return text
+
+
+@given(st.text("aG1 ()").map(str.encode), st.text("aG1 ;").map(str.encode))
+def test_comments_go_whatever_their_nesting(text: bytes, rest: bytes) -> None:
+    text += rest
+    assert uncommented(text).split() == stripped(text).split()
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [(b"G1 (a ; b) X5 ; c (d)", b"G1   X5 "), (b"(();)X", b" X"), (b"a) ; (b", b"a) ")],
+)
+def test_the_form_that_begins_first_wins(text: bytes, kept: bytes) -> None:
+    assert uncommented(text) == kept
+
+
+def test_comments_take_linear_time() -> None:
+    start = time.process_time()
+    assert uncommented(b"(" * 200_000 + b")" * 200_000 + b"G1") == b" G1"
+    assert uncommented(b"(" * 200_000 + b"G1") == b"(" * 200_000 + b"G1"
+    assert time.process_time() - start < 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (b"G 91", "G91"), (b"M 82", "M82"), (b"(c) G91", "G91"), (b"N 5 G91", "G91"),
+        (b"n5g091", "G91"), (b"G1X5", "G1"), (b"G92.1", "G92.1"), (b"T0", "T0"),
+        (b"G" + b"9" * 5000, None), (b"G92." + b"9" * 5000, "G92"), (b"GOTO 1", None),
+        (b"T0_PARK", None), (b"N5", None), (b"", None),
+    ],
+)  # fmt: skip
+def test_coded_commands(text: bytes, name: str | None) -> None:
+    coded = command(Line(1, text))
+    assert (coded.name if coded else None) == name
+
+
+def test_only_numbered_lines_have_checksums() -> None:
+    assert command(Line(1, b"M117 Layer 3 *5")) is not None
+    assert command(Line(1, b"N1 G28*18")) is not None
+    with pytest.raises(GcodeError, match="checksum"):
+        command(Line(1, b"N1 G28*19"))
+
+
+@pytest.mark.parametrize(
+    ("text", "acceleration"),
+    [
+        ("ACCEL=1e4", 1e4), ("ACCEL='500'", 500), ('accel="500"', 500), ("ACCEL=1_000", 1000),
+        ("VELOCITY=5 ACCEL=+3.5E2 ; fast", 350), ("ACCEL=1 ACCEL=700", 700), ("ACCEL=9 # 8", 9),
+        ("OTHER=x ACCEL=800", 800),
+    ],
+)  # fmt: skip
+def test_parameters_are_read_as_klipper_reads_them(text: str, acceleration: float) -> None:
+    line = Line(1, b"SET_VELOCITY_LIMIT " + text.encode())
+    assert parameters(line, LIMIT_PARAMETERS)["ACCEL"] == acceleration
+
+
+@pytest.mark.parametrize("text", ["ACCEL=", "ACCEL=fast", "ACCEL='5", "ACCEL", "ACCEL=nan"])
+def test_what_klipper_refuses_is_refused(text: str) -> None:
+    with pytest.raises(GcodeError):
+        parameters(Line(1, b"SET_VELOCITY_LIMIT " + text.encode()), LIMIT_PARAMETERS)
