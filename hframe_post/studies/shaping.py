@@ -14,7 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.errors import HframeError
-from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.shapers import SHAPERS, Shaper, shaper
@@ -98,8 +98,9 @@ def excerpt(lines: Iterable[bytes], printer: Printer, file_limits: bool) -> tupl
 
     Those count in which filament is laid. Raises HframeError.
     """
-    limits, chosen = printer.limits, dialect(printer.firmware.dialect)
-    chunks = sample(plan(read(lines, chosen, file_limits), limits), limits, Rests(0, 1))
+    limits = printer.limits
+    reading = ReadOptions.of(printer, "file-all" if file_limits else "printer")
+    chunks = sample(plan(read(lines, reading), limits), limits, Rests(0, 1))
     kept, count = [np.zeros((0, 4))], 0
     for stretch in stretches(chunks):
         for chunk in stretch:
