@@ -1,6 +1,19 @@
-"""``python -m hframe_post``."""
+"""``python -m hframe_post``, and the installed command."""
 
-from hframe_post.cli.main import main
+import signal
+from typing import NoReturn
+
+
+def main() -> NoReturn:
+    """Runs the command line. Imports take a while: till then an interrupt just ends it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    from hframe_post.cli.main import main as command
+    from hframe_post.cli.process import run
+
+    run(command)
+
 
 if __name__ == "__main__":
     main()

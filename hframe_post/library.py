@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from hframe_post.studies import simulation, tuning
 from hframe_post.studies.simulation_report import SimulationReport
 from hframe_post.studies.tuning import Trial
 from hframe_post.studies.uncertainty import draws as drawn
+from hframe_post.writers.atomic_file import Outputs
 
 Source = str | Path | Iterable[bytes]  # a file of G-code, or its lines
 
@@ -123,8 +125,11 @@ def convert(
     )  # fmt: skip
     output = Path(target)
     kind = files.chosen_format(output, format)
-    with _lines_of(source) as lines:
-        return files.convert(lines, output, printer, options, kind)
+    own = Path(source) if isinstance(source, str | Path) else None
+    with _lines_of(source) as lines, Outputs([own] if own else []) as outputs:
+        if own and isinstance(lines, BufferedReader):
+            outputs.watch(lines, own)
+        return files.convert(lines, files.Target(outputs, output, own), printer, options, kind)
 
 
 def simulate(

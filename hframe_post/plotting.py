@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,10 +26,10 @@ STYLE = {
 }
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Writes a .png or .svg without what changes from run to run."""
-    volatile = ("Date", "Creator") if path.suffix == ".svg" else ("Software",)
-    figure.savefig(path, dpi=DPI, metadata=dict.fromkeys(volatile))
+def save(figure: Figure, file: IO[bytes], kind: str) -> None:
+    """Writes ``png`` or ``svg`` without what changes from run to run."""
+    volatile = ("Date", "Creator") if kind == "svg" else ("Software",)
+    figure.savefig(file, format=kind, dpi=DPI, metadata=dict.fromkeys(volatile))
 
 
 def ready(folder: Path) -> None:
@@ -38,11 +38,11 @@ def ready(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
-def save_all(drawings: Mapping[str, Figure], folder: Path) -> None:
-    """Each as PNG and SVG under its name."""
+def save_all(drawings: Mapping[str, Figure], opened: Callable[[str], IO[bytes]]) -> None:
+    """Each as PNG and SVG; ``opened`` is asked for the file of a name."""
     for name, drawing in drawings.items():
         for kind in ("png", "svg"):
-            save(drawing, folder / f"{name}.{kind}")
+            save(drawing, opened(f"{name}.{kind}"), kind)
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:

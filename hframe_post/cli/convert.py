@@ -8,15 +8,16 @@ import click
 
 from hframe_post.cli.options import (
     LazyChoice,
+    files_read,
     firmwares,
     formats,
     json_option,
     limits_option,
     on_limit_option,
+    open_json,
     printer_option,
     progress,
     strategies,
-    write_json,
 )
 
 
@@ -68,13 +69,14 @@ def convert(
     so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
-    from hframe_post.conversion.files import chosen_format
+    from hframe_post.conversion.files import Target, chosen_format
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.pipeline import TOLERANCE, Options
     from hframe_post.errors import HframeError
     from hframe_post.firmware.registry import firmware as chosen
     from hframe_post.model.strategies import STRATEGIES
     from hframe_post.printer.profile import load, played_by
+    from hframe_post.writers.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     try:
@@ -101,9 +103,16 @@ def convert(
         clamp=on_limit == "clamp",
         tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
     )
-    target = None if to_stdout else output or source
-    with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
-        report = converted(lines, target, profile, options, kind, dry_run)
-    write_json(report.as_json(), json_file)
+    with (
+        click.open_file(str(source), "rb") as file,
+        Outputs(files_read(source, printer)) as outputs,
+        progress(file, source, quiet) as lines,
+    ):
+        write_json = open_json(outputs, json_file)
+        if str(source) != "-":
+            outputs.watch(file, source)
+        target = Target(outputs, None if to_stdout else output or source, source)
+        report = converted(lines, None if dry_run else target, profile, options, kind)
+        write_json(report.as_json())
     if not quiet:
         click.echo(report.as_text(), err=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hframe_post.cli.options import json_option, printer_option, write_json
+from hframe_post.cli.options import files_read, json_option, open_json, printer_option
 
 if TYPE_CHECKING:
     from hframe_post.identification.accelerometer import Recording
     from hframe_post.identification.identify import Identified, Run
-    from hframe_post.identification.recommend import Recommendation
-    from hframe_post.identification.report import IdentificationReport
+    from hframe_post.writers.atomic_file import Outputs
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 QUIET = 0.5  # s at the start of a recording in which only gravity is felt
@@ -108,27 +106,37 @@ def identify(
     from hframe_post.identification.identify import identify as identified
     from hframe_post.identification.recommend import recommend
     from hframe_post.identification.report import IdentificationReport
+    from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
+    from hframe_post.writers.atomic_file import Outputs
 
     profile = load(printer)
     _check_usage(nozzle, bridge, L_G, band)
     if folder is not None:
         plotting.ready(folder)
-    reading = _Reading(axes, bridge_axes, columns, unit)
-    runs = [reading.nozzle(*files) for files in nozzle]
-    runs += [reading.bridge(*files) for files in bridge]
-    found = identified(runs, Settings(band, estimator, L_G, dict(orders)))
-    if folder is not None:
-        _draw(found, folder)
-    plant = found.plant(sum(profile.travel.x) / 2.0 if x_c is None else x_c)
-    compensation = None if found.useless else recommend(plant, profile)
-    report = IdentificationReport(found, plant, compensation, reading.setup, reading.findings)
-    write_json(report.as_json(), json_file)
-    click.echo(report.as_text(), err=str(json_file) == "-")
-    if compensation is None:
-        raise IdentificationError(found.useless or NO_WINDOW)
-    if output is not None:
-        _write_profile(output, printer, report, compensation)
+    reads = [*files_read(printer), *(path for files in (*nozzle, *bridge) for path in files)]
+    with Outputs(reads) as model:
+        file = model.open(output, Path(printer)) if output is not None else None
+        with Outputs([*reads, *([output] if output else [])]) as findings:
+            write_json = open_json(findings, json_file)
+            reading = _Reading(axes, bridge_axes, columns, unit)
+            runs = [reading.nozzle(*files) for files in nozzle]
+            runs += [reading.bridge(*files) for files in bridge]
+            found = identified(runs, Settings(band, estimator, L_G, dict(orders)))
+            if folder is not None:
+                _draw(found, folder, findings)
+            plant = found.plant(sum(profile.travel.x) / 2.0 if x_c is None else x_c)
+            compensation = None if found.useless else recommend(plant, profile)
+            report = IdentificationReport(
+                found, plant, compensation, reading.setup, reading.findings
+            )
+            write_json(report.as_json())
+        click.echo(report.as_text(), err=str(json_file) == "-")
+        if compensation is None:
+            raise IdentificationError(found.useless or NO_WINDOW)
+        if file is not None:
+            text = with_plant(printer, report.plant, compensation.windows, report.origin())
+            file.write(text.encode())
 
 
 def _check_usage(
@@ -142,7 +150,7 @@ def _check_usage(
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
 
 
-def _draw(found: Identified, folder: Path) -> None:
+def _draw(found: Identified, folder: Path, outputs: Outputs) -> None:
     from hframe_post import plotting
     from hframe_post.identification import plots
 
@@ -150,18 +158,7 @@ def _draw(found: Identified, folder: Path) -> None:
         name: plots.identification(name, found.measured[name], fitted)
         for name, fitted in found.fits.items()
     }
-    plotting.save_all(drawings, folder)
-
-
-def _write_profile(
-    output: Path, printer: str, report: IdentificationReport, compensation: Recommendation
-) -> None:
-    from hframe_post.printer.edit import with_plant
-    from hframe_post.writers.atomic_file import OutputFile
-
-    text = with_plant(printer, report.plant, compensation.windows, report.origin())
-    with OutputFile(output, sys.stdout.buffer) as file:
-        file.write([text.encode()], lambda: 0.0)
+    plotting.save_all(drawings, lambda name: outputs.open(folder / name))
 
 
 @dataclass

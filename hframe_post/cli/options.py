@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
+    from hframe_post.writers.atomic_file import Outputs
 
 BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
 BAR_EVERY = 500  # lines between its steps
@@ -82,11 +83,29 @@ json_option = click.option(
 )  # fmt: skip
 
 
-def write_json(summary: dict[str, Any], path: Path | None) -> None:
-    """The summary, indented, to a file or standard output; None: nowhere."""
-    if path is not None:
-        with click.open_file(str(path), "w", encoding="utf-8") as file:
-            file.write(json.dumps(summary, indent=2) + "\n")
+def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]], None]:
+    """What writes a summary, indented, to a file or standard output; None: nowhere.
+
+    The file is opened at once, so that one which cannot be written is told of before any work.
+    """
+    if path is None:
+        return lambda summary: None
+    file = outputs.open(dashed(path))
+
+    def write(summary: dict[str, Any]) -> None:
+        file.write((json.dumps(summary, indent=2) + "\n").encode())
+
+    return write
+
+
+def files_read(*given: str | Path | None) -> list[Path]:
+    """Of sources and profiles, as they were given: the files among them."""
+    return [Path(name) for name in given if name is not None and Path(name).is_file()]
+
+
+def dashed(path: Path | None) -> Path | None:
+    """A path as it was given; None for '-', standard output."""
+    return None if str(path) == "-" else path
 
 
 @contextmanager

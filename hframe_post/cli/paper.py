@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import printer_option
+from hframe_post.cli.options import files_read, printer_option
 
 
 @click.command()
@@ -31,6 +31,7 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     from hframe_post.errors import PrinterError
     from hframe_post.paper import plots, results, tables
     from hframe_post.printer.profile import load
+    from hframe_post.writers.atomic_file import Outputs
 
     profile = load(printer)
     if profile.plant.Gxtheta is None:
@@ -67,5 +68,6 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     text = "\n".join(told)
     click.echo(text, nl=False)
     if folder is not None:
-        plotting.save_all(drawings, folder)
-        (folder / "tables.md").write_text(text, encoding="utf-8")
+        with Outputs(files_read(printer, prism)) as outputs:
+            plotting.save_all(drawings, lambda name: outputs.open(folder / name))
+            outputs.open(folder / "tables.md").write(text.encode())

@@ -7,16 +7,17 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.options import (
+    files_read,
     json_option,
     limits_option,
     on_limit_option,
+    open_json,
     opened,
     path_option,
     printer_option,
     seed_option,
     share,
     source_argument,
-    write_json,
 )
 
 
@@ -55,14 +56,19 @@ def simulate(
     it is from where it should be at that time. Nothing is written but the summary.
     """
     from hframe_post import library
+    from hframe_post.writers.atomic_file import Outputs
 
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
-    with opened(source, path, profile, quiet) as lines:
+    with (
+        opened(source, path, profile, quiet) as lines,
+        Outputs(files_read(source, printer, plant_file)) as outputs,
+    ):
+        write_json = open_json(outputs, json_file)
         report = library.simulate(
             lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
             steps=steps, file_limits=limits == "file", clamp=on_limit == "clamp",
         )  # fmt: skip
-    write_json(report.as_json(), json_file)
+        write_json(report.as_json())
     if not quiet:
         click.echo(report.as_text(layers), err=str(json_file) == "-")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import ExitStack
 from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import printer_option
+from hframe_post.cli.options import files_read, printer_option
 
 
 def _position(text: str) -> tuple[float, float]:
@@ -70,19 +68,19 @@ def sweep(
     from hframe_post.identification import command_file
     from hframe_post.identification.sweep import gcode, positions, runs, told
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import OutputFile
+    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.print_time import write_output
 
     profile = load(printer)
     planned = runs(profile, "xy".index(axis), list(places) or positions(profile))
-    with ExitStack() as stack:
-        targets = [output.with_name(f"{output.stem}.{run.name}.csv") for run in planned]
-        files = [
-            stack.enter_context(OutputFile(path, sys.stdout.buffer)) for path in (output, *targets)
+    with Outputs(files_read(printer)) as outputs:
+        motion = outputs.open(output)
+        commands = [
+            outputs.open(output.with_name(f"{output.stem}.{run.name}.csv")) for run in planned
         ]
-        files[0].write(gcode(profile, planned, tuple(dict.fromkeys(chips)), z), lambda: 0.0)
-        for file, run in zip(files[1:], planned, strict=True):
-            file.write(command_file.written(run.command), lambda: 0.0)
-        for file in files:  # what a full disk refuses must be refused before any appears
-            file.file.flush()
+        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), z)
+        write_output(motion, lines, lambda: 0.0)
+        for file, run in zip(commands, planned, strict=True):
+            file.writelines(command_file.written(run.command))
     if not quiet:
         click.echo("\n".join(told(profile, run) for run in planned), err=True)

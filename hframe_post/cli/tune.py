@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hframe_post.cli.options import (
+    files_read,
     json_option,
     limits_option,
+    open_json,
     opened,
     path_option,
     printer_option,
@@ -19,12 +20,14 @@ from hframe_post.cli.options import (
     share,
     source_argument,
     weight,
-    write_json,
 )
-from hframe_post.studies.tuning_report import trial_as_json, trials_table
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
+
+NO_CANDIDATE = (
+    "no candidate stays within the motors' limits: try larger --effort, or a slower print"
+)
 
 
 @click.command()
@@ -77,53 +80,56 @@ def tune(
     from hframe_post.printer.edit import with_windows
     from hframe_post.studies.plots import trade_off
     from hframe_post.studies.tuning import EFFORTS, KNOTS
-    from hframe_post.writers.atomic_file import OutputFile
+    from hframe_post.studies.tuning_report import summary, trials_table
+    from hframe_post.writers.atomic_file import Outputs
 
     profile = library.load_printer(printer)
+    reads = files_read(source, printer)
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither figure nor profile")
-        with opened(source, path, profile, quiet=False) as lines:
-            _shaper(lines, profile, limits == "file", json_file)
+        with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
+            write_json = open_json(findings, json_file)
+            as_json, as_text = _shaper(lines, profile, limits == "file")
+            write_json(as_json)
+        click.echo(as_text, err=str(json_file) == "-")
         return
     if figure is not None:
         if figure.suffix not in (".png", ".svg"):
             raise click.UsageError("--figure must end in .png or .svg")
         plotting.canvas(1, 1, (1.0, 1.0))  # say at once that matplotlib is missing
-    with opened(source, path, profile, quiet=False) as lines:
-        tuned = library.tune(
-            lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
-            model_error=model_error, draws=draws, seed=seed, file_limits=limits == "file",
-        )  # fmt: skip
-    trials, best = tuned.trials, tuned.best
-    summary: dict[str, Any] = {
-        "model_error": model_error if draws else 0.0,
-        "draws": draws,
-        "trials": [trial_as_json(trial) for trial in trials],
-        "recommended": trial_as_json(best) if best else None,
-    }
-    write_json(summary, json_file)
-    click.echo(trials_table(trials, best), err=str(json_file) == "-")
-    if figure is not None:
-        plotting.save(trade_off(trials, best, profile.motors), figure)
-    if best is None:
-        raise HframeError(
-            "no candidate stays within the motors' limits: try larger --effort, or a slower print"
-        )
-    if output is not None:
-        with OutputFile(output, sys.stdout.buffer) as file:
-            file.write([with_windows(printer, best.windows).encode()], lambda: 0.0)
+    with Outputs(reads) as recommendation:
+        file = recommendation.open(output, Path(printer)) if output is not None else None
+        with (
+            opened(source, path, profile, quiet=False) as lines,
+            Outputs([*reads, *([output] if output else [])]) as findings,
+        ):
+            write_json = open_json(findings, json_file)
+            drawing = findings.open(figure) if figure is not None else None
+            tuned = library.tune(
+                lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
+                model_error=model_error, draws=draws, seed=seed, file_limits=limits == "file",
+            )  # fmt: skip
+            trials, best = tuned.trials, tuned.best
+            write_json(summary(trials, best, model_error, draws))
+            if figure is not None and drawing is not None:
+                kind = figure.suffix.removeprefix(".")
+                plotting.save(trade_off(trials, best, profile.motors), drawing, kind)
+        click.echo(trials_table(trials, best), err=str(json_file) == "-")
+        if best is None:
+            raise HframeError(NO_CANDIDATE)
+        if file is not None:
+            file.write(with_windows(printer, best.windows).encode())
 
 
 def _shaper(
-    lines: Iterable[bytes], profile: Printer, file_limits: bool, json_file: Path | None
-) -> None:
-    """Prints the best input shaper there is, and what leaving it to Klipper would give."""
+    lines: Iterable[bytes], profile: Printer, file_limits: bool
+) -> tuple[dict[str, Any], str]:
+    """The best input shaper there is, and what leaving it to Klipper would give: JSON, text."""
     from hframe_post.studies.shaping import calibrated, error, excerpt, search
     from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
 
     path, counted = excerpt(lines, profile, file_limits)
     found = search(profile.plant, path, counted)
     usual = error(profile.plant, calibrated(profile.plant), path, counted)
-    write_json(shapings_as_json(found, usual), json_file)
-    click.echo(shapings_as_text(found, usual), err=str(json_file) == "-")
+    return shapings_as_json(found, usual), shapings_as_text(found, usual)

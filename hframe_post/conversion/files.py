@@ -5,13 +5,11 @@ A new format is a conversion in ``pipeline`` over its writer, and a row of ``FOR
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from hframe_post.conversion.pipeline import (
     Conversion,
@@ -24,8 +22,9 @@ from hframe_post.conversion.pipeline import (
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.atomic_file import OutputFile
+from hframe_post.writers.atomic_file import Outputs
 from hframe_post.writers.compression import compressing
+from hframe_post.writers.print_time import write_output
 from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.step_file import EVENTS_HEADER, inlined
 from hframe_post.writers.table_file import write_npz, write_parquet
@@ -34,34 +33,49 @@ PACKED = (".gz", ".zst")
 
 
 @dataclass(frozen=True, slots=True)
+class Target:
+    """Where a conversion is written, and with what other files it appears.
+
+    path None: standard output. instead_of: the input, which it may replace.
+    """
+
+    outputs: Outputs
+    path: Path | None
+    instead_of: Path | None = None
+
+    def open(self) -> IO[bytes]:
+        """The file to write."""
+        return self.outputs.open(self.path, self.instead_of)
+
+
+@dataclass(frozen=True, slots=True)
 class Format:
     """One kind of output: what converts to it, and what saves that.
 
-    save: to a file, or to standard output (None); the text says what made it. suffixes: that
-    choose this format; packs: whether a further .gz or .zst compresses it.
+    save: to a target; the text says what made it. suffixes: that choose this format; packs:
+    whether a further .gz or .zst compresses it.
     """
 
     convert: Callable[[Iterable[bytes], Printer, Options], Conversion]
-    save: Callable[[Any, Path | None, str], None]
+    save: Callable[[Any, Target, str], None]
     suffixes: tuple[str, ...] = ()
     packs: bool = True
 
 
 def convert(
     lines: Iterable[bytes],
-    target: Path | None,
+    target: Target | None,
     printer: Printer,
     options: Options,
     kind: str = "gcode",
-    dry_run: bool = False,
 ) -> Report:
-    """Converts and writes all of it, or nothing. Raises HframeError, OSError.
+    """Converts and writes, for the target's outputs to appear. Raises HframeError, OSError.
 
-    target None: standard output. kind: one of ``FORMATS``. dry_run: nothing is written.
+    target None: nothing is written. kind: one of ``FORMATS``.
     """
     chosen = FORMATS[kind]
     conversion = chosen.convert(lines, printer, options)
-    if dry_run:
+    if target is None:
         for _ in conversion:
             pass
     else:
@@ -91,43 +105,38 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
     return (suffixes[-1] if suffixes else ""), packing
 
 
-def _save_gcode(conversion: GcodeConversion, target: Path | None, _: str) -> None:
-    with OutputFile(target, sys.stdout.buffer) as out:
-        out.write(conversion, lambda: conversion.commands.duration)
+def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
+    write_output(target.open(), conversion, lambda: conversion.commands.duration)
 
 
-def _save_steps(conversion: StepConversion, target: Path | None, _: str) -> None:
+def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     """The step file and, where it is a file, the one of its events beside it."""
-    with ExitStack() as files:
-        out = files.enter_context(OutputFile(target, sys.stdout.buffer)).file
-        if target is None:
-            out.writelines(inlined(conversion))
-            return
-        beside = target.with_name(target.name + ".events")
-        events = files.enter_context(OutputFile(beside, sys.stdout.buffer)).file
-        events.write(EVENTS_HEADER)
-        with compressing(out, _suffixes(target)[1]) as packed:
-            for piece in conversion:
-                if isinstance(piece, bytes):
-                    packed.write(piece)
-                else:
-                    events.write(piece.line())
-        for file in (out, events):  # what a full disk refuses must be refused before either appears
-            file.flush()
+    out = target.open()
+    if target.path is None:
+        out.writelines(inlined(conversion))
+        return
+    events = target.outputs.open(target.path.with_name(target.path.name + ".events"))
+    events.write(EVENTS_HEADER)
+    with compressing(out, _suffixes(target.path)[1]) as packed:
+        for piece in conversion:
+            if isinstance(piece, bytes):
+                packed.write(piece)
+            else:
+                events.write(piece.line())
 
 
-def _save_samples(conversion: SampleConversion, target: Path | None, made_by: str) -> None:
+def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
     """The table of samples as its suffix says."""
-    kind, packing = _suffixes(target)
-    with OutputFile(target, sys.stdout.buffer) as out:
-        if target is not None and kind == ".npz":
-            write_npz(out.file, conversion, COLUMNS, made_by, target.resolve().parent)
-        elif kind == ".parquet":
-            write_parquet(out.file, conversion, COLUMNS, made_by)
-        else:
-            with compressing(out.file, packing) as packed:
-                for piece in as_csv(conversion):
-                    packed.write(piece)
+    kind, packing = _suffixes(target.path)
+    out = target.open()
+    if target.path is not None and kind == ".npz":
+        write_npz(out, conversion, COLUMNS, made_by, target.path.resolve().parent)
+    elif kind == ".parquet":
+        write_parquet(out, conversion, COLUMNS, made_by)
+    else:
+        with compressing(out, packing) as packed:
+            for piece in as_csv(conversion):
+                packed.write(piece)
 
 
 TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix

@@ -25,6 +25,18 @@ def trial_as_json(trial: Trial) -> dict[str, Any]:
     }
 
 
+def summary(
+    trials: Sequence[Trial], best: Trial | None, model_error: float, draws: int
+) -> dict[str, Any]:
+    """All of them, ready for ``json.dumps``."""
+    return {
+        "model_error": model_error if draws else 0.0,
+        "draws": draws,
+        "trials": [trial_as_json(trial) for trial in trials],
+        "recommended": trial_as_json(best) if best else None,
+    }
+
+
 def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
     """All trials, the recommended one marked."""
     lines = [

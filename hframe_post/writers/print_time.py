@@ -1,11 +1,30 @@
-"""Print times as the output tells them."""
+"""Print times as the output tells them: lines that are known only once all is written."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterable
+from typing import IO
 
-from hframe_post.writers.gcode import DeferredLine
+from hframe_post.writers.gcode import DeferredLine, Output
+
+ROOM = 24  # bytes beyond a deferred line's present length
+
+
+def write_output(file: IO[bytes], output: Iterable[Output], total: Callable[[], float]) -> None:
+    """Writes it all. total: the print's time (s), asked when the output is used up."""
+    deferred: list[tuple[int, int, DeferredLine]] = []
+    for piece in output:
+        if isinstance(piece, DeferredLine):
+            size = len(piece.line) + ROOM
+            deferred.append((file.tell(), size, piece))
+            file.write(b" " * size + b"\n")
+        else:
+            file.write(piece)
+    for offset, size, line in deferred:
+        file.seek(offset)
+        file.write(told_anew(line, total()).ljust(size)[:size])
 
 
 def duration(seconds: float) -> str:

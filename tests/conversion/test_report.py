@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hframe_post.prediction.statistics import ErrorStatistics
-from hframe_post.writers.atomic_file import OutputFile
-from hframe_post.writers.gcode import DeferredLine
-from hframe_post.writers.print_time import duration, told_anew
+from hframe_post.writers.atomic_file import Outputs
+from hframe_post.writers.gcode import DeferredLine, Output
+from hframe_post.writers.print_time import duration, told_anew, write_output
 
 
 def test_statistics_are_those_of_the_whole_stream() -> None:
@@ -52,40 +50,9 @@ def test_print_times_are_told_anew(line: bytes, elapsed: float, told: bytes) -> 
 
 def test_told_anews_are_filled_in_at_their_place(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
-    with OutputFile(target, io.BytesIO()) as out:
-        out.write([b"a\n", DeferredLine(b";TIME:9", 0.0), b"b\n"], lambda: 123456.0)
+    with Outputs() as outputs:
+        lines: list[Output] = [b"a\n", DeferredLine(b";TIME:9", 0.0), b"b\n"]
+        write_output(outputs.open(target), lines, lambda: 123456.0)
     assert [line.rstrip() for line in target.read_bytes().splitlines()] == [
         b"a", b";TIME:123456", b"b",
     ]  # fmt: skip
-
-
-def test_failure_leaves_what_was_there(tmp_path: Path) -> None:
-    target = tmp_path / "out.gcode"
-    target.write_bytes(b"old")
-
-    def failing() -> Iterator[bytes]:
-        yield b"new"
-        raise RuntimeError
-
-    with pytest.raises(RuntimeError), OutputFile(target, io.BytesIO()) as out:
-        out.write(failing(), lambda: 0.0)
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
-    target = tmp_path / "out.gcode"
-    target.write_bytes(b"old")
-    target.chmod(0o640)
-    with OutputFile(target, io.BytesIO()) as out:
-        out.write([b"new"], lambda: 0.0)
-    assert target.stat().st_mode & 0o777 == 0o640
-
-
-def test_a_link_stays_a_link(tmp_path: Path) -> None:
-    (tmp_path / "real").write_bytes(b"old")
-    (tmp_path / "link").symlink_to("real")
-    with OutputFile(tmp_path / "link", io.BytesIO()) as out:
-        out.write([b"new"], lambda: 0.0)
-    assert (tmp_path / "link").is_symlink()
-    assert (tmp_path / "real").read_bytes() == b"new"
