@@ -123,7 +123,7 @@ def test_version_and_help() -> None:
         (b"; only a comment\n", b"not a single move"),
         (b"G1 X10 Y10\nG1 XNaN\n", b"line 2: "),
         (b"G1 X10 Y10\nG1 X20\nG55\n", b"line 3: G55"),
-        (b"G1 X10 Y10\nG1 X1000\n", b"line 2: x (mm)"),
+        (b"G1 X10 Y10\nG1 X1000\n", b"line 2: x of the path (mm)"),
     ],
 )
 def test_bad_input_is_one_line_and_status_1(part: Path, text: bytes, cause: bytes) -> None:
