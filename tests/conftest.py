@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 
 from hframe_post.conversion.pipeline import Commands, Options, prepared
-from hframe_post.model.strategies import Compensator
+from hframe_post.model.course import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join

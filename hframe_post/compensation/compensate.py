@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import Array, Z
-from hframe_post.model.strategies import Compensator, Course, strategy
+from hframe_post.model.course import Compensator, Course
+from hframe_post.model.strategies import strategy
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Samples, frozen
 

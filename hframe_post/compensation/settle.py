@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, X, Z
 from hframe_post.compensation.compensate import compensate
-from hframe_post.model.strategies import Compensator
+from hframe_post.model.course import Compensator
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part
 from hframe_post.stream.types import Event, Mark, Pause, Rest, Rests, Samples, frozen

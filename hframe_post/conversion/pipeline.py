@@ -21,7 +21,7 @@ from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.model.strategies import Compensator
+from hframe_post.model.course import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.printer.settings import Printer

@@ -17,9 +17,9 @@ from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.model.course import Compensator
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory

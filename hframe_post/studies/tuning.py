@@ -19,10 +19,10 @@ from hframe_post.compensation.settle import rests, settle
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.model.course import Compensator
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge

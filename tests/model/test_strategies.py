@@ -1,0 +1,77 @@
+"""A strategy is a class and a row: everything else follows from the registry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hframe_post.arrays import Array
+from hframe_post.cli.main import main
+from hframe_post.errors import HframeError
+from hframe_post.model.course import Compensator, Strategy
+from hframe_post.model.strategies import STRATEGIES, strategy
+from hframe_post.printer.profile import load, parse
+from tests.conftest import SAMPLES
+
+
+class Late:
+    """The path, some samples late: a strategy that holds samples back."""
+
+    def __init__(self, compensator: Compensator, origin: Array) -> None:
+        self._held = np.tile(origin, (20, 1))
+
+    def feed(self, xy: Array) -> Array:
+        known = np.concatenate([self._held, xy])
+        self._held = known[len(xy) :]
+        return known[: len(xy)]
+
+    def finish(self) -> Array:
+        return np.zeros((0, 2))
+
+
+@pytest.fixture
+def late(monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setitem(STRATEGIES, "late", Strategy("late", "as it is, late", "#00a000", Late))
+    return "late"
+
+
+def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_path: Path) -> None:
+    out, summary = tmp_path / "out.gcode", tmp_path / "told.json"
+    part = str(SAMPLES / "rectangle.gcode")
+    done = CliRunner().invoke(main, [part, "-c", late, "-o", str(out), "--json", str(summary)])
+    assert done.exit_code == 0, done.output
+    assert "as it is, late: contour error" in done.output
+    assert out.read_bytes() != b""
+    studied = CliRunner().invoke(main, ["simulate", "--path", "rectangle"])
+    assert "as it is, late" in studied.output
+    assert "-c, --compensation [none|fbs|racking|late]" in _help()
+
+
+def _help() -> str:
+    shown = CliRunner().invoke(main, ["convert", "--help"], terminal_width=200)
+    return " ".join(shown.output.split())
+
+
+def test_names_that_no_strategy_has_are_errors_everywhere() -> None:
+    with pytest.raises(HframeError, match="no strategy is named 'late'; there are none, fbs"):
+        strategy("late")
+    with pytest.raises(HframeError, match=r"compensation\.strategy"):
+        parse('extends = "paper"\n[compensation]\nstrategy = "late"\n', "mine")
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_what_was_given_is_never_more_than_what_was_taken_and_all_in_the_end(name: str) -> None:
+    printer = load("paper")
+    course = strategy(name).begin(
+        Compensator(printer.plant, printer.compensation.windows), np.array([100.0, 50.0])
+    )
+    path = np.tile([100.0, 50.0], (150_000, 1))
+    taken = given = 0
+    for piece in np.array_split(path, [1, 2, 500, 60_000, 60_001]):
+        taken += len(piece)
+        given += len(course.feed(piece))
+        assert given <= taken
+    assert given + len(course.finish()) == taken
