@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert
 from hframe_post.cli.identify import identify
 from hframe_post.cli.paper import paper
@@ -61,6 +62,7 @@ def main() -> None:
 
 
 main.add_command(convert)
+main.add_command(compare)
 main.add_command(simulate)
 main.add_command(paper)
 main.add_command(sweep)

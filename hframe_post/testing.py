@@ -1,0 +1,45 @@
+"""For the tests of those who keep converted files: ``hframe_post.testing``.
+
+from hframe_post.testing import assert_same_motion
+
+def test_part() -> None:
+    assert_same_motion("golden/part.gcode", "out/part.gcode", tolerance=0.001)
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from os import PathLike
+from pathlib import Path
+
+from hframe_post.gcode.commands import dialect
+from hframe_post.studies.comparison import Comparison, Tolerance, compare
+
+Gcode = str | PathLike[str] | bytes  # a file's path, or a file's content
+
+
+def assert_same_motion(
+    expected: Gcode,
+    actual: Gcode,
+    tolerance: float = 1e-3,
+    slack: float = 1e-3,
+    firmware: str = "klipper",
+) -> Comparison:
+    """Raises AssertionError, with the first difference, unless both ask for the same motion.
+
+    expected, actual: paths or contents of G-code files. tolerance: mm in place and in
+    filament; slack: s in time. All lines that are no moves must be the same. Returns what was
+    compared. Raises HframeError, OSError where one of them cannot be read.
+    """
+    __tracebackhide__ = True  # pytest shows the caller
+    with ExitStack() as files:
+        a, b = (
+            each.splitlines(keepends=True)
+            if isinstance(each, bytes)
+            else files.enter_context(Path(each).open("rb"))
+            for each in (expected, actual)
+        )
+        compared = compare(a, b, dialect(firmware), Tolerance(tolerance, slack))
+    if not compared.same:
+        raise AssertionError(compared.as_text())
+    return compared

@@ -1,0 +1,46 @@
+"""``hframe-post compare``: its statuses and what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_main import RECTANGLE, run
+
+
+@pytest.fixture
+def moved(tmp_path: Path) -> Path:
+    path = tmp_path / "moved.gcode"
+    text = RECTANGLE.read_bytes()
+    assert b"G1 X260 Y120" in text
+    path.write_bytes(text.replace(b"G1 X260 Y120", b"G1 X260.0015 Y120", 1))
+    return path
+
+
+def test_status_and_first_difference(moved: Path) -> None:
+    assert run("compare", RECTANGLE, RECTANGLE).returncode == 0
+    different = run("compare", RECTANGLE, moved)
+    assert different.returncode == 1
+    assert b"b is elsewhere: X +0.0015 mm" in different.stdout
+    assert run("compare", RECTANGLE, moved, "--tolerance", "2um").returncode == 0
+    assert run("compare", RECTANGLE, moved, "-q").stdout == b""
+
+
+def test_standard_input_and_json(moved: Path) -> None:
+    done = run("compare", RECTANGLE, "-", "--json", "-", stdin=moved.read_bytes())
+    told = json.loads(done.stdout)
+    assert told["same"] is False
+    assert told["first_difference"]["what"].startswith("b is elsewhere")
+
+
+@pytest.mark.parametrize("bad", ["0", "-1um", "1 parsec", "nan", "um"])
+def test_a_tolerance_must_be_a_length(bad: str) -> None:
+    assert run("compare", RECTANGLE, RECTANGLE, "--tolerance", bad).returncode == 2
+
+
+def test_unreadable_files_are_errors(tmp_path: Path) -> None:
+    missing = run("compare", RECTANGLE, tmp_path / "none.gcode")
+    assert missing.returncode == 1
+    assert b"none.gcode: No such file" in missing.stderr
