@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import LazyChoice, firmwares, json_option, write_json
+from hframe_post.cli.options import LazyChoice, files_read, firmwares, json_option, open_json
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}
 TIMES = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -70,12 +70,18 @@ def compare(
     from hframe_post.gcode.commands import dialect
     from hframe_post.studies.comparison import Tolerance
     from hframe_post.studies.comparison import compare as compared
+    from hframe_post.writers.atomic_file import Outputs
 
     if str(a) == str(b) == "-":
         raise click.UsageError("only one of the two can be standard input")
-    with click.open_file(str(a), "rb") as first, click.open_file(str(b), "rb") as second:
+    with (
+        click.open_file(str(a), "rb") as first,
+        click.open_file(str(b), "rb") as second,
+        Outputs(files_read(a, b)) as outputs,
+    ):
+        write_json = open_json(outputs, json_file)
         result = compared(first, second, dialect(firmware), Tolerance(tolerance, slack))
-    write_json(result.as_json(), json_file)
+        write_json(result.as_json())
     if not quiet:
         click.echo(result.as_text(), err=str(json_file) == "-")
     context.exit(0 if result.same else 1)
