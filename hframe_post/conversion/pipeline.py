@@ -28,7 +28,8 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
-from hframe_post.writers.gcode import GcodeWriter, Output
+from hframe_post.writers.deferred import Output
+from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps import Stepper

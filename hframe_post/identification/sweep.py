@@ -38,7 +38,8 @@ from hframe_post.stream.types import (
     frozen,
 )
 from hframe_post.version import __version__
-from hframe_post.writers.gcode import GcodeWriter, Output
+from hframe_post.writers.deferred import Output
+from hframe_post.writers.gcode import GcodeWriter
 
 AROUND = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
 APPROACH = 100.0  # mm/s, to the place of a run

@@ -38,7 +38,8 @@ def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
         whole = join(held)
         cuts = range(0, len(whole) - n + 1, n)
         yield from (part(whole, k, k + n) for k in cuts)
-        held = [part(whole, cuts[-1] + n, len(whole))]
+        done = cuts[-1] + n
+        held = [part(whole, done, len(whole))] if done < len(whole) else []
     if held:
         yield join(held)
 

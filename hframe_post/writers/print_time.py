@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import IO
 
-from hframe_post.writers.gcode import DeferredLine, Output
+from hframe_post.writers.deferred import DeferredLine, Output
 
 ROOM = 24  # bytes beyond a deferred line's present length
 

@@ -20,7 +20,7 @@ from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
-from hframe_post.writers.gcode import DeferredLine
+from hframe_post.writers.deferred import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
 

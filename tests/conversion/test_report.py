@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.writers.atomic_file import Outputs
-from hframe_post.writers.gcode import DeferredLine, Output
+from hframe_post.writers.deferred import DeferredLine, Output
 from hframe_post.writers.print_time import duration, told_anew, write_output
 
 

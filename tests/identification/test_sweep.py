@@ -14,7 +14,7 @@ from hframe_post.identification.excitation import peaks
 from hframe_post.identification.sweep import Run, gcode, positions, runs, told
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.gcode import DeferredLine
+from hframe_post.writers.deferred import DeferredLine
 from tests.cli.test_main import run
 from tests.klipper.host import play
 

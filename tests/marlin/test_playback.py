@@ -164,7 +164,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
 
     monkeypatch.setattr(Marlin, "feed_rates", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
-    monkeypatch.setattr("hframe_post.writers.gcode.CATCH_UP", 0.0)
+    monkeypatch.setattr("hframe_post.writers.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
 

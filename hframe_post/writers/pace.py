@@ -1,0 +1,52 @@
+"""Time: the feed rates and dwells that keep the machine to it, and what it lags behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Flags, Integers
+from hframe_post.firmware.player import Dwelling, Player
+
+CATCH_UP = 0.01  # share of a batch's time by which it may be hurried or delayed
+
+
+class Pace:
+    """Feed rates and dwells of one machine.
+
+    per_feed: units of F in a mm/s. ``lag``: s by which the machine is late, as far as rounding
+    tells; the next motion makes up for it.
+    """
+
+    def __init__(self, player: Player, per_feed: float) -> None:
+        self._player, self._per_feed = player, per_feed
+        self._before = 0.0  # speed asked of the last segment, mm/s; 0: it stands
+        self.lag = 0.0
+
+    def feeds(self, at: Array, T: Array, rest: Flags) -> Integers:
+        """F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
+
+        rest (k + 1,): whether the machine stands at each end.
+        """
+        rest = rest.copy()
+        rest[0] |= self._before == 0.0
+        T = self._player.least_times(at, T)
+        hurried = T * (1.0 - np.clip(self.lag / T.sum(), -CATCH_UP, CATCH_UP))
+        v = self._player.feed_rates(at, hurried, rest, self._before)
+        feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
+        taken = self._player.durations(at, feeds / self._per_feed, rest, self._before)
+        self.lag += float((taken - T).sum())
+        self._before = float(v[-1])
+        return feeds
+
+    def stop(self) -> None:
+        """The machine stands."""
+        self._before = 0.0
+
+    def dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> bytes:
+        """Standstill for so long, less what the machine is late; empty where none is made."""
+        waiting = self._player.dwell(samples * TS - self.lag, beside)
+        if waiting is None:
+            return b""
+        line, waited = waiting
+        self.lag += waited - samples * TS
+        return line

@@ -1,0 +1,226 @@
+"""The writer alone, fed with samples made up for it: what holds for every stream it writes."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array, E
+from hframe_post.firmware.player import Player
+from hframe_post.firmware.registry import player
+from hframe_post.printer.profile import load
+from hframe_post.stream.chunks import batches, join
+from hframe_post.stream.types import (
+    Event,
+    Handling,
+    Mark,
+    ModalState,
+    Passthrough,
+    Pause,
+    Samples,
+    Standing,
+    frozen,
+)
+from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.gcode import GcodeWriter
+from tests.gcode_tools import follow
+
+STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
+PROFILES = {"klipper": "paper", "marlin": "paper-marlin"}
+
+
+@cache
+def player_of(firmware: str) -> Player:
+    return player(load(PROFILES[firmware]), 0.002)
+
+
+@pytest.fixture(params=list(PROFILES))
+def firmware(request: pytest.FixtureRequest) -> Player:
+    return player_of(request.param)
+
+
+@pytest.fixture
+def klipper() -> Player:
+    return player_of("klipper")
+
+
+def curve(n: int, start: Array, seed: int) -> Array:
+    """x, y, z, e (n, 4) of smooth motion from a place, at rest at both ends."""
+    rng = np.random.default_rng(seed)
+    along = np.arange(1, n + 1) / n
+    s = along - np.sin(2.0 * np.pi * along) / (2.0 * np.pi)
+    heading = rng.uniform(-1.0, 1.0, 2) * min(0.05 * n, 40.0)
+    bend = rng.uniform(-2.0, 2.0, 2)
+    xy = start[:2] + np.outer(s, heading) + np.outer(np.sin(np.pi * s) ** 3, bend)
+    z = np.full(n, start[2])
+    return np.column_stack([xy, z, start[E] + s * rng.uniform(0.0, 2.0)])
+
+
+def stream(parts: list[tuple[str, int]], seed: int = 0) -> Samples:
+    """Samples of one stretch: ``move`` of n samples, ``mark`` at the k-th sample to come,
+    ``retract`` by n hundredths, ``lift``, ``wait`` for n samples."""
+    at = np.array([100.0, 100.0, 0.0, 0.0])
+    rows, events = [at[None]], list[Event]()
+    index = 1
+    for number, (kind, n) in enumerate(parts):
+        made = at[None][:0]
+        if kind == "move":
+            made = curve(n, at, seed + number)
+        elif kind == "mark":
+            events.append(Mark(index, b"M106 S%d" % number))
+        else:
+            end = at + {"retract": [0, 0, 0, -n / 100.0], "lift": [0, 0, n / 100.0, 0]}.get(
+                kind, np.zeros(4)
+            )
+            if kind == "wait":
+                made = np.tile(at, (n, 1))
+                action: Standing | Passthrough = Passthrough(
+                    0, b"G4 P%d" % n, Handling.REST, STATE, n * TS
+                )
+                events.append(Pause(index, n, action, n * TS))
+            else:
+                made = np.linspace(at, end, 41)[1:]
+                action = Standing(0, tuple(at.tolist()), tuple(end.tolist()), 30.0)
+                events.append(Pause(index, 40, action, 0.0395))
+        if len(made):
+            rows.append(made)
+            at, index = made[-1], index + len(made)
+    xyze = np.concatenate(rows)
+    commands = {"none": frozen(xyze[:, :2].copy())}
+    line = np.zeros(len(xyze), dtype=np.int64)
+    return Samples(0, frozen(xyze), line, tuple(events), commands, ends_stretch=True)
+
+
+def text(chunks: list[Samples], firmware: Player) -> tuple[bytes, GcodeWriter]:
+    writer = GcodeWriter("none", firmware)
+    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in writer.write(chunks)]
+    return b"".join(pieces), writer
+
+
+PARTS = st.lists(
+    st.one_of(
+        st.tuples(st.just("move"), st.integers(100, 400)),
+        st.tuples(st.sampled_from(["mark", "retract", "lift"]), st.integers(1, 200)),
+        st.tuples(st.just("wait"), st.integers(0, 90)),
+    ),
+    max_size=12,
+)
+
+
+@settings(max_examples=60)
+@given(PARTS)
+@pytest.mark.parametrize("name", list(PROFILES))
+def test_filament_and_height_are_those_of_the_samples(
+    name: str, parts: list[tuple[str, int]]
+) -> None:
+    whole = stream(parts)
+    written, writer = text([whole], player_of(name))
+    reading = follow(written)
+    assert reading.filament == pytest.approx(whole.xyze[-1, E], abs=5e-4)
+    assert writer.summary.filament == pytest.approx(reading.filament, abs=1e-9)
+    assert writer.summary.lines == written.count(b"\n")
+    if reading.points:
+        assert reading.points[-1][2] == pytest.approx(whole.xyze[-1, 2], abs=6e-4)
+
+
+def test_filament_of_every_carried_line_is_exact(klipper: Player) -> None:
+    """Of a thousand lines between segments: filament before each is its sample's, rounded."""
+    n = 5000
+    whole = stream([("move", n)])
+    at = np.unique(np.random.default_rng(1).integers(500, n - 500, 1000))
+    marks = tuple(Mark(int(k), b";LAYER:%d" % k) for k in at)
+    marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
+    reading = follow(text([marked], klipper)[0])
+    np.testing.assert_allclose(reading.at_layer, whole.xyze[at, E], atol=1.1e-5)
+
+
+def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klipper: Player) -> None:
+    n = 3000
+    whole = stream([("move", n)])
+    at = np.unique(np.random.default_rng(2).integers(200, n - 200, 50))
+    marks = tuple(Mark(int(k), b"; at %d" % k) for k in at)
+    marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
+    lines = text([marked], klipper)[0].splitlines()
+    for k in at:
+        row = lines.index(b"; at %d" % k)
+        before = next(line for line in reversed(lines[:row]) if line.startswith(b"G1"))
+        x = float(re.findall(rb"X([\d.]+)", before)[0]) if b"X" in before else None
+        if x is not None:  # a segment ends at the mark's own sample
+            assert x == pytest.approx(whole.xyze[k, 0], abs=6e-4)
+
+
+def test_lag_stays_bounded_however_long_the_stream(klipper: Player) -> None:
+    """What Klipper takes by its own formulas, dwells and all, against the samples' time."""
+    parts = [("move", 700), ("retract", 80), ("move", 400), ("lift", 20), ("wait", 50)] * 40
+    writer = GcodeWriter("none", klipper)
+    lags = []
+    for part in batches([stream(parts)], 1000):
+        list(writer._outputs([part]) if part.ends_stretch else writer._chunk(part))
+        lags.append(abs(writer._machine._pace.lag))
+    assert max(lags) < 1.5e-3
+
+
+def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Player) -> None:
+    released = Passthrough(7, b"M600", Handling.RELEASE, STATE)
+    moving, onward = stream([("move", 300)]), stream([("move", 300)], seed=9)
+    end = len(moving)
+    first = Samples(0, moving.xyze, moving.line, (Pause(end, 0, released),), moving.commands, True)
+    second = Samples(end, onward.xyze, onward.line, (), onward.commands, True)
+    lines = text([first, second], klipper)[0].splitlines()
+    row = lines.index(b"M600")
+    assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=300") for line in lines[row - 5 : row])
+    assert lines[row + 1] == b"M400"
+    taken = next(k for k in range(row, len(lines)) if lines[k].startswith(b"SET_VELOCITY_LIMIT"))
+    assert not any(line.startswith(b"G1") for line in lines[row:taken])
+    moves = [line for line in lines[taken:] if line.startswith(b"G1")]
+    assert re.match(rb"G1 X\S+ Y\S+.* F", moves[0])
+
+
+@pytest.mark.parametrize("n", [1, 7, 100, 10_000])
+def test_bytes_do_not_depend_on_the_cut(firmware: Player, n: int) -> None:
+    parts = [("move", 2500), ("mark", 1), ("move", 900), ("retract", 80), ("wait", 30)]
+    parts += [("move", 30), ("lift", 40), ("mark", 1), ("move", 20_000), ("mark", 1)]
+    whole = stream(parts)
+    assert text(list(batches([whole], n)), firmware)[0] == text([whole], firmware)[0]
+
+
+def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klipper: Player) -> None:
+    """Short ones join the next segment, longer ones are dwells; together they are all the time."""
+    moving = curve(200, np.array([100.0, 100.0, 0.3, 0.0]), 3)
+    for still in (10, 400):
+        stood = np.tile(moving[-1], (still, 1))
+        onward = curve(200, moving[-1], 4)
+        xyze = np.concatenate([moving[:1], moving, stood, onward])
+        whole = Samples(
+            0, frozen(xyze), np.zeros(len(xyze), dtype=np.int64), (),
+            {"none": frozen(xyze[:, :2].copy())}, True,
+        )  # fmt: skip
+        between = re.findall(rb"G1 .*\nG4 P([\d.]+)\nG1 ", text([whole], klipper)[0])
+        waited = sum(map(float, between))
+        assert waited == 0 if still == 10 else abs(waited - still) < 40
+
+
+def test_lines_are_different_only_in_what_changes(klipper: Player) -> None:
+    """No word is written that says what the machine knows already."""
+    rows = [
+        line for line in text([stream([("move", 3000)])], klipper)[0].splitlines()
+        if line.startswith(b"G1")
+    ]  # fmt: skip
+    words = [dict(re.findall(rb"([XYZF])(-?[\d.]+)", row)) for row in rows]
+    for letter in (b"X", b"Y", b"F"):
+        said = [word[letter] for word in words if letter in word]
+        assert all(a != b for a, b in pairwise(said))
+
+
+def test_chunks_join_to_what_they_were() -> None:
+    """The cuts of these tests lose nothing."""
+    whole = stream([("move", 50), ("retract", 80), ("move", 50)])
+    again = join(list(batches([whole], 7)))
+    np.testing.assert_array_equal(again.xyze, whole.xyze)
+    assert again.events == whole.events
