@@ -80,7 +80,7 @@ def test_command_begins_and_ends_at_rest_on_the_path(paper: Printer, strategy: s
     assert not odd
     assert r > 400  # the settling of the shipped printer's fastest stop
     for end, place in ((0, xy[0]), (-1, xy[-1])):
-        assert np.abs(command[end] - place).max() <= paper.compensation.settle_tolerance
+        assert np.abs(command[end] - place).max() <= 0.01
     if strategy == "none":
         np.testing.assert_array_equal(command[r:-r], xy)
     else:

@@ -1,1 +1,1 @@
-"""Samples to commands for the motors, settled at stops and safe."""
+"""Samples to commands for the motors, which stand at stops and are safe."""

@@ -11,11 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Z
+from hframe_post.arrays import TS, Array, X, Z
 from hframe_post.model.course import Compensator, Course
 from hframe_post.model.strategies import strategy
+from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Samples, frozen
+
+OUTLASTS = 4096  # samples of standstill in which any stable command settles
+SETTLED = 0.01  # mm off the path
 
 
 def compensate(
@@ -78,3 +82,27 @@ class _Courses:
         commands = {name: frozen(xy[:n]) for name, xy in self._ready.items()}
         self._ready = {name: xy[n:] for name, xy in self._ready.items()}
         yield replace(ready, commands=commands)
+
+
+def settling(compensator: Compensator, limits: Limits, travel: Travel) -> int:
+    """Samples of standstill in which any command leads and settles, to SETTLED mm.
+
+    Those of the fastest start and stop, in x and y at once, at the longest lever arm.
+    """
+    plant = compensator.plant
+    lever = max(abs(edge - plant.x_c) for edge in travel.x)
+    ramp = np.arange(0.0, limits.velocity + 1e-9, limits.acceleration * TS)
+    cruise = np.full(OUTLASTS // 8, limits.velocity)
+    moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
+    path = np.pad(moving, OUTLASTS, mode="edge")
+    path[:OUTLASTS] = 0.0
+    xyze = np.column_stack([path, path, np.zeros((len(path), 2))])
+    xyze[:, X] += plant.x_c + lever
+    line = np.zeros(len(path), dtype=np.int64)
+    commanded = compensate([Samples(0, xyze, line)], compensator, ("racking",))
+    off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
+    beyond = np.flatnonzero(np.abs(off).max(axis=1) > SETTLED)
+    if not len(beyond):
+        return 1
+    stopped = OUTLASTS + len(moving)
+    return max(int(beyond[-1]) - stopped, OUTLASTS - int(beyond[0]), 1)

@@ -17,29 +17,61 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z
-from hframe_post.model.stop import BESIDE, BEYOND, NEAREST, State, Stop, StopSolver, Surroundings
+from hframe_post.model.course import Compensator
+from hframe_post.model.stop import (
+    BESIDE,
+    BEYOND,
+    NEAREST,
+    STOPS,
+    State,
+    Stop,
+    StopSolver,
+    Surroundings,
+)
+from hframe_post.model.strategies import strategy
 from hframe_post.model.transfer_function import BLOCK_SAMPLES
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
-from hframe_post.stream.types import Pause, Samples, frozen
+from hframe_post.stream.types import Pause, Rests, Samples, frozen
 
+ASIDE = 80  # samples around a stop that is two, on whose path the command must stand
 LONGEST = 1000  # samples of a stop that is one; any plant has forgotten its state then
 BEFORE = BESIDE + NEAREST + 2  # samples that a solution may look at before a stop
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
 
 
-def stand(
-    chunks: Iterable[Samples], solvers: dict[str, StopSolver | None]
-) -> Iterator[Samples]:
+def rests(stops: str, strategy: str) -> Rests:
+    """Standstill of the path around stops of that kind; a command that is the path needs none."""
+    n = STOPS[stops]
+    return Rests(n, n, ASIDE, LONGEST) if strategy != "none" else Rests()
+
+
+def solvers(
+    compensator: Compensator, names: Iterable[str], printer: Printer
+) -> dict[str, StopSolver]:
+    """Solvers of the strategies of these names, but of those whose command is the path."""
+    effort = compensator.x.window.effort, compensator.y.window.effort
+    belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
+    bed = printer.travel.x, printer.travel.y
+    believed = {name: strategy(name).believes(compensator.plant) for name in names}
+    return {
+        name: StopSolver(plant, effort, belts, motors, bed)
+        for name, plant in believed.items()
+        if plant is not None
+    }
+
+
+def stand(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
     """The stream with commands that stand where the machine does something else.
 
-    solvers: by strategy; None where the command is the path, which stands already.
+    solvers: by strategy; the commands of others stay as they are.
     """
     for stretch in stretches(chunks):
         course: _Course | None = None
         for chunk in stretch:
             if course is None and len(chunk):
-                course = _Course(chunk, {n: s for n, s in solvers.items() if s is not None})
+                course = _Course(chunk, solvers)
             if course is None:
                 yield chunk
             else:

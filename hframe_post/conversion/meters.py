@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hframe_post.arrays import TS, E
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
 
@@ -107,11 +107,12 @@ class ErrorMeter:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self.contour: dict[str, ErrorStatistics] = {}
+        self.contour: dict[str, ContourErrors] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         """The commands."""
         for judgement in judge(chunks, self._plant, JUDGED_EVERY):
             for name, errors in judgement.contour.items():
-                self.contour.setdefault(name, ErrorStatistics()).add(errors)
+                contour = self.contour.setdefault(name, ContourErrors())
+                contour.add(errors, judgement.extruding)
             yield judgement.chunk

@@ -1,4 +1,4 @@
-"""The whole river: lines → moves → plan → samples → commands → settled → safe → predicted.
+"""The whole river: lines → moves → plan → samples → commands → stops → safe → predicted.
 
 ``Commands`` joins the stages and sums up what each of them has seen. A conversion takes
 commands to one kind of output, and its ``report`` is complete once the output is used up.
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Clamp, Guard
-from hframe_post.compensation.settle import rests, settle
+from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import Clock, ErrorMeter, FilamentMeter, InputMeter
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
@@ -93,14 +93,14 @@ class Commands:
     def computed(self) -> Iterator[Samples]:
         """The commands as they are computed: no thread, no prediction, no clock."""
         printer, options = self._printer, self._options
-        limits, tolerance = printer.limits, printer.compensation.settle_tolerance
+        limits = printer.limits
         lines = self._input.lines(self._lines)
         reading = ReadOptions.of(printer, "file-all" if options.file_limits else "printer")
         items = self._input.items(read(lines, reading))
-        offered = rests(self._compensator, limits, printer.travel, tolerance)
-        samples = sample(plan(items, limits), limits, offered)
+        waits = rests(printer.compensation.stops, options.strategy)
+        samples = sample(plan(items, limits), limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = settle(commands, options.strategy, tolerance)
+        commands = stand(commands, solvers(self._compensator, self._strategies, printer))
         if options.clamp:
             commands = self._clamp.limit(commands, options.strategy)
         return self._guard.check(commands, options.strategy)

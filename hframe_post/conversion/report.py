@@ -9,7 +9,7 @@ from typing import Any
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
 
 
@@ -36,7 +36,7 @@ class Report:
     time: PrintTime
     peaks: Peaks
     clamped: Clamped
-    contour: dict[str, ErrorStatistics]
+    contour: dict[str, ContourErrors]
     lines_written: int | None = None
     filament_after: float | None = None
     busiest_second: int = 0
@@ -82,7 +82,8 @@ class Report:
             um = self.contour[name].micrometres()
             lines.append(
                 f"predicted   {STRATEGIES[name].label}: contour error {um['rms']:.1f} µm RMS, "
-                f"{um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak"
+                f"{um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak "
+                f"(with travel {um['all']['rms']:.1f} µm RMS)"
             )
         lines.append(
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "

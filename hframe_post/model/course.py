@@ -35,14 +35,21 @@ class Course(Protocol):
         """The rest of the command, (k, 2), at the end of the stretch: now all is given."""
 
 
+def as_it_is(plant: Plant) -> Plant | None:
+    """The plant that was identified."""
+    return plant
+
+
 @dataclass(frozen=True, slots=True)
 class Strategy:
     """How a path becomes a command. label: as people read it; colour: in every figure.
 
-    begin: the course of a stretch that starts from rest at ``origin`` (2,), mm.
+    begin: the course of a stretch that starts from rest at ``origin`` (2,), mm. believes: the
+    plant that its commands are made for; None where they are the path.
     """
 
     name: str
     label: str
     colour: str
     begin: Callable[[Compensator, Array], Course]
+    believes: Callable[[Plant], Plant | None] = as_it_is

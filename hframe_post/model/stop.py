@@ -23,12 +23,13 @@ symbol          meaning
 
 The plant is linear, θ's lever arm is that of the path (Remark 2.1 of the paper), and the nearest
 point is sought twice: with the nozzle where it should be, then with where it came to be. Belts
-that would be driven too hard get more weight in D, row by row, until they are not.
+that would be driven too hard get more weight in D, row by row, until they are not, and a command
+that would leave the bed is pulled back likewise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -57,6 +58,9 @@ WITHIN = 0.97  # share of the belts' acceleration that is used
 AT_HOLD = 0.5  # share of that next to the hold, where the firmware stops within one segment
 SEARCHES, TRIALS = 2, 8  # of the nearest points; of the weights of D
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
+CLEAR = 0.02  # mm to the ends of the bed, for a command that would leave it
+
+STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
 
 DURATIONS = 128  # of holds, that are remembered
 
@@ -138,15 +142,22 @@ class StopSolver:
     """Finds the command around stops of one printer.
 
     plant: as the strategy believes it; effort: λ of x and y; belts (2, 2): from x, y to the
-    belts; acceleration: mm/s², the most that the belts may be asked.
+    belts; acceleration: mm/s², the most that the belts may be asked; bed: (least, greatest) of
+    x and of y, mm.
     """
 
     def __init__(
-        self, plant: Plant, effort: tuple[float, float], belts: Array, acceleration: float
+        self,
+        plant: Plant,
+        effort: tuple[float, float],
+        belts: Array,
+        acceleration: float,
+        bed: tuple[tuple[float, float], tuple[float, float]],
     ) -> None:
         self.filters = Filters(plant)
         self._effort = [max(EFFORT_SHARE * e, LEAST_EFFORT) for e in effort]
         self._belts, self._limit = belts, WITHIN * acceleration * TS**2
+        self._bed = np.array(bed)
         away, self._reach = _graded_splines()
         self._N_before, self._N_after = away[::-1], away
         self._forced = [self._moving(G) for G in self.filters.all]
@@ -161,14 +172,14 @@ class StopSolver:
         rows = _Rows.of(around, stop)
         columns = self._columns(stop)
         nozzle = self._nozzle(around, command, z, stop, columns)
-        D, known = self._second_differences(command, stop, columns)
+        by_p, known = self._sequence(command, stop, columns)
+        pressure = _Pressure.none(known, self._bed - around.origin[:, None])
         p = np.zeros(2 * len(columns))
-        weights = np.ones(len(D))
         for search in range(SEARCHES):
             at = nozzle.at(p)
             foot, t = rows.nearest(at) if search else (rows.path, rows.direction)
             H, g = nozzle.normal_equations(p, rows, foot, t)
-            p, weights = self._within_limits(H, g, D, known, weights)
+            p, pressure = self._within_limits(H, g, by_p, known, pressure)
         return self._changed(command, stop, columns, p)
 
     def _columns(self, stop: Stop) -> Integers:
@@ -227,43 +238,50 @@ class StopSolver:
 
     # ------------------------------------------------------------------ the command
 
-    def _second_differences(
-        self, command: Array, stop: Stop, columns: Integers
-    ) -> tuple[Array, Array]:
-        """By p (r, k), and known (r, 2), from two samples before to two after."""
+    def _sequence(self, command: Array, stop: Stop, columns: Integers) -> tuple[Array, Array]:
+        """The command by p (r, k), and known (r, 2), from two samples before to two after.
+
+        Of the hold, as many as second differences see.
+        """
         a, b, k = stop.a, stop.b, len(self._reach)
-        held = min(b - a, 2)  # as many as second differences see of it
-        sequence = np.zeros((BESIDE + held + BESIDE + 4, 2 * k + 1))
-        sequence[2 : 2 + BESIDE, :k] = self._N_before
-        sequence[2 + BESIDE : 2 + BESIDE + held, k] = 1.0
-        sequence[2 + BESIDE + held : -2, k + 1 :] = self._N_after
-        known = [command[a - BESIDE - 2 : a], command[a : a + held], command[b : b + BESIDE + 2]]
-        if held:
-            known[1] = np.repeat(command[a : a + 1], held, axis=0)
-        return np.diff(sequence[:, columns], n=2, axis=0), np.diff(np.vstack(known), n=2, axis=0)
+        held = min(b - a, 2)
+        by_p = np.zeros((BESIDE + held + BESIDE + 4, 2 * k + 1))
+        by_p[2 : 2 + BESIDE, :k] = self._N_before
+        by_p[2 + BESIDE : 2 + BESIDE + held, k] = 1.0
+        by_p[2 + BESIDE + held : -2, k + 1 :] = self._N_after
+        hold = np.repeat(command[a : a + 1], held, axis=0)
+        known = [command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]]
+        return by_p[:, columns], np.vstack(known)
 
     def _within_limits(
-        self, H: Array, g: Array, D: Array, known: Array, weights: Array
-    ) -> tuple[Array, Array]:
-        """The p with which the belts can follow, and the weights of D that it took."""
-        k = D.shape[1]
+        self, H: Array, g: Array, by_p: Array, known: Array, pressure: _Pressure
+    ) -> tuple[Array, _Pressure]:
+        """The p with which belts and bed are kept to, and the pressure that it took."""
+        k = by_p.shape[1]
+        D, rates = np.diff(by_p, n=2, axis=0), np.diff(known, n=2, axis=0)
         limit = np.full(len(D), self._limit)
         limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
         for _ in range(TRIALS):
             full, right = H.copy(), g.copy()
             for axis, effort in enumerate(self._effort):
                 own = slice(axis * k, (axis + 1) * k)
-                weighted = effort * weights[:, None] * D
-                full[own, own] += weighted.T @ D
-                right[own] += weighted.T @ known[:, axis]
+                for rows, weight, off in (
+                    (D, effort * pressure.effort, rates[:, axis]),
+                    (by_p, pressure.bed[:, axis], known[:, axis] - pressure.inside[:, axis]),
+                ):
+                    weighted = weight[:, None] * rows
+                    full[own, own] += weighted.T @ rows
+                    right[own] += weighted.T @ off
             full[np.diag_indices(2 * k)] += 1e-9 * full.diagonal().max(initial=0.0) + 1e-12
-            p = -np.linalg.solve(full, right)
-            rates = known + np.column_stack([D @ p[:k], D @ p[k:]])
-            share = np.abs(rates @ self._belts.T).max(axis=1) / limit
-            if (share <= 1.0).all():
+            p = np.asarray(-np.linalg.solve(full, right))
+            added = p.reshape(2, k).T
+            share = np.abs((rates + D @ added) @ self._belts.T).max(axis=1) / limit
+            place = known + by_p @ added
+            beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
+            if (share <= 1.0).all() and (beyond <= 0.0).all():
                 break
-            weights = weights * np.where(share > STEP, 2.0 * np.square(share / STEP), 1.0)
-        return p, weights
+            pressure = pressure.raised(share, beyond, place)
+        return p, pressure
 
     def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
         """The command with what p adds."""
@@ -276,6 +294,35 @@ class StopSolver:
             changed[BESIDE : len(changed) - BESIDE, axis] = command[a, axis] + added[k]
             changed[len(changed) - BESIDE :, axis] += self._N_after @ added[k + 1 :]
         return changed
+
+
+@dataclass(frozen=True, slots=True)
+class _Pressure:
+    """Weights that keep a command (r, 2) within limits, row by row.
+
+    effort (r − 2,): factors of λ; bed (r, 2): on the distance to ``inside`` (r, 2); low, high
+    (2,): ends of the bed from the origin.
+    """
+
+    effort: Array
+    bed: Array
+    inside: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def none(cls, known: Array, bed: Array) -> _Pressure:
+        """To begin with."""
+        nothing = np.zeros_like(known)
+        return cls(np.ones(len(known) - 2), nothing, nothing, bed[:, 0], bed[:, 1])
+
+    def raised(self, share: Array, beyond: Array, place: Array) -> _Pressure:
+        """More where belts are driven to more than a STEP of their limit, or the bed is left."""
+        effort = self.effort * np.where(share > STEP, 2.0 * np.square(share / STEP), 1.0)
+        out = beyond > 0.0
+        bed = np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed)
+        inwards = np.clip(place, self.low + CLEAR, self.high - CLEAR)
+        return replace(self, effort=effort, bed=bed, inside=np.where(out, inwards, self.inside))
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,9 +357,7 @@ class _Nozzle:
         along = np.sqrt(ALONG) * across
         x, y = self.x[:m], self.y[:m]
         tx, ty = t[:, X, None], t[:, Y, None]
-        J = np.vstack(
-            [across[:, None] * (tx * y - ty * x), along[:, None] * (tx * x + ty * y)]
-        )
+        J = np.vstack([across[:, None] * (tx * y - ty * x), along[:, None] * (tx * x + ty * y)])
         off = at[:m] - foot
         r = np.concatenate(
             [
@@ -321,7 +366,10 @@ class _Nozzle:
             ]
         )
         H, g = J.T @ J, J.T @ r
-        for of_p, free, place in ((self.x, at[:, X], rows.hold[X]), (self.y, at[:, Y], rows.hold[Y])):
+        for of_p, free, place in (
+            (self.x, at[:, X], rows.hold[X]),
+            (self.y, at[:, Y], rows.hold[Y]),
+        ):
             weighted = rows.holding[:, None] * of_p[m:]
             H += weighted.T @ of_p[m:]
             g += weighted.T @ (free[m:] - place)

@@ -6,6 +6,7 @@ choices of profiles and command line, reports and figures follow.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from hframe_post.arrays import Array
 from hframe_post.errors import HframeError
 from hframe_post.model.course import Compensator, Strategy
 from hframe_post.model.filtered_splines import FilteredSplines
+from hframe_post.model.plant import Plant
 
 
 class _Path:
@@ -29,11 +31,19 @@ class _Path:
         return np.zeros((0, 2))
 
 
+def _nothing(plant: Plant) -> Plant | None:
+    return None
+
+
+def _rigid(plant: Plant) -> Plant | None:
+    return replace(plant, Gxtheta=None)
+
+
 STRATEGIES = {
     strategy.name: strategy
     for strategy in (
-        Strategy("none", "no compensation", "#888888", _Path),
-        Strategy("fbs", "ringing only (fbs)", "#c05020", partial(FilteredSplines, False)),
+        Strategy("none", "no compensation", "#888888", _Path, _nothing),
+        Strategy("fbs", "ringing only (fbs)", "#c05020", partial(FilteredSplines, False), _rigid),
         Strategy("racking", "ringing and racking", "#2060a0", partial(FilteredSplines, True)),
     )
 }

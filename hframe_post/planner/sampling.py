@@ -2,14 +2,15 @@
 
 Each run is planned along the path length, from speed to speed at zero acceleration, and x,
 y, z and e follow the path: extrusion stays proportional to it. Points of rest fall on whole
-samples. Before and after anything that the machine does at rest there is standstill in
-which the compensated command may settle and lead.
+samples. Before and after anything that the machine does at rest there may be a little standstill
+in which the compensated command moves on.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,7 +57,8 @@ class _Sampler:
         self._profiler = Profiler()
         self._index = 0  # of the next sample
         self._moving = False
-        self._rested = True  # the machine stands and nothing has been offered to lead
+        self._rested = True  # the machine stands, and has not been given the time to begin
+        self._aside = True  # for long, or in other hands
         self._section, self._clock = 0, 0.0  # sample of the last rest, s since then
         self._last: Array | None = None  # x, y, z, e at the last sample
         self._pinned: float | None = None  # filament at a mark on the next sample
@@ -69,10 +71,12 @@ class _Sampler:
     def run(self, plan: Plan) -> Iterator[Samples]:
         """Samples of the runs of a plan."""
         self._line = int(plan.line[0])
+        if self._last is None:
+            yield from self._stand(plan.points[0], 1)  # from where the motion starts
         if self._rested:
-            self._events.append(Rest(self._index, self._rests.lead, settling=False))
-            self._stand(plan.points[0], self._rests.lead)
-            self._rested = False
+            aside = self._aside
+            yield from self._rest(plan.points[0], self._rests.aside if aside else self._rests.after)
+            self._rested = self._aside = False
         if not self._moving:
             self._section, self._clock, self._moving = self._index - 1, 0.0, True
         phases, self._clock = self._phases(plan)
@@ -142,32 +146,56 @@ class _Sampler:
     def pause(self, action: Standing | Passthrough) -> Iterator[Samples]:
         """What the machine does while x and y stand still."""
         if self._last is None and isinstance(action, Standing):
-            self._stand(np.array(action.start), 1)
-        if not self._rested and self._last is not None:
-            self._events.append(Rest(self._index, self._rests.settle, settling=True))
-            self._stand(self._last, self._rests.settle)
-        self._rested, self._moving = True, False
+            yield from self._stand(np.array(action.start), 1)
         if isinstance(action, Standing):
+            profile = StandingProfile.of(action, self._limits)
+            yield from self._come_to_rest(profile.samples >= self._rests.long)
             self._line = action.line
-            exact, z_e = standing(action, self._limits)
-            self._events.append(Pause(self._index, len(z_e), action, exact))
-            xyze = np.tile(np.array(action.end), (len(z_e), 1))
-            xyze[:, Z:] = z_e
-            self._emit(xyze, np.full(len(z_e), self._line))
+            self._events.append(Pause(self._index, profile.samples, action, profile.seconds))
+            yield from self._moved(action, profile)
             return
+        released = action.handling is Handling.RELEASE
+        n = math.ceil(action.seconds / TS - ON_TIME)
+        yield from self._come_to_rest(released or n >= self._rests.long)
         self._line = action.line
         if self._last is None:  # there is nothing to sample where the place is unknown
             self._events.append(Pause(self._index, 0, action))
         else:
-            n = math.ceil(action.seconds / TS - ON_TIME)
             self._events.append(Pause(self._index, n, action, action.seconds))
-            self._stand(self._last, n)
-        if action.handling is Handling.RELEASE:
+            yield from self._stand(self._last, n)
+        if released:
             yield from self.flush(ends_stretch=True)
             self._last = None
 
-    def _stand(self, where: Array, samples: int) -> None:
-        self._emit(np.tile(where, (samples, 1)), np.full(samples, self._line))
+    def _come_to_rest(self, aside: bool) -> Iterator[Samples]:
+        if not self._rested and self._last is not None:
+            yield from self._rest(self._last, self._rests.aside if aside else self._rests.before)
+        self._aside = aside or (self._rested and self._aside)
+        self._rested, self._moving = True, False
+
+    def _rest(self, where: Array, samples: int) -> Iterator[Samples]:
+        if samples:
+            self._events.append(Rest(self._index, samples))
+            yield from self._stand(where, samples)
+
+    def _stand(self, where: Array, samples: int) -> Iterator[Samples]:
+        """Standstill; a long one in several chunks."""
+        for first in range(0, samples, SAMPLES_PER_CHUNK):
+            n = min(samples - first, SAMPLES_PER_CHUNK)
+            self._emit(np.tile(where, (n, 1)), np.full(n, self._line))
+            if first + n < samples:
+                yield from self.flush()
+
+    def _moved(self, move: Standing, profile: StandingProfile) -> Iterator[Samples]:
+        """z and e on their way, x and y still; a slow one in several chunks."""
+        for first in range(0, profile.samples, SAMPLES_PER_CHUNK):
+            n = min(profile.samples - first, SAMPLES_PER_CHUNK)
+            xyze = np.tile(np.array(move.end), (n, 1))
+            start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
+            xyze[:, Z:] = start + profile.share(np.arange(first + 1, first + n + 1)) * (end - start)
+            self._emit(xyze, np.full(n, self._line))
+            if first + n < profile.samples:
+                yield from self.flush()
 
     # ------------------------------------------------------------------ chunks
 
@@ -190,29 +218,41 @@ class _Sampler:
         self._held, self._events = [], []
 
 
-def standing(move: Standing, limits: Limits) -> tuple[float, Array]:
-    """Exact duration and samples (n, 2) of z and e, as the firmware does one such line.
+@dataclass(frozen=True, slots=True)
+class StandingProfile:
+    """How the firmware makes one move in which x and y stand: it knows no jerk, so a trapezoid.
 
-    The firmware knows no jerk: the profile is a trapezoid.
+    length, peak and acceleration: of z, or of the filament where z stands too. seconds: exact;
+    samples: until the next whole one.
     """
-    dz, de = abs(move.end[Z] - move.start[Z]), abs(move.end[E] - move.start[E])
-    length = dz or de
-    cruise = min(move.speed, limits.z_velocity) if dz else move.speed
-    acceleration = limits.z_acceleration if dz else math.inf
-    if de:  # without x and y any extrusion counts as retraction
-        cruise = min(cruise, limits.extruder_velocity * length / de)
-        acceleration = min(acceleration, limits.extruder_acceleration * length / de)
-    peak = min(cruise, math.sqrt(length * acceleration))
-    ramp = peak / acceleration
-    exact = length / peak + ramp
-    n = math.ceil(exact / TS - ON_TIME)
-    t = np.minimum(np.arange(1, n + 1) * TS, exact)
-    up, down = np.minimum(t, ramp), np.maximum(t - (exact - ramp), 0.0)
-    s = acceleration * (up * up - down * down) / 2.0 + peak * (t - up)
-    share = (s / length)[:, None]
-    share[-1] = 1.0
-    start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
-    return exact, start + share * (end - start)
+
+    length: float
+    peak: float
+    acceleration: float
+    seconds: float
+    samples: int
+
+    @classmethod
+    def of(cls, move: Standing, limits: Limits) -> StandingProfile:
+        """The fastest that the limits allow."""
+        dz, de = abs(move.end[Z] - move.start[Z]), abs(move.end[E] - move.start[E])
+        length = dz or de
+        cruise = min(move.speed, limits.z_velocity) if dz else move.speed
+        acceleration = limits.z_acceleration if dz else math.inf
+        if de:  # without x and y any extrusion counts as retraction
+            cruise = min(cruise, limits.extruder_velocity * length / de)
+            acceleration = min(acceleration, limits.extruder_acceleration * length / de)
+        peak = min(cruise, math.sqrt(length * acceleration))
+        seconds = length / peak + peak / acceleration
+        return cls(length, peak, acceleration, seconds, math.ceil(seconds / TS - ON_TIME))
+
+    def share(self, samples: Integers) -> Array:
+        """Share of the way, (n, 1), done after so many samples (n,)."""
+        ramp = self.peak / self.acceleration
+        t = np.minimum(samples * TS, self.seconds)
+        up, down = np.minimum(t, ramp), np.maximum(t - (self.seconds - ramp), 0.0)
+        s = self.acceleration * (up * up - down * down) / 2.0 + self.peak * (t - up)
+        return np.where(samples < self.samples, s / self.length, 1.0)[:, None]
 
 
 def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:

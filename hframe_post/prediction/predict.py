@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, Integers, Z
+from hframe_post.arrays import Array, E, Flags, Integers, Z
 from hframe_post.model.plant import Plant, Response
 from hframe_post.prediction.contour import NEAREST, contour_error
 from hframe_post.stream.chunks import stretches, with_neighbours
-from hframe_post.stream.types import Pause, Rest, Samples, frozen
+from hframe_post.stream.types import Samples, frozen
 
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
@@ -33,12 +33,14 @@ def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
 class Judgement:
     """How well each strategy follows one chunk; k of its samples count.
 
-    at (k,): which samples of the chunk. contour: strategy → (k,), distance to the path.
-    tracking: strategy → (k, 2), off the desired place at the same time. All mm.
+    at (k,): which samples of the chunk; extruding (k,): which of these. contour: strategy →
+    (k,), distance to the path. tracking: strategy → (k, 2), off the desired place at the same
+    time. All mm.
     """
 
     chunk: Samples
     at: Integers
+    extruding: Flags
     contour: dict[str, Array]
     tracking: dict[str, Array]
 
@@ -46,22 +48,22 @@ class Judgement:
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
     """One judgement a chunk, of its samples in motion.
 
-    Of the samples ``every`` second, third, … counts. Those at which the machine rests for
-    something else are left out: nothing of the path is traced there.
+    Of the samples ``every`` second, third, … counts. Those at which the path stands are left
+    out: nothing of it is traced there.
     """
     for stretch in stretches(chunks):
         originals: deque[Samples] = deque()
         predicted = _predicted(stretch, plant, originals)
         for chunk, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
             first = -chunk.first % every
-            moving = in_motion(chunk)[first::every]
+            moving, extruding = (flags[where][first::every] for flags in in_motion(wide))
             here, path = np.arange(first, len(chunk), every), wide.xyze[:, :Z]
             contour, tracking = {}, {}
             for name, actual in chunk.commands.items():
                 judged = actual[first::every]
                 contour[name] = contour_error(path, judged, where.start + here)[moving]
                 tracking[name] = (judged - chunk.xyze[first::every, :Z])[moving]
-            yield Judgement(originals.popleft(), here[moving], contour, tracking)
+            yield Judgement(originals.popleft(), here[moving], extruding[moving], contour, tracking)
 
 
 def _predicted(
@@ -74,11 +76,8 @@ def _predicted(
         yield replace(chunk, commands=motion)
 
 
-def in_motion(chunk: Samples) -> Flags:
-    """Samples that are not part of a rest or pause, (n,)."""
-    moving = np.ones(len(chunk), dtype=bool)
-    for event in chunk.events:
-        if isinstance(event, Rest | Pause):
-            start = event.index - chunk.first
-            moving[start : start + event.samples] = False
-    return moving
+def in_motion(chunk: Samples) -> tuple[Flags, Flags]:
+    """Samples to which the path moves, and those of them on whose way filament is laid, (n,)."""
+    steps = np.diff(chunk.xyze, axis=0, prepend=chunk.xyze[:1])
+    moving = (steps[:, :Z] != 0.0).any(axis=1)
+    return moving, moving & (steps[:, E] > 0.0)

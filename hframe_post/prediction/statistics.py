@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Flags
 
 BINS_PER_E = 100  # bins of 1 % for the percentiles
 BINS = 22 * BINS_PER_E  # up to 0.3 m
@@ -58,6 +58,36 @@ class ErrorStatistics:
 
 
 @dataclass
+class ContourErrors:
+    """Contour errors (mm) while extruding, which a part shows, and of all motion.
+
+    rms, micrometres and the like tell of the former, unless nothing is ever extruded.
+    """
+
+    extruding: ErrorStatistics = field(default_factory=ErrorStatistics)
+    all: ErrorStatistics = field(default_factory=ErrorStatistics)
+
+    def add(self, errors: Array, extruding: Flags) -> None:
+        """Takes the next errors of motion, (n,), of which some count as extruding, (n,)."""
+        self.extruding.add(errors[extruding])
+        self.all.add(errors)
+
+    @property
+    def shown(self) -> ErrorStatistics:
+        """What is judged."""
+        return self.extruding if self.extruding.count else self.all
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of what is judged, mm."""
+        return self.shown.rms
+
+    def micrometres(self) -> dict[str, Any]:
+        """RMS, 95th percentile and peak in µm of what is judged; ``all``: of all motion."""
+        return {**self.shown.micrometres(), "all": self.all.micrometres()}
+
+
+@dataclass
 class Figures:
     """One strategy in one part of the print.
 
@@ -65,14 +95,14 @@ class Figures:
     velocity, acceleration: greatest of any belt, mm/s, mm/s².
     """
 
-    contour: ErrorStatistics = field(default_factory=ErrorStatistics)
+    contour: ContourErrors = field(default_factory=ContourErrors)
     tracking: Array = field(default_factory=lambda: np.zeros(2))
     velocity: float = 0.0
     acceleration: float = 0.0
 
-    def add_errors(self, contour: Array, tracking: Array) -> None:
-        """Takes contour errors (n,) and tracking errors (n, 2)."""
-        self.contour.add(contour)
+    def add_errors(self, contour: Array, tracking: Array, extruding: Flags) -> None:
+        """Takes contour errors (n,), tracking errors (n, 2), and which extrude, (n,)."""
+        self.contour.add(contour, extruding)
         self.tracking += np.square(tracking).sum(axis=0)
 
     def add_rates(self, velocity: Array, acceleration: Array) -> None:
@@ -82,7 +112,7 @@ class Figures:
 
     def tracking_rms(self) -> Array:
         """Root mean square of the tracking error in x and y, (2,), mm."""
-        return np.sqrt(self.tracking / max(self.contour.count, 1))
+        return np.sqrt(self.tracking / max(self.contour.all.count, 1))
 
     def as_json(self) -> dict[str, Any]:
         """Lengths in µm, belts in mm/s and mm/s²."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
+from hframe_post.model.stop import STOPS
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.firmware_tables import Firmware
 from hframe_post.printer.schema import not_negative, positive, within
@@ -85,7 +86,7 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Strategy and window of the limited-preview filtered B-splines.
+    """Strategy and window of the limited-preview filtered B-splines; how stops are made.
 
     Raises ValueError where the window is impossible or sees more than LONGEST_PREVIEW samples.
     """
@@ -96,7 +97,7 @@ class Compensation:
     effort: tuple[float, float] = not_negative()
     strategy: str = field(default="racking", metadata={"choices": tuple(STRATEGIES)})
     degree: int = within(2, 9, default=5)
-    settle_tolerance: float = within(1e-6, 10.0, default=0.05)
+    stops: str = field(default="fast", metadata={"choices": tuple(STOPS)})
 
     def __post_init__(self) -> None:
         for window in self.windows:

@@ -123,23 +123,23 @@ Planned = Plan | Standing | Passthrough
 
 @dataclass(frozen=True, slots=True)
 class Rests:
-    """Samples of standstill offered to the command before and after what happens at rest."""
+    """Samples of standstill that the command gets before and after what happens at rest.
 
-    settle: int
-    lead: int  # at least one: the place from which the motion starts
+    aside: instead of both where it is ``long`` samples or longer, and at the ends of a stretch.
+    """
+
+    before: int = 0
+    after: int = 0
+    aside: int = 0
+    long: int = 1 << 60
 
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """``samples`` of standstill from sample ``index`` in which the command may move.
-
-    They let the command settle after motion (``settling``) or lead the motion that follows;
-    ``settle`` cuts them to what is needed.
-    """
+    """From sample ``index`` on the path stands for ``samples``; the command may move."""
 
     index: int
     samples: int
-    settling: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ def excerpt(lines: Iterable[bytes], printer: Printer, file_limits: bool) -> tupl
     """
     limits = printer.limits
     reading = ReadOptions.of(printer, "file-all" if file_limits else "printer")
-    chunks = sample(plan(read(lines, reading), limits), limits, Rests(0, 1))
+    chunks = sample(plan(read(lines, reading), limits), limits, Rests())
     kept, count = [np.zeros((0, 4))], 0
     for stretch in stretches(chunks):
         for chunk in stretch:

@@ -19,7 +19,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.quantise import quantise
-from hframe_post.prediction.statistics import ErrorStatistics, Figures
+from hframe_post.prediction.statistics import ContourErrors, Figures
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
@@ -68,7 +68,7 @@ def simulate(
         uncertainty = Uncertainty(share)
         uncertainties.append(uncertainty)
         for plant in plants:
-            contour: dict[str, ErrorStatistics] = {}
+            contour: dict[str, ContourErrors] = {}
             uncertainty.printers.append(contour)
             drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
     labels = Labels()
@@ -81,11 +81,11 @@ def simulate(
     )  # fmt: skip
 
 
-def _drawn(judged: Iterable[Judgement], contour: dict[str, ErrorStatistics]) -> Iterator[None]:
+def _drawn(judged: Iterable[Judgement], contour: dict[str, ContourErrors]) -> Iterator[None]:
     """Takes the contour errors of one printer, a chunk at a time."""
     for judgement in judged:
         for name, errors in judgement.contour.items():
-            contour.setdefault(name, ErrorStatistics()).add(errors)
+            contour.setdefault(name, ContourErrors()).add(errors, judgement.extruding)
         yield
 
 
@@ -94,7 +94,9 @@ def _add_errors(judgement: Judgement, labels: Labels, parts: Parts) -> None:
     for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
         for name, contour in judgement.contour.items():
             figures = group.setdefault(name, Figures())
-            figures.add_errors(contour[which], judgement.tracking[name][which])
+            figures.add_errors(
+                contour[which], judgement.tracking[name][which], judgement.extruding[which]
+            )
 
 
 def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from hframe_post.conversion.report import Report
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.statistics import ErrorStatistics, Figures
+from hframe_post.prediction.statistics import ContourErrors, Figures
 from hframe_post.writers.print_time import duration
 
 Group = dict[str, Figures]  # strategy → figures of one part of the print
@@ -20,7 +20,7 @@ class Uncertainty:
     """Printers whose parameters are off by up to ``share``: contour errors by strategy."""
 
     share: float
-    printers: list[dict[str, ErrorStatistics]] = field(default_factory=list)
+    printers: list[dict[str, ContourErrors]] = field(default_factory=list)
 
     def rms(self, strategy: str) -> list[float]:
         """RMS contour error (mm) of each printer."""
@@ -109,7 +109,7 @@ class SimulationReport(Report):
         return [
             (name, group)
             for name, group in groups.items()
-            if any(figures.contour.count for figures in group.values())
+            if any(figures.contour.all.count for figures in group.values())
         ]
 
     def _table(self, title: str, groups: list[tuple[str, Group]]) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import X, Y
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.settle import rests, settle
+from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
@@ -26,10 +26,10 @@ from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.types import Rests, Samples
+from hframe_post.stream.types import Samples
 
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
@@ -43,8 +43,8 @@ class Trial:
 
     windows: tuple[Window, Window]
     refused: str = ""
-    contour: ErrorStatistics = field(default_factory=ErrorStatistics)
-    drawn: list[ErrorStatistics] = field(default_factory=list)
+    contour: ContourErrors = field(default_factory=ContourErrors)
+    drawn: list[ContourErrors] = field(default_factory=list)
     velocity: float = 0.0
     acceleration: float = 0.0
 
@@ -98,14 +98,9 @@ def tune(
             compensators.append((trial, Compensator(printer.plant, trial.windows)))
         except ValueError as error:
             trial.refused = str(error)
-    tolerance = printer.compensation.settle_tolerance
-    offered = [
-        rests(compensator, printer.limits, printer.travel, tolerance)
-        for _, compensator in compensators
-    ] or [Rests(1, 1)]
-    longest = Rests(max(r.settle for r in offered), max(r.lead for r in offered))
     items = read(lines, ReadOptions.of(printer, "file-all" if file_limits else "printer"))
-    samples = sample(plan(items, printer.limits), printer.limits, longest)
+    waits = rests(printer.compensation.stops, "racking")
+    samples = sample(plan(items, printer.limits), printer.limits, waits)
     running = [
         _tried(trial, compensator, branch, printer, drawn)
         for (trial, compensator), branch in zip(
@@ -136,16 +131,16 @@ def _tried(
 ) -> Iterator[None]:
     """Fills the trial, a chunk at a time."""
     commands = compensate(samples, compensator, ("racking",))
-    tolerance = printer.compensation.settle_tolerance
-    settled = _rated(settle(commands, "racking", tolerance), trial, printer.kinematics)
-    trial.drawn = [ErrorStatistics() for _ in drawn]
+    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    standing = _rated(commands, trial, printer.kinematics)
+    trial.drawn = [ContourErrors() for _ in drawn]
     plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
-    streams = branches(settled, len(plants))
+    streams = branches(standing, len(plants))
     judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
     for judgements in zip(*judged, strict=True):
         for judgement, errors in zip(judgements, statistics, strict=True):
             for contour in judgement.contour.values():  # none where nothing moves
-                errors.add(contour)
+                errors.add(contour, judgement.extruding)
         yield
 
 

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.settle import FADE, LEAD_SHARE, rests, settle
+from hframe_post.compensation.compensate import compensate, settling
 from hframe_post.model.course import Compensator
 from hframe_post.model.plant import Response
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
-from hframe_post.stream.types import Mark, Rest, Samples
+from hframe_post.stream.types import Samples
 
 
 def stroke(length: float, speed: float, rest: int, acceleration: float = 5000.0) -> Array:
@@ -84,46 +83,14 @@ def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int
     np.testing.assert_array_equal(join(done).commands["racking"], whole.commands["racking"])
 
 
-def test_rests_cover_the_fastest_stop(compensator: Compensator) -> None:
+def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
     reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm
-    offered = rests(compensator, limits, reached, 0.05 / LEAD_SHARE)
+    r = settling(compensator, limits, reached)
     x = stroke(75, 150, 1000)
     samples = block(280.0 - x.max() + x, x)
     done = join(list(compensate([samples], compensator, ("racking",))))
     off = np.abs(done.commands["racking"] - samples.xyze[:, :2]).max(axis=1)
-    assert (off[-1000 + offered.settle + 5 :] < 0.06).all()
-    assert (off[: 1000 - offered.lead - 5] < 0.06).all()
-    assert off[-1000 + offered.settle - 20] > 0.04
-
-
-def with_rests(samples: Samples, lead: int, tail: int) -> Samples:
-    n = len(samples)
-    events = (
-        Rest(0, lead, False), Mark(lead, b"start"), Rest(n - tail, tail, True), Mark(n, b"end"),
-    )  # fmt: skip
-    return replace(samples, events=events)
-
-
-def test_rests_are_cut_to_what_the_command_needs(compensator: Compensator) -> None:
-    samples = with_rests(block(100 + stroke(30, 100, 400), 20 + stroke(30, 100, 400)), 400, 400)
-    commanded = join(list(compensate([samples], compensator, ("racking",))))
-    settled = join(list(settle([commanded], "racking", 0.05)))
-    lead, tail = (e for e in settled.events if isinstance(e, Rest))
-    start, end = (e for e in settled.events if isinstance(e, Mark))
-    assert FADE < lead.samples < 150
-    assert FADE < tail.samples < 300
-    assert start.index == lead.samples
-    assert end.index == len(settled) == tail.index + tail.samples
-    off = settled.commands["racking"] - settled.xyze[:, :2]
-    np.testing.assert_array_equal(off[-1], 0.0)
-    assert np.abs(off[0]).max() < LEAD_SHARE * 0.05
-    steps = np.abs(np.diff(settled.commands["racking"], n=2, axis=0)).max()
-    assert steps <= np.abs(np.diff(commanded.commands["racking"], n=2, axis=0)).max()
-
-
-def test_path_itself_needs_no_rest(compensator: Compensator) -> None:
-    samples = with_rests(block(100 + stroke(30, 100, 400), 20 + stroke(30, 100, 400)), 400, 400)
-    commanded = join(list(compensate([samples], compensator, ("none",))))
-    settled = join(list(settle([commanded], "none", 0.05)))
-    assert len(settled) == len(samples) - 800
+    assert (off[-1000 + r + 5 :] < 0.012).all()
+    assert (off[: 1000 - r - 5] < 0.012).all()
+    assert off[-1000 + r - 20] > 0.008

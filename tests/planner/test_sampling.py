@@ -49,7 +49,8 @@ from tests.planner.test_lookahead import (
     seeds,
 )
 
-RESTS = Rests(settle=7, lead=3)
+RESTS = Rests(before=7, after=3, aside=5)
+FIRST = 1 + RESTS.aside  # samples from where the first motion starts
 DRIFT = 1.5e-6  # mm; what a run may miss its end by
 BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
 
@@ -84,7 +85,7 @@ def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -
     for axis in range(E):
         on_path = np.interp(xyze[:, E], item.points[:, E], item.points[:, axis])
         np.testing.assert_allclose(xyze[:, axis], on_path, atol=1e-8)
-    np.testing.assert_array_equal(xyze[: RESTS.lead], np.tile(item.points[0], (RESTS.lead, 1)))
+    np.testing.assert_array_equal(xyze[:FIRST], np.tile(item.points[0], (FIRST, 1)))
     np.testing.assert_array_equal(xyze[-1], item.points[-1])
 
 
@@ -119,7 +120,7 @@ def test_straight_move_takes_the_time_of_its_jerk_limited_profile() -> None:
     limits = replace(LIMITS, acceleration=1000.0, jerk=2e4)
     xyze, _ = whole(sampled([moves(line((100, 0, 0, 4)))], limits))
     exact = 100.0 / 100.0 + 100.0 / 1000.0 + 1000.0 / 2e4
-    assert len(xyze) - RESTS.lead == math.ceil(exact / TS - 1e-3)
+    assert len(xyze) - FIRST == math.ceil(exact / TS - 1e-3)
 
 
 def passing_speeds(item: Moves, limits: Limits) -> Array:
@@ -239,30 +240,36 @@ def there(start: float = 0.0) -> Moves:
     return moves([(start, 0, 0.2, 2), (start + 50, 0, 0.2, 2)])
 
 
-def test_motion_is_offered_a_lead_and_a_pause_time_to_settle() -> None:
+def test_motion_and_pauses_have_standstill_between_them() -> None:
     events = whole(sampled([there(), RETRACT]))[1]
-    lead, settle, pause = events
-    assert lead == Rest(0, RESTS.lead, settling=False)
-    assert isinstance(settle, Rest)
-    assert (settle.samples, settle.settling) == (RESTS.settle, True)
+    first, before, pause = events
+    assert first == Rest(1, RESTS.aside)
+    assert isinstance(before, Rest)
+    assert before.samples == RESTS.before
     assert isinstance(pause, Pause)
-    assert pause.index == settle.index + RESTS.settle
+    assert pause.index == before.index + RESTS.before
     assert pause.action is RETRACT
 
 
-def test_pauses_in_a_row_are_offered_one_rest() -> None:
+def test_nothing_is_added_where_the_command_needs_none() -> None:
+    xyze, events = whole(sampled([there(), DWELL, there(50.0)], rests=Rests()))
+    assert [type(e) for e in events] == [Pause]
+    rested, with_rests = whole(sampled([there(), DWELL, there(50.0)]))
+    added = sum(e.samples for e in with_rests if isinstance(e, Rest))
+    assert added == RESTS.aside + RESTS.before + RESTS.after
+    assert len(xyze) == len(rested) - added
+
+
+def test_pauses_in_a_row_have_one_rest_around_them() -> None:
     xyze, events = whole(sampled([there(), RETRACT, DWELL, there(50.0)]))
-    kinds = [(e.settling if isinstance(e, Rest) else e) for e in events]
-    assert kinds[0] is False
-    assert kinds[1] is True
     assert [type(e) for e in events] == [Rest, Rest, Pause, Pause, Rest]
-    first, second, lead = events[2:]
+    first, second, after = events[2:]
     assert isinstance(first, Pause)
     assert isinstance(second, Pause)
-    assert isinstance(lead, Rest)
-    assert (lead.samples, lead.settling) == (RESTS.lead, False)
+    assert isinstance(after, Rest)
+    assert after.samples == RESTS.after
     assert second.index == first.index + first.samples
-    assert lead.index == second.index + second.samples
+    assert after.index == second.index + second.samples
     assert len(xyze) == whole(sampled([there(), RETRACT, DWELL, there(50.0)]))[0].shape[0]
 
 
@@ -271,13 +278,13 @@ def test_machine_stands_during_rests() -> None:
     for event in events:
         if isinstance(event, Rest | Pause):
             # (0, 0) before the first motion, (50, 0) later
-            expected = 0.0 if event.index == 0 else 50.0
+            expected = 0.0 if event.index == 1 else 50.0
             part = xyze[event.index : event.index + event.samples]
             assert len(part) == event.samples
             assert (part[:, 0] == expected).all()
 
 
-def test_nothing_is_offered_before_the_first_motion() -> None:
+def test_nothing_is_added_before_the_first_motion() -> None:
     events = whole(sampled([RETRACT]))[1]
     assert [type(e) for e in events] == [Pause]
 
@@ -292,7 +299,7 @@ def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() ->
     assert [b.ends_stretch for b in blocks].count(True) == 1
     first = next(k for k, b in enumerate(blocks) if b.ends_stretch)
     after = blocks[first + 1]
-    assert after.events[0] == Rest(after.first, RESTS.lead, settling=False)
+    assert after.events[0] == Rest(after.first + 1, RESTS.aside)
     np.testing.assert_array_equal(after.xyze[0], [70.0, 0, 0.2, 2])
 
 

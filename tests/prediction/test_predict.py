@@ -11,7 +11,7 @@ from hframe_post.model.course import Compensator
 from hframe_post.model.plant import Response
 from hframe_post.prediction.contour import NEAREST, contour_error
 from hframe_post.prediction.predict import judge
-from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Rest, Samples
+from hframe_post.stream.types import Samples
 
 
 @pytest.mark.paper
@@ -87,13 +87,15 @@ def test_overshoot_beyond_the_end_of_a_line_counts() -> None:
     np.testing.assert_allclose(contour_error(path, actual, at), 0.2)
 
 
-def test_standstill_for_something_else_does_not_count(compensator: Compensator) -> None:
-    path = np.tile([100.0, 50.0, 0.0, 0.0], (100, 1))
-    state = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
-    wait = Passthrough(3, b"G4 P20", Handling.REST, state, 0.02)
-    events = (Rest(10, 30, True), Pause(40, 20, wait, 0.02))
-    block = Samples(0, path, np.zeros(100, np.int64), events, {"none": path[:, :2]})
+def test_what_stands_does_not_count_and_what_extrudes_is_told(compensator: Compensator) -> None:
+    """An extrusion to sample 40, a retraction to 60, a travel."""
+    path = np.tile([103.9, 50.0, 0.0, 0.0], (100, 1))
+    path[:40, 0], path[60:, 0] = 100.0 + 0.1 * np.arange(40), 103.9 + 0.2 * np.arange(1, 41)
+    path[:40, 3], path[40:60, 3] = 0.01 * np.arange(40), 0.39 - 0.02 * np.arange(1, 21)
+    path[60:, 3] = path[59, 3]
+    block = Samples(0, path, np.zeros(100, np.int64), (), {"none": path[:, :2]})
     (judgement,) = judge([block], compensator.plant)
     assert judgement.chunk is block
-    assert len(judgement.contour["none"]) == len(judgement.tracking["none"]) == 100 - 50
-    assert judgement.at.tolist() == [*range(10), *range(60, 100)]
+    assert judgement.at.tolist() == [*range(1, 40), *range(60, 100)]
+    assert len(judgement.contour["none"]) == len(judgement.tracking["none"]) == 79
+    assert judgement.at[judgement.extruding].tolist() == [*range(1, 40)]

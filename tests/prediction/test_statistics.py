@@ -77,10 +77,10 @@ def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
     rng = np.random.default_rng(4)
     contour, tracking = rng.uniform(0, 0.1, 60), rng.normal(0, 0.1, (60, 2))
     velocity, acceleration = rng.uniform(0, 300, 60), rng.uniform(0, 1e4, 60)
-    figures = Figures()
+    extruding, figures = rng.uniform(size=60) < 0.5, Figures()
     edges = [0, *sorted(cuts), 60]
     for a, b in pairwise(edges):
-        figures.add_errors(contour[a:b], tracking[a:b])
+        figures.add_errors(contour[a:b], tracking[a:b], extruding[a:b])
         figures.add_rates(velocity[a:b], acceleration[a:b])
     np.testing.assert_allclose(
         figures.tracking_rms(), np.sqrt(np.square(tracking).mean(axis=0)), rtol=1e-12

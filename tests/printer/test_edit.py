@@ -60,7 +60,7 @@ def test_what_is_written_is_what_is_loaded(mine: Path, chosen: tuple[Window, Win
     assert (profile.limits, profile.travel, profile.motors, profile.firmware) == (
         before.limits, before.travel, before.motors, before.firmware,
     )  # fmt: skip
-    assert profile.compensation.settle_tolerance == before.compensation.settle_tolerance
+    assert profile.compensation.stops == before.compensation.stops
     again = with_windows(str(mine), before.compensation.windows)
     assert tomllib.loads(again) == tomllib.loads(PAPER)
 

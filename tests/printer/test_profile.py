@@ -122,8 +122,8 @@ def test_kinematics_are_those_of_an_h_frame_unless_stated() -> None:
 
 
 def test_optional_values_have_defaults() -> None:
-    text = edited(r"^settle_tolerance[^\n]*\n", "")
-    assert parse(text, "mine").compensation.settle_tolerance == 0.05
+    text = edited(r"^stops[^\n]*\n", "")
+    assert parse(text, "mine").compensation.stops == "fast"
     assert load("paper").limits.junction_deviation == float("inf")
 
 
@@ -147,7 +147,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         "[limits]\nvelocity = 299.0",
         "[plant]\nx_c = 141.0",
         "[firmware]\nbegin_macro = 'BEGIN'",
-        "[compensation]\nsettle_tolerance = 0.051",
+        '[compensation]\nstops = "exact"',
     )
     assert len({digest(PAPER), *(digest(extending(change)) for change in changes)}) == 5
 

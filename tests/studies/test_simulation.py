@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from statistics import median
 
 import numpy as np
@@ -66,13 +67,14 @@ def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None
     for groups in (cube.parts.layers, cube.parts.features):
         for name, whole in cube.parts.whole.items():
             parts = [group[name] for group in groups.values()]
-            contours = [part.contour for part in parts]
-            assert sum(c.count for c in contours) == whole.contour.count > 0
-            assert sum(c.squares for c in contours) == pytest.approx(whole.contour.squares)
-            assert max(c.peak for c in contours) == whole.contour.peak
-            np.testing.assert_array_equal(
-                sum(c.histogram for c in contours), whole.contour.histogram
-            )
+            for of in (attrgetter("extruding"), attrgetter("all")):
+                contours, sum_of_all = [of(part.contour) for part in parts], of(whole.contour)
+                assert sum(c.count for c in contours) == sum_of_all.count > 0
+                assert sum(c.squares for c in contours) == pytest.approx(sum_of_all.squares)
+                assert max(c.peak for c in contours) == sum_of_all.peak
+                np.testing.assert_array_equal(
+                    sum(c.histogram for c in contours), sum_of_all.histogram
+                )
             np.testing.assert_allclose(sum(part.tracking for part in parts), whole.tracking)
             assert max(part.velocity for part in parts) == whole.velocity
             assert max(part.acceleration for part in parts) == whole.acceleration
@@ -91,7 +93,8 @@ def test_only_filament_makes_a_feature() -> None:
     """The rectangle's one wall is one feature; coming to it is travel."""
     report = simulated(sample("rectangle.gcode"))
     wall = report.parts.features["WALL-OUTER"]["none"].contour
-    assert wall.count > 0.8 * report.parts.whole["none"].contour.count
+    whole = report.parts.whole["none"].contour
+    assert wall.extruding.count == whole.extruding.count > 0.8 * whole.all.count
     dry = simulated([line.split(b" E")[0] + b"\n" for line in sample("rectangle.gcode")])
     assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
 
@@ -110,7 +113,7 @@ def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
         pairs += [(cut.parts.features[name], group) for name, group in whole.parts.features.items()]
         for one, other in pairs:
             for name, figures in other.items():
-                assert one[name].contour.count == figures.contour.count
+                assert one[name].contour.all.count == figures.contour.all.count
                 assert one[name].contour.rms == pytest.approx(figures.contour.rms, rel=1e-6)
                 assert one[name].acceleration == pytest.approx(figures.acceleration, rel=1e-6)
         for name in ALL:

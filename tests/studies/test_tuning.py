@@ -32,7 +32,7 @@ from hframe_post.studies.tuning import (
 from hframe_post.studies.uncertainty import draws
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
-SLACK = 1.01  # of numbers that should be in order
+SLACK = 1.03  # of numbers that should be in order
 
 
 @pytest.fixture(scope="module")
@@ -85,9 +85,8 @@ def test_every_candidate_is_tried_on_every_printer(trials: list[Trial]) -> None:
     assert [(t.windows[0].L, t.windows[0].effort) for t in trials] == [
         (L, effort) for L in (5, 20) for effort in EFFORT
     ]
-    counts = {s.count for t in trials if not t.refused for s in (t.contour, *t.drawn)}
-    assert len(counts) <= 2  # the command settles sooner or later, by candidate
-    assert min(counts) > 500
+    (count,) = {s.all.count for t in trials if not t.refused for s in (t.contour, *t.drawn)}
+    assert count > 500
     assert all(len(t.drawn) == 2 for t in trials if not t.refused)
 
 
@@ -96,7 +95,7 @@ def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     report = simulate(rectangle(profiled), profiled, Options("racking"), Study(profiled.plant))
     figures = report.parts.whole["racking"]
     assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
-    assert trial.contour.count == figures.contour.count
+    assert trial.contour.all.count == figures.contour.all.count
     assert trial.robust == trial.contour.rms
     assert trial.velocity == figures.velocity
     assert trial.acceleration == figures.acceleration
@@ -118,7 +117,7 @@ def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         (cut,) = tune(rectangle(profiled), profiled, grid, [])
-        assert cut.contour.count == whole.contour.count
+        assert cut.contour.all.count == whole.contour.all.count
         assert cut.contour.rms == pytest.approx(whole.contour.rms, rel=1e-6)
         assert cut.acceleration == pytest.approx(whole.acceleration, rel=1e-6)
 
@@ -130,7 +129,7 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
     assert "spectral radius" in refused.refused
     assert not refused.within(profiled.motors)
     assert not tried.refused
-    assert tried.contour.count > 0
+    assert tried.contour.all.count > 0
     assert recommended([refused, tried], profiled.motors) is tried
 
 
@@ -175,7 +174,7 @@ def test_recommended_is_the_gentlest_of_the_good(
     trials, motors = [], Motors(50.0, 50.0)
     for (error, velocity, acceleration), refused in told:
         trial = Trial((WINDOW, WINDOW), "diverges" if refused else "")
-        trial.contour.add(np.array([error]))
+        trial.contour.add(np.array([error]), np.array([True]))
         trial.velocity, trial.acceleration = velocity, acceleration
         trials.append(trial)
     best = recommended(trials, motors)
@@ -192,10 +191,10 @@ def test_recommended_is_the_gentlest_of_the_good(
 
 def test_robust_is_the_median_of_the_printers_drawn() -> None:
     trial = Trial((WINDOW, WINDOW))
-    trial.contour.add(np.array([1.0]))
+    trial.contour.add(np.array([1.0]), np.array([True]))
     assert trial.robust == 1.0
     for error in (5.0, 3.0, 4.0):
         statistics = type(trial.contour)()
-        statistics.add(np.array([error]))
+        statistics.add(np.array([error]), np.array([True]))
         trial.drawn.append(statistics)
     assert trial.robust == 4.0

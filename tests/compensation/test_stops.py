@@ -1,0 +1,238 @@
+"""At stops the command stands, wherever it stands; what is printed next to them is traced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.stops import LONGEST, rests, solvers, stand
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.sampling import sample
+from hframe_post.prediction.predict import judge
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import join, part, stretches
+from hframe_post.stream.types import Pause, Rest, Samples
+
+NAMES = ("fbs", "racking")
+HEAD = ["G28", "G1 Z0.3 F600", "G0 X60 Y60 F9000", "M83"]
+
+
+@pytest.fixture(scope="module")
+def paper() -> Printer:
+    return load("paper")
+
+
+def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> list[str]:
+    """Lines of 10 to 30 mm in any direction; between them retraction, lift, travel, priming."""
+    rng, lines, here = np.random.default_rng(seed), list(HEAD), np.array([100.0, 100.0])
+    for _ in range(count):
+        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(10.0, 30.0)
+        there = np.clip(here + length * np.array([np.cos(angle), np.sin(angle)]), 20, 250)
+        lines += [
+            f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.5f} F6000",
+            "G1 E-1.6 F2400",
+        ]
+        lines += [f"G1 Z{0.3 + lift:g} F1200"] if lift else []
+        here = np.clip(there + rng.uniform(-away, away, 2), 20, 250)
+        lines += [f"G0 X{here[0]:.3f} Y{here[1]:.3f} F12000"]
+        lines += ["G1 Z0.3 F1200"] if lift else []
+        lines += ["G1 E1.6 F2400"]
+    return lines
+
+
+def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
+    raw = (line.encode() + b"\n" for line in lines)
+    items = read(raw, ReadOptions.of(printer, "printer"))
+    waits = rests(printer.compensation.stops, strategy)
+    return list(sample(plan(items, printer.limits), printer.limits, waits))
+
+
+def stood(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
+    compensator = prepared(printer)
+    commands = compensate(chunks, compensator, NAMES)
+    return list(stand(commands, solvers(compensator, NAMES, printer)))
+
+
+def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
+    """Those in which anything moves."""
+    return [block for block in (join(list(s)) for s in stretches(chunks)) if len(block) > 1]
+
+
+def held(block: Samples) -> list[tuple[int, int]]:
+    """Samples from the one before each pause to its last."""
+    return [
+        (max(e.index - 1 - block.first, 0), e.index + e.samples - block.first)
+        for e in block.events
+        if isinstance(e, Pause)
+    ]
+
+
+def hardest(command: Array, printer: Printer) -> float:
+    belts = printer.kinematics.belts(*command.T)
+    return float(np.abs(np.diff(belts, n=2, axis=1)).max()) / TS**2
+
+
+def errors(blocks: list[Samples], printer: Printer, name: str = "racking") -> Array:
+    """While extruding."""
+    judged = list(judge([b for b in blocks if len(b)], printer.plant))
+    return np.concatenate([j.contour[name][j.extruding] for j in judged])
+
+
+# ---------------------------------------------------------------------- the command stands
+
+
+@pytest.mark.parametrize("kind", ["fast", "exact"])
+@pytest.mark.parametrize("lift", [0.0, 0.4])
+def test_the_command_stands_while_the_machine_does_something_else(
+    paper: Printer, kind: str, lift: float
+) -> None:
+    printer = replace(paper, compensation=replace(paper.compensation, stops=kind))
+    (block,) = whole_stretches(stood(planned(strokes(0, 12, lift), printer), printer))
+    assert len(held(block)) >= 24
+    for name in NAMES:
+        command = block.commands[name]
+        for a, b in held(block):
+            np.testing.assert_array_equal(command[a:b], np.tile(command[a], (b - a, 1)))
+        np.testing.assert_allclose(command[[0, -1]], block.xyze[[0, -1], :2], atol=1e-9)
+        assert hardest(command, printer) <= printer.motors.belt_acceleration
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.integers(0, 1000),
+    st.lists(
+        st.sampled_from(
+            ["G1 X{x} Y{y} E0.5 F6000", "G0 X{x} Y{y} F12000", "G0 X{nx} Y{ny} F12000",
+             "G1 E-2 F2400", "G1 E2 F2400", "G1 Z{z} F900", "G4 P3", "G4 P400", "G4 P1500", "G10",
+             "M104 S200", "M600"]
+        ),
+        max_size=24,
+    ),
+)  # fmt: skip
+def test_whatever_comes_when_stops_stand_and_limits_hold(seed: int, body: list[str]) -> None:
+    """Long and short waits, pauses in a row, moves of 20 µm between stops, released machines."""
+    printer, rng, lines = load("paper"), np.random.default_rng(seed), list(HEAD)
+    x, y = 100.0, 100.0
+    for text in body:
+        nx, ny = np.round(np.array([x, y]) + rng.uniform(-0.02, 0.02, 2), 3)
+        fx, fy = np.round(rng.uniform(20, 250, 2), 3)
+        lines.append(text.format(x=fx, y=fy, nx=nx, ny=ny, z=round(rng.uniform(0.2, 3), 2)))
+        x, y = (fx, fy) if "{x}" in text else (nx, ny) if "{nx}" in text else (x, y)
+        if text == "M600":
+            lines.append(f"G0 X{x} Y{y} Z1 F6000")
+    blocks = stood(planned(lines, printer), printer)
+    assert [b.first for b in blocks] == np.cumsum([0, *map(len, blocks[:-1])]).tolist()
+    for block in whole_stretches(blocks):
+        for name in NAMES:
+            command = block.commands[name]
+            assert np.isfinite(command).all()
+            for a, b in held(block):
+                np.testing.assert_array_equal(command[a:b], np.tile(command[a], (b - a, 1)))
+            np.testing.assert_allclose(command[[0, -1]], block.xyze[[0, -1], :2], atol=1e-9)
+            assert hardest(command, printer) <= printer.motors.belt_acceleration
+
+
+def test_a_long_wait_is_made_on_the_path(paper: Printer) -> None:
+    lines = [*HEAD, "G1 X90 Y60 E1 F6000", f"G4 P{LONGEST + 500}", "G1 X90 Y90 E1"]
+    (block,) = whole_stretches(stood(planned(lines, paper), paper))
+    waits = [(a, b) for a, b in held(block) if b - a > LONGEST]
+    assert len(waits) == 1
+    for a, b in waits:
+        np.testing.assert_array_equal(block.commands["racking"][a:b], block.xyze[a:b, :2])
+
+
+def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
+    chunks = planned(strokes(0, 4), paper, "none")
+    assert not any(isinstance(e, Rest) for chunk in chunks for e in chunk.events)
+    compensator = prepared(paper)
+    commands = compensate(chunks, compensator, ("none",))
+    for chunk in stand(commands, solvers(compensator, ("none",), paper)):
+        np.testing.assert_array_equal(chunk.commands["none"], chunk.xyze[:, :2])
+
+
+# ---------------------------------------------------------------------- accuracy and time
+
+
+def test_stops_cost_little_and_the_print_is_exact(paper: Printer) -> None:
+    """Retractions of 67 ms every half second, at 10 000 mm/s² in any direction."""
+    blocks = stood(planned(strokes(1, 40), paper), paper)
+    own = sum(len(b) for b in planned(strokes(1, 40), paper, "none"))
+    off = errors(blocks, paper)
+    assert sum(map(len, blocks)) <= 1.025 * own
+    assert np.sqrt(np.square(off).mean()) < 0.010
+    assert np.quantile(off, 0.95) < 0.020
+    assert off.max() < 0.150
+
+
+def test_exact_stops_are_more_exact_and_take_longer(paper: Printer) -> None:
+    exact = replace(paper, compensation=replace(paper.compensation, stops="exact"))
+    fast, slow = (stood(planned(strokes(1, 20), p), p) for p in (paper, exact))
+    assert sum(map(len, slow)) > sum(map(len, fast))
+    rms = [np.sqrt(np.square(errors(blocks, paper)).mean()) for blocks in (fast, slow)]
+    assert rms[1] < 0.9 * rms[0]
+
+
+def test_the_bed_is_kept_to_at_its_edge(paper: Printer) -> None:
+    lines = [*HEAD, "G1 X0 Y60 F18000", "G1 E-1 F2400", "G1 X140 F18000", "G1 Y295", "G4 P50"]
+    lines += ["G1 Y60"]
+    (block,) = whole_stretches(stood(planned(lines, paper), paper))
+    command = block.commands["racking"]
+    assert (command >= -1e-9).all()
+    assert (command <= np.array([280.0, 295.0]) + 1e-9).all()
+
+
+# ---------------------------------------------------------------------- the stream
+
+
+def cut(chunks: list[Samples], n: int) -> list[Samples]:
+    return [part(c, k, min(k + n, len(c))) for c in chunks for k in range(0, max(len(c), 1), n)]
+
+
+@pytest.mark.parametrize("n", [1, 97, 1000])
+def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
+    lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
+    compensator = prepared(paper)
+    commanded = list(compensate(planned(lines, paper), compensator, NAMES))
+    at_stops = solvers(compensator, NAMES, paper)
+    whole = whole_stretches(stand(commanded, at_stops))
+    pieces = list(stand(cut(commanded, n), at_stops))
+    assert sum(map(len, pieces)) == sum(map(len, commanded))
+    for one, other in zip(whole_stretches(pieces), whole, strict=True):
+        assert one.events == other.events
+        for name in NAMES:
+            np.testing.assert_array_equal(one.commands[name], other.commands[name])
+
+
+def test_a_wait_of_hours_is_not_held(paper: Printer) -> None:
+    """Half an hour in chunks: nothing but the surroundings of its ends is kept."""
+    lines = [*HEAD, "G1 X90 Y60 E1 F6000", "G4 P1800000", "G1 X90 Y90 E1"]
+    compensator, held_back = prepared(paper), 0
+    raw = (line.encode() + b"\n" for line in lines)
+    items = read(raw, ReadOptions.of(paper, "printer"))
+    taken = 0
+
+    def counted() -> Iterable[Samples]:
+        nonlocal taken
+        for chunk in sample(plan(items, paper.limits), paper.limits, rests("fast", "racking")):
+            taken += len(chunk)
+            yield chunk
+
+    given_back = 0
+    for chunk in stand(
+        compensate(counted(), compensator, ("racking",)), solvers(compensator, NAMES[1:], paper)
+    ):
+        given_back += len(chunk)
+        held_back = max(held_back, taken - given_back)
+    assert given_back == taken > 1_800_000
+    assert held_back < 200_000
