@@ -150,7 +150,7 @@ def test_decimation_is_within_its_tolerance_and_strategies_differ(
     usual, dense, fbs = converted["usual"], converted["dense"], converted["fbs"]
     same = hp.testing.assert_same_motion(usual, dense, tolerance=0.004)
     assert same.moves[1] > 3 * same.moves[0]
-    with pytest.raises(AssertionError, match=r"b is elsewhere: .*Y [-+]0.\d+ mm") as failure:
+    with pytest.raises(AssertionError, match="different: b is ") as failure:
         hp.testing.assert_same_motion(usual, fbs)
     assert re.search(r"a, line \d+: X[\d.]+ Y[\d.]+", str(failure.value))
     with pytest.raises(AssertionError):
