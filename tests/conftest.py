@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+os.environ["XDG_CONFIG_HOME"] = os.devnull  # no choice of whoever runs the tests
+os.environ["HFRAME_PRINTER"] = ""
 
 from collections.abc import Callable
 from pathlib import Path

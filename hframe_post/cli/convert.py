@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
 
+from hframe_post.cli import choice
 from hframe_post.cli.options import (
     LazyChoice,
     files_read,
@@ -69,6 +71,7 @@ def convert(
     so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
+    from hframe_post.cli import slicer
     from hframe_post.conversion.files import Target, chosen_format
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.pipeline import TOLERANCE, Options
@@ -113,6 +116,12 @@ def convert(
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
         report = converted(lines, None if dry_run else target, profile, options, kind)
-        write_json(report.as_json())
+        write_json({**choice.taken().as_json(), **report.as_json()})
     if not quiet:
-        click.echo(report.as_text(), err=True)
+        told = [
+            *slicer.output(os.environ),
+            choice.taken().as_text(),
+            report.as_text(),
+            *slicer.warnings(os.environ, profile.limits),
+        ]
+        click.echo("\n".join(told), err=True)

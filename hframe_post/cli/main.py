@@ -14,6 +14,7 @@ from hframe_post.cli.paper import paper
 from hframe_post.cli.simulate import simulate
 from hframe_post.cli.sweep import sweep
 from hframe_post.cli.tune import tune
+from hframe_post.cli.use import use
 from hframe_post.version import __version__
 
 # One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
@@ -68,6 +69,7 @@ main.add_command(paper)
 main.add_command(sweep)
 main.add_command(tune)
 main.add_command(identify)
+main.add_command(use)
 
 
 @main.group(invoke_without_command=True)

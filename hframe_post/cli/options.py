@@ -11,6 +11,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from hframe_post.cli import choice
+
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.writers.atomic_file import Outputs
@@ -58,8 +60,9 @@ def formats() -> Iterable[str]:
 
 
 printer_option = click.option(
-    "-p", "--printer", default="paper", show_default=True, metavar="NAME|FILE",
-    envvar="HFRAME_PRINTER", help="Profile: a shipped one's name, or a TOML file.",
+    "-p", "--printer", metavar="NAME|FILE", callback=choice.take,
+    help="Profile: a shipped one's name, or a TOML file. Default: what HFRAME_PRINTER or "
+    "'hframe-post use' says, else 'paper'.",
 )  # fmt: skip
 
 limits_option = click.option(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from hframe_post.cli import choice
 from hframe_post.cli.options import (
     files_read,
     json_option,
@@ -69,6 +70,7 @@ def simulate(
             lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
             steps=steps, file_limits=limits == "file", clamp=on_limit == "clamp",
         )  # fmt: skip
-        write_json(report.as_json())
+        write_json({**choice.taken().as_json(), **report.as_json()})
     if not quiet:
-        click.echo(report.as_text(layers), err=str(json_file) == "-")
+        told = [choice.taken().as_text(), report.as_text(layers)]
+        click.echo("\n".join(told), err=str(json_file) == "-")

@@ -1,0 +1,101 @@
+"""Which profile is used, and that the summary says so and why."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from hframe_post.cli.choice import choose
+from hframe_post.cli.slicer import warnings
+from hframe_post.printer.settings import Printer
+from tests.cli.test_main import RECTANGLE, run
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "my printer.toml"
+    path.write_text('extends = "paper"\n')
+    return path
+
+
+def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> None:
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    assert at_home("use", own).returncode == 0
+    used = at_home(RECTANGLE, "-n").stderr.decode()
+    assert used.startswith(f"profile     {own} (chosen with 'hframe-post use')\n")
+    assert str(own) in at_home("use").stdout.decode()
+    told = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
+    assert told["profile"] == str(own)
+    assert at_home("use", "--forget").returncode == 0
+    assert b"NOT YOURS" in at_home(RECTANGLE, "-n").stderr
+
+
+def test_what_is_more_particular_goes_first(own: Path, tmp_path: Path) -> None:
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    at_home("use", own)
+    varied = partial(at_home, HFRAME_PRINTER="paper-marlin")
+    noted = partial(varied, SLIC3R_PRINTER_NOTES=r"2021\nHFRAME_PRINTER=paper-strong\nblue")
+    chosen = {
+        "paper-marlin (the variable HFRAME_PRINTER)": varied(RECTANGLE, "-n"),
+        "paper-strong (the notes": noted(RECTANGLE, "-n"),
+        "paper (as asked": noted(RECTANGLE, "-n", "-p", "paper"),
+    }
+    for start, done in chosen.items():
+        assert done.stderr.decode().startswith("profile     " + start)
+
+
+def test_a_bad_profile_is_not_chosen_and_a_lost_one_not_passed_over(
+    own: Path, tmp_path: Path
+) -> None:
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    (tmp_path / "bad.toml").write_text('extends = "paper"\nnonsense = 1\n')
+    assert at_home("use", tmp_path / "bad.toml").returncode == 1
+    assert not (tmp_path / "config").exists()
+    at_home("use", own)
+    own.unlink()
+    lost = at_home(RECTANGLE, "-n")
+    assert lost.returncode == 1
+    assert b"not there any more" in lost.stderr
+    assert at_home(RECTANGLE, "-n", "-p", "paper").returncode == 0
+
+
+def test_a_broken_configuration_is_told_of(tmp_path: Path) -> None:
+    config = tmp_path / "hframe-post" / "config.toml"
+    config.parent.mkdir()
+    for text in ("printer = ", "printer = 3", "\xff"):
+        config.write_text(text, "latin-1")
+        done = run(RECTANGLE, "-n", XDG_CONFIG_HOME=str(tmp_path))
+        assert done.returncode == 1
+        assert b"config.toml" in done.stderr
+        assert done.stderr.count(b"\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("notes", "profile"),
+    [
+        ("HFRAME_PRINTER=my.toml", "my.toml"),
+        (r"HFRAME_PRINTER = C:\\Users\\rosa\\my.toml", r"C:\Users\rosa\my.toml"),
+        (r"a\nHFRAME_PRINTER=\"/home/a b/my.toml\"\nb", "/home/a b/my.toml"),
+        ("a\nHFRAME_PRINTER=big blue.toml\r\nb", "big blue.toml"),
+    ],
+)
+def test_notes_of_the_slicers_printer(notes: str, profile: str) -> None:
+    assert choose(None, {"SLIC3R_PRINTER_NOTES": notes}).profile == profile
+
+
+def test_more_acceleration_than_the_profile_has_is_told_of(paper: Printer) -> None:
+    environ = {
+        "SLIC3R_INFILL_ACCELERATION": "12000,1000",
+        "SLIC3R_TRAVEL_ACCELERATION": "0",
+        "SLIC3R_PERIMETER_ACCELERATION": "10000",
+        "SLIC3R_BRIDGE_ACCELERATION": "150%",
+        "SLIC3R_FIRST_LAYER_ACCELERATION": "many",
+        "SLIC3R_MACHINE_MAX_ACCELERATION_X": "90000",
+        "ACCELERATION": "1e9",
+    }
+    (line,) = warnings(environ, paper.limits)
+    assert "10000 mm/s² (infill_acceleration 12000)" in line
+    assert not warnings({}, paper.limits)
