@@ -86,7 +86,7 @@ def test_simulate_writes_nothing_but_the_summary(tmp_path: Path) -> None:
     part.write_bytes(RECTANGLE.read_bytes())
     done = run("simulate", part, "--json", tmp_path / "s.json")
     assert done.returncode == 0
-    assert done.stdout.decode().startswith("4 moves, ")
+    assert "\n4 moves, " in done.stdout.decode()
     assert b"WALL-OUTER" in done.stdout
     assert not done.stderr
     assert part.read_bytes() == RECTANGLE.read_bytes()
