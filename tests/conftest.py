@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import tempfile
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
-os.environ["XDG_CONFIG_HOME"] = os.devnull  # no choice of whoever runs the tests
+# no choice of whoever runs the tests
+os.environ["XDG_CONFIG_HOME"] = os.path.join(tempfile.gettempdir(), "hframe-post-tests")
 os.environ["HFRAME_PRINTER"] = ""
 
 from collections.abc import Callable
