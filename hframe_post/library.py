@@ -21,6 +21,7 @@ from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.errors import PrinterError
+from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
@@ -98,7 +99,8 @@ def convert(
     *,
     strategy: str | None = None,
     predict: Iterable[str] | None = None,
-    file_limits: bool = True,
+    limits: FileLimits = "file",
+    extrusion: Extrusion | None = None,
     clamp: bool = False,
     tolerance: float | None = TOLERANCE,
     format: str | None = None,  # noqa: A002, the option is called so
@@ -106,11 +108,12 @@ def convert(
     """Converts sliced G-code to a file, all of it or nothing, and tells what it did.
 
     target: may be the source. strategy: the profile's, if not given. predict: strategies whose
-    contour error is reported; ``none`` and the chosen one, if not given. file_limits: whether the
-    file's own limits lower the printer's. clamp: whether a command beyond a limit is taken back
-    there instead of being an error. tolerance: mm that G-code for Klipper may be off the command;
-    None writes every millisecond. format: ``gcode``, ``steps``, ``step-bits`` or ``samples``; what
-    the target's suffix says, if not given.
+    contour error is reported; ``none`` and the chosen one, if not given. limits: which of the
+    file's own limits lower the printer's: those that its firmware obeys (``file``), all
+    (``file-all``) or none (``printer``). extrusion: what E is where the file does not say. clamp:
+    whether a command beyond a limit is taken back there instead of being an error. tolerance: mm
+    that G-code for Klipper may be off the command; None writes every millisecond. format:
+    ``gcode``, ``steps``, ``step-bits`` or ``samples``; what the target's suffix says, if not given.
 
     Raises HframeError (GcodeError, PrinterError, LimitError: they name the line or the key) and
     OSError; then the target is as it was.
@@ -119,7 +122,7 @@ def convert(
     reported = ("none", chosen) if predict is None else predict
     options = Options(
         chosen, tuple(dict.fromkeys(strategy_of(name).name for name in reported)),
-        file_limits, clamp, tolerance,
+        limits, clamp, tolerance, extrusion,
     )  # fmt: skip
     output = Path(target)
     kind = files.chosen_format(output, format)
@@ -139,7 +142,8 @@ def simulate(
     draws: int = 50,
     seed: int = 0,
     steps: bool = False,
-    file_limits: bool = True,
+    limits: FileLimits = "file",
+    extrusion: Extrusion | None = None,
     clamp: bool = False,
 ) -> SimulationReport:
     """What every strategy would do for a print: figures of the whole, by layer and by feature.
@@ -158,7 +162,7 @@ def simulate(
         printer.steps if steps else None,
         answers.name,
     )
-    options = Options("racking", tuple(STRATEGIES), file_limits, clamp)
+    options = Options("racking", tuple(STRATEGIES), limits, clamp, extrusion=extrusion)
     with _lines_of(source) as lines:
         return simulation.simulate(lines, printer, options, study)
 
@@ -180,7 +184,8 @@ def tune(
     model_error: float = 0.05,
     draws: int = 10,
     seed: int = 0,
-    file_limits: bool = True,
+    limits: FileLimits = "file",
+    extrusion: Extrusion | None = None,
 ) -> Tuning:
     """Which window and weight suit this printer and this kind of print.
 
@@ -191,7 +196,8 @@ def tune(
     grid = tuning.candidates(printer.compensation, knots, tuple(efforts))
     plants = drawn(printer.plant, model_error, draws, seed)
     with _lines_of(source) as lines:
-        trials = tuning.tune(lines, printer, grid, plants, file_limits)
+        reading = ReadOptions.of(printer, limits, extrusion)
+        trials = tuning.tune(lines, printer, grid, plants, reading)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors))
 
 

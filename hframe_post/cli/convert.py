@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli import choice
 from hframe_post.cli.options import (
     LazyChoice,
+    extrusion_option,
     files_read,
     firmwares,
     formats,
@@ -21,6 +23,9 @@ from hframe_post.cli.options import (
     progress,
     strategies,
 )
+
+if TYPE_CHECKING:
+    from hframe_post.gcode.options import Extrusion, FileLimits
 
 
 @click.command()
@@ -44,6 +49,7 @@ from hframe_post.cli.options import (
     help="G-code: who reads the output. Default: the profile's.",
 )  # fmt: skip
 @limits_option
+@extrusion_option
 @on_limit_option
 @click.option(
     "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.002", metavar="MM",
@@ -61,9 +67,9 @@ from hframe_post.cli.options import (
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
-    firmware: str | None, compensation: str | None, limits: str, on_limit: str,
-    tolerance: float | None, every_sample: bool, predict: str, json_file: Path | None,
-    dry_run: bool, quiet: bool,
+    firmware: str | None, compensation: str | None, limits: FileLimits,
+    extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
+    every_sample: bool, predict: str, json_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -102,7 +108,8 @@ def convert(
     options = Options(
         strategy,
         tuple(dict.fromkeys(wanted)),
-        file_limits=limits == "file",
+        limits=limits,
+        extrusion=extrusion,
         clamp=on_limit == "clamp",
         tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
     )

@@ -66,9 +66,15 @@ printer_option = click.option(
 )  # fmt: skip
 
 limits_option = click.option(
-    "--limits", type=click.Choice(["file", "printer"]), default="file", show_default=True,
-    help="Whether M201, M203, M204, M205 and SET_VELOCITY_LIMIT in the file lower the "
-    "profile's limits.",
+    "--limits", type=click.Choice(["file", "file-all", "printer"]), default="file",
+    show_default=True, help="Which limits in the file lower the profile's: those that the "
+    "firmware obeys (Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all of "
+    "them, or none.",
+)  # fmt: skip
+
+extrusion_option = click.option(
+    "--extrusion", type=click.Choice(["absolute", "relative"]),
+    help="What E is before the first M82 or M83, where a macro of the printer sets it.",
 )  # fmt: skip
 
 on_limit_option = click.option(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli import choice
 from hframe_post.cli.options import (
+    extrusion_option,
     files_read,
     json_option,
     limits_option,
@@ -21,12 +23,16 @@ from hframe_post.cli.options import (
     source_argument,
 )
 
+if TYPE_CHECKING:
+    from hframe_post.gcode.options import Extrusion, FileLimits
+
 
 @click.command()
 @source_argument
 @path_option
 @printer_option
 @limits_option
+@extrusion_option
 @on_limit_option
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
@@ -47,9 +53,10 @@ from hframe_post.cli.options import (
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def simulate(
-    source: Path | None, path: str | None, printer: str, limits: str, on_limit: str,
-    plant_file: str | None, shares: tuple[float, ...], draws: int, seed: int, steps: bool,
-    layers: bool, json_file: Path | None, quiet: bool,
+    source: Path | None, path: str | None, printer: str, limits: FileLimits,
+    extrusion: Extrusion | None, on_limit: str, plant_file: str | None,
+    shares: tuple[float, ...], draws: int, seed: int, steps: bool, layers: bool,
+    json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate a print with no compensation, without and with racking compensation.
 
@@ -68,7 +75,7 @@ def simulate(
         write_json = open_json(outputs, json_file)
         report = library.simulate(
             lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
-            steps=steps, file_limits=limits == "file", clamp=on_limit == "clamp",
+            steps=steps, limits=limits, extrusion=extrusion, clamp=on_limit == "clamp",
         )  # fmt: skip
         write_json({**choice.taken().as_json(), **report.as_json()})
     if not quiet:

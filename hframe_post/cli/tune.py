@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hframe_post.cli.options import (
+    extrusion_option,
     files_read,
     json_option,
     limits_option,
@@ -23,6 +24,7 @@ from hframe_post.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
     from hframe_post.printer.settings import Printer
 
 NO_CANDIDATE = (
@@ -35,6 +37,7 @@ NO_CANDIDATE = (
 @path_option
 @printer_option
 @limits_option
+@extrusion_option
 @click.option(
     "--knots", "-L", type=click.IntRange(2, 200), multiple=True, metavar="L",
     help="Samples between knots to try; may be repeated. Default: 5, 8, 10, 20.",
@@ -65,9 +68,10 @@ NO_CANDIDATE = (
 )  # fmt: skip
 @json_option
 def tune(
-    source: Path | None, path: str | None, printer: str, limits: str, knots: tuple[int, ...],
-    effort: tuple[float, ...], model_error: float, draws: int, seed: int, figure: Path | None,
-    output: Path | None, shaper: bool, json_file: Path | None,
+    source: Path | None, path: str | None, printer: str, limits: FileLimits,
+    extrusion: Extrusion | None, knots: tuple[int, ...], effort: tuple[float, ...],
+    model_error: float, draws: int, seed: int, figure: Path | None, output: Path | None,
+    shaper: bool, json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best the motors can follow.
 
@@ -77,6 +81,7 @@ def tune(
     """
     from hframe_post import library, plotting
     from hframe_post.errors import HframeError
+    from hframe_post.gcode.options import ReadOptions
     from hframe_post.printer.edit import with_windows
     from hframe_post.studies.plots import trade_off
     from hframe_post.studies.tuning import EFFORTS, KNOTS
@@ -90,7 +95,7 @@ def tune(
             raise click.UsageError("--shaper writes neither figure nor profile")
         with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
             write_json = open_json(findings, json_file)
-            as_json, as_text = _shaper(lines, profile, limits == "file")
+            as_json, as_text = _shaper(lines, profile, ReadOptions.of(profile, limits, extrusion))
             write_json(as_json)
         click.echo(as_text, err=str(json_file) == "-")
         return
@@ -108,7 +113,7 @@ def tune(
             drawing = findings.open(figure) if figure is not None else None
             tuned = library.tune(
                 lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
-                model_error=model_error, draws=draws, seed=seed, file_limits=limits == "file",
+                model_error=model_error, draws=draws, seed=seed, limits=limits, extrusion=extrusion,
             )  # fmt: skip
             trials, best = tuned.trials, tuned.best
             write_json(summary(trials, best, model_error, draws))
@@ -123,13 +128,13 @@ def tune(
 
 
 def _shaper(
-    lines: Iterable[bytes], profile: Printer, file_limits: bool
+    lines: Iterable[bytes], profile: Printer, reading: ReadOptions
 ) -> tuple[dict[str, Any], str]:
     """The best input shaper there is, and what leaving it to Klipper would give: JSON, text."""
     from hframe_post.studies.shaping import calibrated, error, excerpt, search
     from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
 
-    path, counted = excerpt(lines, profile, file_limits)
+    path, counted = excerpt(lines, profile, reading)
     found = search(profile.plant, path, counted)
     usual = error(profile.plant, calibrated(profile.plant), path, counted)
     return shapings_as_json(found, usual), shapings_as_text(found, usual)

@@ -19,7 +19,7 @@ from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.course import Compensator
 from hframe_post.planner.lookahead import plan
@@ -43,16 +43,17 @@ class Options:
     """What a user chooses beside the printer.
 
     strategy: what is written; predict: strategies whose contour error is reported;
-    file_limits: whether the file's own limits lower the printer's; clamp: whether a command
+    limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
     beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
     for every sample.
     """
 
     strategy: str
     predict: tuple[str, ...] = ()
-    file_limits: bool = True
+    limits: FileLimits = "file"
     clamp: bool = False
     tolerance: float | None = TOLERANCE
+    extrusion: Extrusion | None = None
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -95,7 +96,7 @@ class Commands:
         printer, options = self._printer, self._options
         limits = printer.limits
         lines = self._input.lines(self._lines)
-        reading = ReadOptions.of(printer, "file-all" if options.file_limits else "printer")
+        reading = ReadOptions.of(printer, options.limits, options.extrusion)
         items = self._input.items(read(lines, reading))
         waits = rests(printer.compensation.stops, options.strategy)
         samples = sample(plan(items, limits), limits, waits)

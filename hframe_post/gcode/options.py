@@ -32,4 +32,6 @@ class ReadOptions:
         cls, printer: Printer, limits: FileLimits = "file", extrusion: Extrusion | None = None
     ) -> ReadOptions:
         """For a printer. Raises HframeError where its firmware is unknown."""
-        return cls(dialect(printer.firmware.dialect), limits, extrusion, printer.travel)
+        firmware = printer.firmware
+        vocabulary = Vocabulary.of(firmware.harmless, firmware.returns)
+        return cls(dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary)

@@ -254,7 +254,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     compensator = prepared(printer)
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
-    options = Options("racking", ("none", "fbs", "racking"), False, clamp=True)
+    options = Options("racking", ("none", "fbs", "racking"), "printer", clamp=True)
     commands = Commands(lines, printer, options, compensator=compensator).computed()
     error: dict[str, list[Array]] = {name: [] for name in options.predict}
     for walls in _outer_walls(predict(commands, printer.plant)).values():

@@ -5,6 +5,7 @@ A firmware's name is that of its table. ``TABLES`` is all that loading and choos
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -69,9 +70,15 @@ class MarlinTable:
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Who reads the output, and the tables of the firmwares that the profile knows."""
+    """Who reads the output, and the tables of the firmwares that the profile knows.
+
+    harmless, returns: commands and macros, by name, that move nothing, or that may move but
+    come back to where they were with the same modes; a name may end in ``*``.
+    """
 
     dialect: str = "klipper"
+    harmless: tuple[str, ...] = ()
+    returns: tuple[str, ...] = ()
     klipper: KlipperTable | None = None
     marlin: MarlinTable | None = None
 
@@ -94,6 +101,10 @@ TABLES = {
 }
 
 
+NAMES = ("harmless", "returns")
+NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
+
+
 def named(dialect: str, key: str = "", source: str = "") -> Table:
     """The firmware of that name. Raises PrinterError."""
     if dialect not in TABLES:
@@ -103,7 +114,7 @@ def named(dialect: str, key: str = "", source: str = "") -> Table:
 
 def load_firmware(table: dict[str, Any]) -> Firmware:
     """``[firmware]`` with its tables, from TOML. Raises PrinterError."""
-    known_keys(table, ("dialect", *TABLES), "firmware")
+    known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
     dialect = table.get("dialect", "klipper")
     if not isinstance(dialect, str):
         raise PrinterError(f"must be text, not {dialect!r}", "firmware.dialect")
@@ -116,7 +127,18 @@ def load_firmware(table: dict[str, Any]) -> Firmware:
         for name, each in TABLES.items()
         if name in table
     }
+    own |= {key: _names(table.get(key, []), f"firmware.{key}") for key in NAMES}
     return Firmware(dialect, **own)
+
+
+def _names(value: Any, key: str) -> tuple[str, ...]:
+    """Names of commands. Raises PrinterError."""
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise PrinterError("must be a list of names", key)
+    for name in value:
+        if not NAME.fullmatch(name):
+            raise PrinterError(f"{name!r} is no name of a command or macro", key)
+    return tuple(value)
 
 
 def check_needs(firmware: Firmware, steps_known: bool) -> None:

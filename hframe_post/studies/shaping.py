@@ -93,13 +93,12 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
             yield replace(chunk, commands=commands)
 
 
-def excerpt(lines: Iterable[bytes], printer: Printer, file_limits: bool) -> tuple[Array, Flags]:
+def excerpt(lines: Iterable[bytes], printer: Printer, reading: ReadOptions) -> tuple[Array, Flags]:
     """The first EXCERPT samples of a print from where it extrudes: path (n, 2), and which count.
 
     Those count in which filament is laid. Raises HframeError.
     """
     limits = printer.limits
-    reading = ReadOptions.of(printer, "file-all" if file_limits else "printer")
     chunks = sample(plan(read(lines, reading), limits), limits, Rests())
     kept, count = [np.zeros((0, 4))], 0
     for stretch in stretches(chunks):

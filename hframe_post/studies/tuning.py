@@ -88,7 +88,7 @@ def tune(
     printer: Printer,
     grid: list[tuple[Window, Window]],
     drawn: list[Plant],
-    file_limits: bool = True,
+    reading: ReadOptions | None = None,
 ) -> list[Trial]:
     """A trial of every candidate, in one pass over the print. Raises HframeError."""
     trials = [Trial(windows) for windows in grid]
@@ -98,7 +98,7 @@ def tune(
             compensators.append((trial, Compensator(printer.plant, trial.windows)))
         except ValueError as error:
             trial.refused = str(error)
-    items = read(lines, ReadOptions.of(printer, "file-all" if file_limits else "printer"))
+    items = read(lines, reading or ReadOptions.of(printer))
     waits = rests(printer.compensation.stops, "racking")
     samples = sample(plan(items, printer.limits), printer.limits, waits)
     running = [

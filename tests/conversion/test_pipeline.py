@@ -16,6 +16,7 @@ from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode import reader
+from hframe_post.gcode.options import FileLimits
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -264,10 +265,10 @@ def test_relative_end_code_ends_where_the_file_says(paper: Printer) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-@pytest.mark.parametrize("file_limits", [True, False])
-def test_samples_convert_whole(paper: Printer, name: str, file_limits: bool) -> None:
+@pytest.mark.parametrize("limits", ["file-all", "printer"])
+def test_samples_convert_whole(paper: Printer, name: str, limits: FileLimits) -> None:
     lines = sample(name)
-    options = Options("racking", ("none", "racking"), file_limits=file_limits)
+    options = Options("racking", ("none", "racking"), limits=limits)
     text, report = converted(lines, paper, options)
     before, after = follow(b"".join(lines)), follow(text)
     np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)

@@ -11,6 +11,7 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
 from hframe_post.conversion.report import Report
+from hframe_post.gcode.options import FileLimits
 from hframe_post.printer import profile
 from hframe_post.writers.deferred import DeferredLine
 from tests.conftest import SAMPLES
@@ -96,14 +97,14 @@ def check(run: Played) -> None:
 
 
 @pytest.mark.klipper
-@pytest.mark.parametrize("file_limits", [True, False])
-def test_cube_is_played_as_intended(tmp_path: Path, file_limits: bool) -> None:
-    check(played("cube.gcode", tmp_path, Options("racking", file_limits=file_limits), 12))
+@pytest.mark.parametrize("limits", ["file-all", "printer"])
+def test_cube_is_played_as_intended(tmp_path: Path, limits: FileLimits) -> None:
+    check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 12))
 
 
 @pytest.mark.klipper
 def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
-    options = Options("racking", file_limits=False, tolerance=None)
+    options = Options("racking", limits="printer", tolerance=None)
     check(played("rectangle.gcode", tmp_path, options))
 
 
@@ -115,9 +116,11 @@ def test_prism_is_played_as_intended(tmp_path: Path) -> None:
 @pytest.mark.klipper
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-@pytest.mark.parametrize("file_limits", [True, False])
-def test_whole_samples_are_played_as_intended(tmp_path: Path, name: str, file_limits: bool) -> None:
-    check(played(name, tmp_path, Options("racking", file_limits=file_limits)))
+@pytest.mark.parametrize("limits", ["file-all", "printer"])
+def test_whole_samples_are_played_as_intended(
+    tmp_path: Path, name: str, limits: FileLimits
+) -> None:
+    check(played(name, tmp_path, Options("racking", limits=limits)))
 
 
 @pytest.mark.klipper

@@ -10,6 +10,7 @@ import pytest
 
 from hframe_post.arrays import Array, Flags
 from hframe_post.errors import HframeError
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.model.shapers import shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
@@ -28,7 +29,7 @@ from tests.cli.test_main import run
 
 @pytest.fixture(scope="module")
 def corner(paper: Printer) -> tuple[Array, Flags]:
-    return excerpt(rectangle(paper), paper, True)
+    return excerpt(rectangle(paper), paper, ReadOptions.of(paper))
 
 
 def test_the_excerpt_begins_where_filament_is_laid(corner: tuple[Array, Flags]) -> None:
@@ -40,7 +41,7 @@ def test_the_excerpt_begins_where_filament_is_laid(corner: tuple[Array, Flags]) 
 
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="nothing is extruded"):
-        excerpt([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, True)
+        excerpt([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, ReadOptions.of(paper))
 
 
 def test_the_best_beats_the_calibrated_and_that_none(
