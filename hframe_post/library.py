@@ -21,6 +21,7 @@ from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.errors import PrinterError
+from hframe_post.gcode.lines import lines_of
 from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
@@ -206,7 +207,7 @@ def _lines_of(source: Source) -> Iterator[Iterable[bytes]]:
     """The lines of a file, or those given."""
     if isinstance(source, str | Path):
         with Path(source).open("rb") as file:
-            yield file
+            yield lines_of(file)
     else:
         yield source
 

@@ -11,6 +11,7 @@ import click
 from hframe_post.cli import choice
 from hframe_post.cli.options import (
     LazyChoice,
+    dashed,
     extrusion_option,
     files_read,
     firmwares,
@@ -63,13 +64,19 @@ if TYPE_CHECKING:
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
 )  # fmt: skip
 @json_option
+@click.option(
+    "--report", "report_file", metavar="FILE",
+    type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
+    help="Write the summary as text, where a slicer does not show it; '-' for standard output.",
+)  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Report, but write nothing.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
-    every_sample: bool, predict: str, json_file: Path | None, dry_run: bool, quiet: bool,
+    every_sample: bool, predict: str, json_file: Path | None,
+    report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -92,8 +99,8 @@ def convert(
         kind = chosen_format(None if to_stdout else output, asked_format)
     except HframeError as error:
         raise click.UsageError(str(error)) from None
-    if to_stdout and str(json_file) == "-":
-        raise click.UsageError("output and JSON cannot both go to standard output")
+    if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:
+        raise click.UsageError("only one of output, JSON and report can go to standard output")
     if kind != "gcode":
         if output is None and not (to_stdout or dry_run):
             raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
@@ -119,16 +126,21 @@ def convert(
         progress(file, source, quiet) as lines,
     ):
         write_json = open_json(outputs, json_file)
+        summary = outputs.open(dashed(report_file)) if report_file is not None else None
         if str(source) != "-":
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
         report = converted(lines, None if dry_run else target, profile, options, kind)
         write_json({**choice.taken().as_json(), **report.as_json()})
+        text = "\n".join(
+            [
+                *slicer.output(os.environ),
+                choice.taken().as_text(),
+                report.as_text(),
+                *slicer.warnings(os.environ, profile.limits),
+            ]
+        )
+        if summary is not None:
+            summary.write(text.encode() + b"\n")
     if not quiet:
-        told = [
-            *slicer.output(os.environ),
-            choice.taken().as_text(),
-            report.as_text(),
-            *slicer.warnings(os.environ, profile.limits),
-        ]
-        click.echo("\n".join(told), err=True)
+        click.echo(text, err=True)

@@ -120,15 +120,17 @@ def dashed(path: Path | None) -> Path | None:
 @contextmanager
 def progress(file: IO[bytes], source: Path, quiet: bool) -> Iterator[Iterable[bytes]]:
     """The file's lines, with a bar on a terminal if there are many."""
+    from hframe_post.gcode.lines import lines_of
+
     size = source.stat().st_size if source.is_file() else 0
     if quiet or size < BAR_FROM or not sys.stderr.isatty():
-        yield file
+        yield lines_of(file)
         return
     with click.progressbar(length=size, label=source.name, file=sys.stderr) as bar:
 
         def lines() -> Iterator[bytes]:
             read = 0
-            for number, line in enumerate(file):
+            for number, line in enumerate(lines_of(file)):
                 read += len(line)
                 if number % BAR_EVERY == 0:
                     bar.update(read)

@@ -106,7 +106,10 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
 
 
 def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
-    write_output(target.open(), conversion, lambda: conversion.commands.duration)
+    write_output(
+        target.open(), conversion, lambda: conversion.commands.duration,
+        lambda: conversion.report().as_text(),
+    )  # fmt: skip
 
 
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:

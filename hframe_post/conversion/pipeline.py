@@ -15,6 +15,7 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Clamp, Guard
 from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import Clock, ErrorMeter, FilamentMeter, InputMeter
+from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
@@ -28,7 +29,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
-from hframe_post.writers.deferred import Output
+from hframe_post.writers.deferred import SUMMARY, Output
 from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
@@ -80,7 +81,8 @@ class Commands:
         self._strategies = strategies or options.strategies
         self._compensator = compensator or prepared(printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
-        self._input, self._clock = InputMeter(), Clock()
+        self._input, self._path = InputMeter(), PathMeter(printer.limits)
+        self._clock = Clock()
         self._clamp, self._guard = Clamp(*checked), Guard(*checked)
         self._errors = ErrorMeter(printer.plant)
 
@@ -97,7 +99,7 @@ class Commands:
         limits = printer.limits
         lines = self._input.lines(self._lines)
         reading = ReadOptions.of(printer, options.limits, options.extrusion)
-        items = self._input.items(read(lines, reading))
+        items = self._path.items(self._input.items(read(lines, reading)))
         waits = rests(printer.compensation.stops, options.strategy)
         samples = sample(plan(items, limits), limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)
@@ -114,8 +116,8 @@ class Commands:
     def report(self) -> Report:
         """What the stages saw."""
         return Report(
-            self._options.strategy, self._input.summary, self._clock.time, self._guard.peaks,
-            self._clamp.clamped, self._errors.contour,
+            self._options.strategy, self._input.summary, self._path.summary, self._clock.time,
+            self._guard.peaks, self._clamp.clamped, self._errors.contour,
         )  # fmt: skip
 
     def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:
@@ -136,17 +138,20 @@ class GcodeConversion:
 
     def __iter__(self) -> Iterator[Output]:
         yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
+        yield SUMMARY
         yield from self._writer.write(self.commands)
         self.commands.conserved(self._writer.summary.filament)
 
     def report(self) -> Report:
         """Complete once the output has been used up."""
         written = self._writer.summary
-        return replace(
+        report = replace(
             self.commands.report(), lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._player.lines_per_second,
         )  # fmt: skip
+        told = len(report.as_text().splitlines())  # the summary's own lines
+        return replace(report, lines_written=written.lines + 1 + told)
 
 
 class StepConversion:

@@ -8,6 +8,7 @@ from typing import Any
 
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.conversion.meters import InputSummary, PrintTime
+from hframe_post.conversion.path_meter import PathSummary
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
@@ -33,6 +34,7 @@ class Report:
 
     strategy: str
     read: InputSummary
+    path: PathSummary
     time: PrintTime
     peaks: Peaks
     clamped: Clamped
@@ -65,6 +67,7 @@ class Report:
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+            **self.path.as_json(),
             "clamped_samples": self.clamped.samples,
             **{name: told for name, told in written.items() if told is not None},
         }
@@ -89,6 +92,7 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        lines += self.path.as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
             lines.append(
@@ -102,6 +106,7 @@ class Report:
         lines = []
         if not self.read.moves:
             lines.append("NOTHING     was compensated: no move starts at a known position")
+        lines += self.path.warnings()
         if self.busiest_second > self.lines_per_second:
             lines.append(
                 f"TOO DENSE   up to {self.busiest_second} lines in a second, and the profile's "

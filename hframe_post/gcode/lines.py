@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import IO
 
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.lexer import Line
@@ -11,6 +12,11 @@ from hframe_post.gcode.lexer import Line
 LONGEST = 1 << 20  # bytes of a line; no slicer writes nearly as much, no firmware reads it
 AHEAD = 4000  # lines to be seen before their turn
 AHEAD_BYTES = 1 << 20
+
+
+def lines_of(file: IO[bytes]) -> Iterator[bytes]:
+    """The lines of a file; of one that is too long, only as much as shows it."""
+    return iter(lambda: file.readline(LONGEST + 2), b"")
 
 
 class Lines:

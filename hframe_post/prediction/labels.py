@@ -13,16 +13,26 @@ from hframe_post.stream.types import Mark, Passthrough, Pause, Samples
 BEFORE = "before the first"  # layer or feature of what no comment precedes
 TRAVEL = "TRAVEL"  # motion that lays down nothing, whatever the comment before it says
 
-_LAYER = re.compile(rb"\s*;\s*(?:LAYER:\s*(-?\d{1,9})(?!\d)|LAYER_CHANGE\s*$|CHANGE_LAYER\s*$)")
-_FEATURE = re.compile(rb"\s*;\s*(?:TYPE|FEATURE):\s*(.*\S)")
+_LAYER = re.compile(
+    rb"\s*;[\s;(<\[-]*(?:layer[\s:#]+(?P<number>-?\d{1,9})(?![\d.])"  # Cura, ideaMaker, Kiri:Moto
+    rb"|layer num/total_layer_count:\s*(?P<counted>\d{1,9})(?!\d)"  # Bambu Studio, from 1
+    rb"|(?:LAYER_CHANGE|CHANGE_LAYER)\s*$"  # PrusaSlicer and its relatives
+    rb"|BEGIN_LAYER_OBJECT z=|layer:\d+\.\d)"  # KISSlicer; FlashPrint, by height
+    rb"|\s*[;(]\s*Slice (?P<slice>\d{1,9})(?=[, ])",  # MakerBot and Sailfish
+    re.IGNORECASE,
+)
+_FEATURE = re.compile(
+    rb"\s*;\s*(?:(?:TYPE|FEATURE):|feature (?=[a-z])|structure:)\s*(.*\S)"  # also Simplify3D
+    rb"|\s*;\s*'([^']+)', [\d.]+ \[feed"  # KISSlicer
+)
 
 
 @dataclass
 class Labels:
     """Names by number, and those in force where the last chunk ended.
 
-    Cura numbers its layers (``;LAYER:0``); where a slicer only says that one begins
-    (``;LAYER_CHANGE``) they are counted from 0. Features are ``;TYPE:`` or ``;FEATURE:``.
+    Some slicers number their layers (``;LAYER:0``); where one only says that a layer begins
+    (``;LAYER_CHANGE``) they are counted from 0.
     """
 
     layers: list[str] = field(default_factory=lambda: [BEFORE])
@@ -44,10 +54,12 @@ class Labels:
                 continue
             at = max(event.index - chunk.first, 0)
             if match := _LAYER.match(text):
-                self._layer = _number(self.layers, self._named(match[1]))
+                self._layer = _number(self.layers, self._named(match))
                 layer[at:] = self._layer
             elif match := _FEATURE.match(text):
-                self._feature = _number(self.features, match[1].decode("utf-8", "replace"))
+                self._feature = _number(
+                    self.features, (match[1] or match[2]).decode("utf-8", "replace")
+                )
                 feature[at:] = self._feature
         if n:
             e = chunk.xyze[:, E]
@@ -55,7 +67,10 @@ class Labels:
             self._e = float(e[-1])
         return layer, feature
 
-    def _named(self, number: bytes | None) -> str:
+    def _named(self, match: re.Match[bytes]) -> str:
+        if match["counted"] is not None:
+            return str(int(match["counted"]) - 1)
+        number = match["number"] or match["slice"]
         if number is not None:
             return number.decode()
         before = self.layers[self._layer]

@@ -18,8 +18,9 @@ def rectangle(printer: Printer) -> list[bytes]:
     x = max(min(printer.plant.x_c, high - WIDTH - CLEAR), low + CLEAR)
     y = round(sum(printer.travel.y) / 2.0) - 10
     corners = ((x + WIDTH, y), (x + WIDTH, y + 20), (x, y + 20), (x, y))
-    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0", "G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000"]
-    lines += [";LAYER:0", ";TYPE:WALL-OUTER"]
+    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0"]
+    lines += ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=0"]  # what Klipper obeys of these two
+    lines += ["G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000", ";LAYER:0", ";TYPE:WALL-OUTER"]
     lines += [
         f"G1 X{x:g} Y{y:g} E{length:g}"
         for (x, y), length in zip(corners, (4, 0.7, 4, 0.7), strict=True)

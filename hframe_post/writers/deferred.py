@@ -1,4 +1,4 @@
-"""Lines of the file that tell of time: told anew, some only once the whole print is known."""
+"""Lines that tell of the whole print: some are known only once all of it has been written."""
 
 from __future__ import annotations
 
@@ -6,24 +6,36 @@ import re
 from dataclasses import dataclass
 
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
-TOTAL = re.compile(rb";\s*TIME:\s*\d|[Mm]73\s|; estimated printing time \(normal mode\) =")
+DURATION = re.compile(  # as slicers name it: of the whole print, or what is left of it
+    rb"\s*;[\s;-]*(?:(?P<left>REMAINING_TIME)|TIME|PRINT\.TIME|estimated_time\(s\)"
+    rb"|(?:total )?estimated (?:print(?:ing)? )?time(?: \([a-z ]+\))?"
+    rb"|model printing time|(?:estimated )?(?:print|build) time)\s*[:=]\s*(?=\d)",
+    re.IGNORECASE,
+)
+PROGRESS = re.compile(rb"\s*M73(?!\d)[^;]*[PQRS]\s*\d", re.IGNORECASE)
+SUMMARY_ROOM = 4096  # bytes
 
 
 @dataclass(frozen=True, slots=True)
 class DeferredLine:
-    """A line that tells of the whole print's duration, which is known only at the end."""
+    """A line that tells of the whole print's duration, ``elapsed`` s after its beginning.
+
+    summary: it is the place of a summary of the whole conversion instead, as comments.
+    """
 
     line: bytes
     elapsed: float
+    summary: bool = False
 
 
 Output = bytes | DeferredLine
+SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
 
 
 def carried(line: bytes, elapsed: float) -> Output:
     """A line of the file as it passes after so many s of print: what it tells of time is new."""
     if ELAPSED.match(line):
         return b";TIME_ELAPSED:%.6f\n" % elapsed
-    if TOTAL.match(line):
+    if DURATION.match(line) or PROGRESS.match(line):
         return DeferredLine(line, elapsed)
     return line + b"\n"

@@ -27,7 +27,8 @@ from tests.gcode_tools import follow
 
 LIMIT_LINES = re.compile(r"M20[1345]\b|M220\b|SET_VELOCITY_LIMIT")
 OURS = re.compile(
-    r"; processed by|SET_VELOCITY_LIMIT|SET_INPUT_SHAPER|M400$|G4 P|G90$|M8[23]$|G92 E"
+    r"; processed by|; hframe-post|SET_VELOCITY_LIMIT"
+    r"|SET_INPUT_SHAPER|M400$|G4 P|G90$|M8[23]$|G92 E"
 )
 
 

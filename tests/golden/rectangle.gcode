@@ -1,4 +1,5 @@
-; processed by hframe-post 0.1.0, printer paper, settings 52a51c5d73da
+; processed by hframe-post 0.1.0, printer paper, settings 35eb1f4f2ac4
+; hframe-post:
 ;FLAVOR:Marlin
 G28
 G90

@@ -167,3 +167,46 @@ def test_cuts_change_no_label(
     whole = block(np.cumsum(steps), *known, first=7)
     edges = [0, *sorted(c for c in cuts if c <= n), n]
     assert names([part(whole, *edge) for edge in pairwise(edges)]) == names([whole])
+
+
+@pytest.mark.parametrize(
+    ("text", "layer"),
+    [
+        (b"; layer num/total_layer_count: 3/200", "2"),  # Bambu Studio counts from 1
+        (b"; layer 3, Z = 0.600", "3"),  # Simplify3D
+        (b";LAYER:5", "5"),  # ideaMaker
+        (b"; BEGIN_LAYER_OBJECT z=0.350 z_thickness=0.200", "0"),  # KISSlicer
+        (b";; --- layer 4 (0.200 @ 1.000) ---", "4"),  # Kiri:Moto
+        (b";layer:0.30", "0"),  # FlashPrint
+        (b"(Slice 6, 1 Extruder)", "6"),  # MakerBot
+        (b"; Slice 6, 1 Extruder", "6"),
+        (b"; layer_height = 0.2", BEFORE),
+        (b";Layer height: 0.2", BEFORE),
+        (b"; layer count: 7", BEFORE),
+        (b"; total layer number: 92", BEFORE),
+        (b";AFTER_LAYER_CHANGE", BEFORE),
+    ],
+)
+def test_layers_of_other_slicers(text: bytes, layer: str) -> None:
+    assert names([block(printing(1), (0, text))])[0] == [layer]
+
+
+@pytest.mark.parametrize(
+    ("text", "feature"),
+    [
+        (b"; feature outer perimeter", "outer perimeter"),  # Simplify3D
+        (b"; 'Perimeter Path', 0.6 [feed mm/s], 35.0 [head mm/s]", "Perimeter Path"),  # KISSlicer
+        (b";structure:shell-outer", "shell-outer"),  # FlashPrint
+    ],
+)
+def test_features_of_other_slicers(text: bytes, feature: str) -> None:
+    assert names([block(printing(1), (0, text))])[1] == [feature]
+
+
+def test_both_marks_of_bambu_studio_are_one_layer() -> None:
+    comments = [
+        (2 * k + j, text % (k + 1) if b"%" in text else text)
+        for k in range(3)
+        for j, text in enumerate((b"; CHANGE_LAYER", b"; layer num/total_layer_count: %d/3"))
+    ]
+    assert names([block(printing(7), *comments)])[0] == ["0", "0", "1", "1", "2", "2", "2"]
