@@ -22,6 +22,7 @@ from hframe_post.cli.options import (
     open_json,
     printer_option,
     progress,
+    say,
     strategies,
 )
 
@@ -143,4 +144,4 @@ def convert(
         if summary is not None:
             summary.write(text.encode() + b"\n")
     if not quiet:
-        click.echo(text, err=True)
+        say(text)

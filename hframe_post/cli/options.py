@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -105,6 +105,12 @@ def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]],
         file.write((json.dumps(summary, indent=2) + "\n").encode())
 
     return write
+
+
+def say(text: str) -> None:
+    """Tells a person how it went. That nobody can be told does not undo what was done."""
+    with suppress(OSError):
+        click.echo(text, err=True)
 
 
 def files_read(*given: str | Path | None) -> list[Path]:

@@ -30,6 +30,8 @@ def run(command: click.Command) -> NoReturn:
         status = end.code if isinstance(end.code, int) else 1
     except MemoryError:
         status = _failed("there is not enough memory; nothing was written")
+    except OSError as error:  # of standard output, while click wrote there
+        status = _failed(error.strerror or str(error))
     except Exception as error:  # a mistake of ours, not the user's
         status = _failed(_fault(error))
     sys.exit(_flushed(status))
@@ -85,9 +87,8 @@ def _flushed(status: int) -> int:
         try:
             stream.flush()
         except (OSError, ValueError) as error:
-            if status == 0 and not isinstance(error, BrokenPipeError):
-                _failed(str(error))
-            status = status or 1
+            if stream is sys.stdout and status == 0:
+                status = 1 if isinstance(error, BrokenPipeError) else _failed(str(error))
             with contextlib.suppress(OSError, ValueError):  # what is left goes nowhere
                 nowhere = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(nowhere, stream.fileno())

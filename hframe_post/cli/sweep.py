@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, printer_option
+from hframe_post.cli.options import files_read, printer_option, say
 
 
 def _position(text: str) -> tuple[float, float]:
@@ -83,4 +83,4 @@ def sweep(
         for file, run in zip(commands, planned, strict=True):
             file.writelines(command_file.written(run.command))
     if not quiet:
-        click.echo("\n".join(told(profile, run) for run in planned), err=True)
+        say("\n".join(told(profile, run) for run in planned))

@@ -99,7 +99,8 @@ class Outputs:
     def _appear(self) -> None:
         """What can fail comes first: full disks, closed pipes, changed sources."""
         for replaced in self._replaced:
-            replaced.finish()
+            with _named(replaced.target):
+                replaced.finish()
         for source, path, before in self._sources:
             if _stamp(os.fstat(source.fileno())) != before or _stamp(os.stat(path)) != before:
                 raise HframeError(f"{path}: was changed while it was read; nothing was written")
