@@ -1,6 +1,6 @@
 PYTHON ?= python3
 
-.PHONY: check lint test slow bench
+.PHONY: check lint test slow bench fuzz audit
 
 check: lint test
 
@@ -18,3 +18,10 @@ slow:
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only
+
+fuzz:
+	$(PYTHON) -m tests.fuzz $(FUZZ)
+
+audit:
+	$(PYTHON) -m bandit -q -c pyproject.toml -r hframe_post
+	$(PYTHON) -m pip_audit --skip-editable

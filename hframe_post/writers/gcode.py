@@ -121,9 +121,12 @@ class _Machine:
         self._offset = (0.0, 0.0, 0.0)  # of G92, while the machine is released
 
     def stand(self, here: Array) -> Array:
-        """Where the machine is, (4,), mm: ``here`` if only firmware knew."""
+        """Where the machine is, (4,), mm: ``here`` if only firmware knew.
+
+        The filament is what was written: the first sample may have extruded on its way here.
+        """
         if self._at is None:
-            self._at = self._units.rounded(here)
+            self._at = self._units.rounded(np.append(here[:E], self._ledger.filament))
         return np.asarray(self._at / self._units.per_mm)
 
     # ------------------------------------------------------------------ in motion

@@ -73,11 +73,24 @@ def segments(batch: Batch, start: Integers, still: int, player: Player, units: U
     ends, places = player.segments(batch.points, batch.forced, batch.last)
     at = units.rounded(places)
     moved = np.any(np.diff(at[:, :E], axis=0, prepend=start[None, :E]) != 0, axis=1)
+    at[moved, E] = at[_extruded_by(moved, ends, np.flatnonzero(batch.forced)), E]
     starts, ends, at = np.concatenate([[0], ends])[:-1][moved], ends[moved], at[moved]
     idle = starts - np.concatenate([[-still], ends])[: len(ends)]
     dwell = np.where(idle >= DWELL, idle, 0)
     left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
     return Segments(at, ends, (ends - starts + idle - dwell) * TS, dwell, left)
+
+
+def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
+    """For each segment that moves, the one up to which it extrudes.
+
+    What is extruded in segments too short to move a step of output is extruded with it: up to
+    the next segment that moves, or the next mark. ends, marks: points of the batch.
+    """
+    own = np.flatnonzero(moved)
+    before_next = np.append(own[1:], len(moved)) - 1
+    at_marks = np.append(np.searchsorted(ends, marks), len(moved))
+    return np.asarray(np.minimum(before_next, at_marks[np.searchsorted(at_marks, own)]))
 
 
 def lines(

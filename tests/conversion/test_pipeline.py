@@ -304,3 +304,26 @@ def test_skipped_objects_are_caught_up_on_with_the_users_limits(paper: Printer) 
     ]  # fmt: skip
     text = converted(lines, paper)[0].splitlines()
     assert text[text.index(b"EXCLUDE_OBJECT_END NAME=a") + 1] == b"G1 X160"
+
+
+@pytest.mark.parametrize("strategy", ["none", "racking"])
+def test_no_filament_is_lost_where_the_machine_is_released_again_and_again(
+    paper: Printer, strategy: str
+) -> None:
+    text = b"M83\nG28\nG1 X100 Y100 Z0.2 F6000\n"
+    for k in range(40):
+        x = 100 + 20 * (k % 2)
+        text += b"G1 X%d E0.8 F1800\nUNHEARD_OF\nG1 X%d Y100 F6000\n" % (x, x)
+    output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
+    assert len(list(output)) > 40
+    assert output.report().filament_after == pytest.approx(32.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("strategy", ["none", "racking"])
+def test_what_is_extruded_on_less_than_a_micrometre_is_extruded(
+    paper: Printer, strategy: str
+) -> None:
+    text = b"M83\nG1 X100 Y100 F1200\nG1 X120 Y110 E95\n;HERE\nG1 X121 Y110.5 E900\n"
+    output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
+    assert len(list(output)) > 3
+    assert output.report().filament_after == pytest.approx(995.0, abs=1e-3)

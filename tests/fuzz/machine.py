@@ -1,0 +1,126 @@
+"""What a firmware would do with a file, as far as a check needs it: independent of the package.
+
+It follows places, filament and modes of Klipper or Marlin. Arcs count by their ends; a command
+that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note where it stands.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+MARK = re.compile(rb"^\s*(?:;|M117 |UNHEARD_OF )@(\d+)")
+WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
+INCH = 25.4
+
+
+class Stand(NamedTuple):
+    """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e."""
+
+    number: int
+    place: tuple[float | None, ...]
+    filament: float
+    modes: tuple[bool, bool]
+    e: float
+
+
+@dataclass
+class Machine:
+    """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z."""
+
+    marlin: bool
+    place: list[float | None] = field(default_factory=lambda: [None, None, None])
+    offset: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    e: float = 0.0
+    filament: float = 0.0
+    absolute: bool = True
+    absolute_e: bool = True
+    unit: float = 1.0
+    stands: list[Stand] = field(default_factory=list)
+    least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    most: float = 0.0  # filament in one line
+
+    def play(self, text: bytes) -> Machine:
+        """All lines of a file."""
+        for raw in text.replace(b"\r\n", b"\n").split(b"\n"):
+            self.line(raw)
+        return self
+
+    def line(self, raw: bytes) -> None:
+        if mark := MARK.match(raw):
+            e = self.e if self._e_absolute else 0.0
+            modes = (self.absolute, self.absolute_e)
+            place = tuple(
+                None if p is None else p - o for p, o in zip(self.place, self.offset, strict=True)
+            )
+            self.stands.append(Stand(int(mark[1]), place, self.filament, modes, e))
+            return
+        code = re.sub(rb"\([^)]*\)", b"", raw.split(b";")[0]).split(b"*")[0].strip()
+        code = re.sub(rb"^[Nn]\s*\d+\s*", b"", code)
+        head = re.match(rb"([GMgm])\s*0*(\d+)(?:\.(\d+))?", code)
+        if not head:
+            return
+        name = f"{head[1].decode().upper()}{head[2].decode()}" + (
+            f".{head[3].decode()}" if head[3] else ""
+        )
+        words = {
+            letter.decode().upper(): float(value)
+            for letter, value in WORD.findall(code[head.end() :])
+            if value
+        }
+        self._do(name, words)
+
+    @property
+    def _e_absolute(self) -> bool:
+        return self.absolute_e and (self.absolute or self.marlin)
+
+    def _do(self, name: str, words: dict[str, float]) -> None:
+        if name in ("G0", "G1", "G2", "G3", "G5"):
+            self._move(words)
+        elif name in ("G90", "G91"):
+            self.absolute = name == "G90"
+            if self.marlin:
+                self.absolute_e = self.absolute
+        elif name in ("M82", "M83"):
+            self.absolute_e = name == "M82"
+        elif name in ("G20", "G21"):
+            self.unit = INCH if name == "G20" else 1.0
+        elif name == "G92":
+            self._set(words)
+        elif name == "G28":
+            for axis, letter in enumerate("XYZ"):
+                if letter in words or not words.keys() & set("XYZ"):
+                    self.place[axis] = None
+
+    def _move(self, words: dict[str, float]) -> None:
+        for axis, letter in enumerate("XYZ"):
+            if letter in words:
+                value, now = words[letter] * self.unit, self.place[axis]
+                if self.absolute:
+                    now = value + self.offset[axis]
+                elif now is not None:
+                    now += value
+                self.place[axis] = now
+                if now is not None and self.absolute:  # a macro may have moved it meanwhile
+                    self.least[axis] = min(self.least[axis], now)
+                    self.greatest[axis] = max(self.greatest[axis], now)
+        if "E" in words:
+            value = words["E"] * self.unit
+            step = value - self.e if self._e_absolute else value
+            self.e += step
+            self.filament += step
+            self.most = max(self.most, abs(step))
+
+    def _set(self, words: dict[str, float]) -> None:
+        if not self.marlin and not words.keys() & set("XYZE"):
+            words = dict.fromkeys("XYZE", 0.0)
+        if not self.marlin and not words.keys() & set("XYZE"):
+            words = dict.fromkeys("XYZE", 0.0)
+        for axis, letter in enumerate("XYZ"):
+            place = self.place[axis]
+            if letter in words and place is not None:
+                self.offset[axis] = place - words[letter] * self.unit
+        if "E" in words:
+            self.e = words["E"] * self.unit

@@ -1,0 +1,60 @@
+"""A few mutated files in every run, thousands in ``make slow`` and ``make fuzz``."""
+
+from __future__ import annotations
+
+import sys
+from subprocess import run
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.fuzz.cases import KINDS
+from tests.fuzz.machine import Machine
+from tests.fuzz.oracle import check_same_print
+
+ORIGINAL = b"G28\nM83\nG1 X10 Y10 Z0.2\nG1 X20 E0.5\n;@1\nG91\nUNHEARD_OF @2\nG90\n;@3\n"
+
+
+def fuzzed(*arguments: str) -> None:
+    done = run(
+        [sys.executable, "-m", "tests.fuzz", *arguments], cwd=ROOT, capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stdout.decode() + done.stderr.decode()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_of_each_kind(kind: str) -> None:
+    fuzzed("-n", "25", "--kind", kind, "--jobs", "1")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_thousand_of_each_kind(kind: str) -> None:
+    fuzzed("-n", "2000", "--seed", "10000", "--kind", kind)
+
+
+@pytest.mark.parametrize(
+    ("change", "to", "told"),
+    [
+        (b"E0.5", b"E0.49", "filament at mark 1"),
+        (b";@1\n", b"", "marks"),
+        (b"G91\n", b"", "modes at mark 2"),
+        (b"X20", b"X40", "place at mark 1"),
+        (b"G90\n;@3", b";@3", "modes at the end"),
+        (b"X20", b"X-20", "place at mark 1"),
+    ],
+)
+def test_the_oracle_can_fail(change: bytes, to: bytes, told: str) -> None:
+    check_same_print(ORIGINAL, ORIGINAL, marlin=False)
+    with pytest.raises(AssertionError, match=told):
+        check_same_print(ORIGINAL, ORIGINAL.replace(change, to), marlin=False)
+
+
+def test_the_machine_reads_as_firmware_does() -> None:
+    machine = Machine(marlin=False).play(
+        b"g1x10y10e6\nN 5 G1 X20 (Y3) ; Y9\nG20\nG1 X1\nG92 X0 E0\n;@1\nG91\nG1 X1\nG92\n;@2\n"
+    )
+    first, second = machine.stands
+    assert first.place == (0.0, 10.0, None)
+    assert first.filament == 6.0
+    assert second.place == (0.0, 0.0, None)
