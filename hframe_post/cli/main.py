@@ -9,6 +9,7 @@ import click
 
 from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert
+from hframe_post.cli.cura import cura_script
 from hframe_post.cli.identify import identify
 from hframe_post.cli.paper import paper
 from hframe_post.cli.simulate import simulate
@@ -70,6 +71,7 @@ main.add_command(sweep)
 main.add_command(tune)
 main.add_command(identify)
 main.add_command(use)
+main.add_command(cura_script)
 
 
 @main.group(invoke_without_command=True)

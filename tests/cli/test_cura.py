@@ -1,0 +1,167 @@
+"""The script for Cura, loaded and run as Cura's PostProcessingPlugin does it, on Cura's text."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import sys
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from hframe_post.cli.cura import script
+from tests.cli.test_main import run
+from tests.conftest import ROOT, SAMPLES
+
+LAYERS = 3
+PROGRAM = f'"{sys.executable}" -m hframe_post'
+
+
+class Script:
+    """What Cura's Script gives to a script: its settings, read from its JSON."""
+
+    def __init__(self) -> None:
+        self.own: dict[str, str] = {}
+
+    def getSettingData(self) -> dict[str, Any]:
+        data: dict[str, Any] = json.loads(self.getSettingDataString())
+        return data
+
+    def getSettingDataString(self) -> str:
+        raise NotImplementedError
+
+    def getSettingValueByKey(self, key: str) -> str:
+        default: str = self.getSettingData()["settings"][key]["default_value"]
+        return self.own.get(key, default)
+
+
+class Message:
+    """Cura's window."""
+
+    shown: list[str]
+
+    def __init__(self, text: str, title: str, lifetime: int) -> None:
+        assert lifetime == 0  # stays
+        self.text = text
+
+    def show(self) -> None:
+        Message.shown.append(self.text)
+
+
+class Logger:
+    @staticmethod
+    def log(kind: str, text: str, *more: object) -> None:
+        assert kind == "e"
+
+
+@pytest.fixture
+def cura(monkeypatch: pytest.MonkeyPatch) -> type[Script]:
+    """Modules under the names that Cura has for them. Another Python's settings are about."""
+    Message.shown = []
+    modules: dict[str, dict[str, Any]] = {
+        "PostProcessingPlugin": {},
+        "PostProcessingPlugin.Script": {"Script": Script},
+        "PostProcessingPlugin.PostProcessingPlugin": {},
+        "UM": {},
+        "UM.Logger": {"Logger": Logger},
+        "UM.Message": {"Message": Message},
+    }
+    for name, members in modules.items():
+        module = ModuleType(name)
+        module.__dict__.update(members, __path__=[])
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setenv("PYTHONHOME", "/opt/cura/python")
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/cura/lib")
+    return Script
+
+
+def loaded(path: Path) -> Any:
+    """An instance of the class, found as Cura finds it: by the file's name."""
+    name = path.stem
+    spec = importlib.util.spec_from_file_location(
+        "PostProcessingPlugin.PostProcessingPlugin." + name, path
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return getattr(module, name)()
+
+
+@pytest.fixture
+def own(cura: type[Script], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    path = tmp_path / "HframePost.py"
+    path.write_text(script(PROGRAM, "paper"))
+    monkeypatch.chdir(ROOT)  # where python -m finds this tree, since PYTHONPATH does not reach it
+    return loaded(path)
+
+
+@pytest.fixture
+def data() -> list[str]:
+    """Cura's list: header, start code, layers, end code."""
+    text = (SAMPLES / "cube.gcode").read_text()
+    header, rest = text.split("\n;LAYER:0", 1)
+    layers = re.split(r"(?m)^(?=;LAYER:)", ";LAYER:0" + rest)[1:]
+    start = header.index("\n\n") + 1 if "\n\n" in header else header.index(";Generated")
+    end = ";TIME_ELAPSED:9\nM104 S0\nM84 X Y E ;Disable\n;End of Gcode\n"
+    return [header[:start], header[start:] + "\n", *layers[:LAYERS], end]
+
+
+def test_layers_stay_apart_and_are_compensated(own: Any, data: list[str]) -> None:
+    before = list(data)
+    after = own.execute(data)
+    assert Message.shown == []
+    assert len(after) == len(before)
+    assert after[0].startswith("; processed by hframe-post")
+    for k in range(2, 2 + LAYERS):
+        assert after[k].startswith(f";LAYER:{k - 2}\n")
+        assert len(after[k]) > 3 * len(before[k])
+    assert after[-1].endswith(before[-1].partition("\n")[2].partition("\n")[2])
+    assert "HFRAME_POST_PART" not in "".join(after)
+
+
+def test_a_failure_is_shown_and_the_file_is_marked(own: Any, data: list[str]) -> None:
+    own.own = {"profile": "nobody.toml"}
+    after = own.execute(list(data))
+    assert "NOT compensated" in Message.shown[0]
+    assert "no such profile or file" in Message.shown[0]
+    assert after[1:] == data[1:]
+    head, mark = after[0].rstrip("\n").rsplit("\n", 1)
+    assert head + "\n" == data[0]
+    assert mark.startswith(";NOT COMPENSATED: hframe-post failed: Error: nobody.toml")
+
+
+def test_a_lost_program_and_bad_g_code_are_failures_too(own: Any, data: list[str]) -> None:
+    own.own = {"program": "/nowhere/hframe-post"}
+    assert "cannot be run" in own.execute(list(data))[0]
+    own.own = {"options": "-c 'unclosed"}
+    assert "NOT COMPENSATED" in own.execute(list(data))[0]
+    own.own = {}
+    data[3] += "G1 X9999\n"
+    assert "line " in own.execute(list(data))[0]
+    assert len(Message.shown) == 3
+
+
+def test_it_is_installed_into_every_version(cura: object, tmp_path: Path) -> None:
+    install = partial(
+        run, "cura-script", XDG_DATA_HOME=str(tmp_path), HOME=str(tmp_path), PYTHONHOME="",
+        LD_LIBRARY_PATH="",
+    )  # fmt: skip
+    assert install().returncode == 1
+    for version in ("4.13", "5.10", "5.10/scripts", "stored_files"):
+        (tmp_path / "cura" / version).mkdir(parents=True)
+    flatpak = tmp_path / ".var/app/com.ultimaker.cura/data/cura/5.9"
+    flatpak.mkdir(parents=True)
+    done = install("-p", "paper-strong")
+    assert done.returncode == 0, done.stderr
+    files = sorted(tmp_path.rglob("HframePost.py"))
+    assert len(files) == 3
+    assert str(files[0]) in done.stdout.decode()
+    found = loaded(files[-1])
+    assert found.getSettingData()["key"] == "HframePost"
+    assert found.getSettingValueByKey("profile") == "paper-strong"
+    assert install("-p", "nobody").returncode == 1
