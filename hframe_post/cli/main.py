@@ -10,7 +10,9 @@ import click
 from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert
 from hframe_post.cli.cura import cura_script
+from hframe_post.cli.doctor import doctor
 from hframe_post.cli.identify import identify
+from hframe_post.cli.new_printer import new
 from hframe_post.cli.paper import paper
 from hframe_post.cli.simulate import simulate
 from hframe_post.cli.sweep import sweep
@@ -72,6 +74,7 @@ main.add_command(tune)
 main.add_command(identify)
 main.add_command(use)
 main.add_command(cura_script)
+main.add_command(doctor)
 
 
 @main.group(invoke_without_command=True)
@@ -96,3 +99,6 @@ def show(name: str) -> None:
     if name not in profiles:
         raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", source=name)
     click.echo(profiles[name], nl=False)
+
+
+printers.add_command(new)

@@ -1,0 +1,207 @@
+"""Klipper's printer.cfg: read leniently, and laid beside a profile.
+
+Where Klipper has a default, it holds here too: https://www.klipper3d.org/Config_Reference.html
+"""
+
+from __future__ import annotations
+
+import configparser
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hframe_post.errors import HframeError
+from hframe_post.printer.settings import Printer
+
+CLOSE = 1e-3  # of two numbers that are to agree
+AUTOSAVE = "#*# "  # before each line of what Klipper saved itself
+DEEPEST = 10  # includes within includes
+LARGEST = 1 << 22  # bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """wrong: whether the printer would not do what was computed; else worth knowing."""
+
+    wrong: bool
+    text: str
+
+
+class KlipperConfig:
+    """A printer.cfg with what it includes. Raises HframeError where it is none.
+
+    missing: includes that are not there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._parser = configparser.RawConfigParser(
+            strict=False, inline_comment_prefixes=("#", ";"), default_section="\0",
+            allow_no_value=True, empty_lines_in_values=True,
+        )  # fmt: skip
+        self.missing: list[str] = []
+        self._path = path
+        self._read(path, DEEPEST)
+        if not self._parser.has_section("printer"):
+            raise HframeError(f"{path}: has no section [printer], so it is no printer.cfg")
+
+    def _read(self, path: Path, depth: int) -> None:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise HframeError(f"{path}: more than {LARGEST} bytes are no printer.cfg")
+        lines = (
+            line.removeprefix(AUTOSAVE) for line in content.decode("utf-8", "replace").splitlines()
+        )
+        before = set(self._parser.sections())
+        try:
+            self._parser.read_string("\n".join(lines), str(path))
+        except configparser.Error as error:
+            raise HframeError(f"{path}: {error}") from None
+        for section in [each for each in self._parser.sections() if each not in before]:
+            if section.startswith("include "):
+                pattern = section.removeprefix("include ").strip()
+                found = sorted(path.parent.glob(pattern)) if pattern[:1] not in "/~" else []
+                if not found or not depth:
+                    self.missing.append(pattern)
+                for each in found if depth else ():
+                    self._read(each, depth - 1)
+
+    def has(self, section: str) -> bool:
+        """Whether there is such a section."""
+        return self._parser.has_section(section)
+
+    def macro(self, name: str) -> bool:
+        """Whether there is such a macro; their names do not tell cases apart."""
+        sections = (section.upper().split() for section in self._parser.sections())
+        return ["GCODE_MACRO", name.upper()] in sections
+
+    def text(self, section: str, key: str, default: str = "") -> str:
+        """A value as it stands."""
+        return (self._parser.get(section, key, fallback=None) or default).strip()
+
+    def number(self, section: str, key: str, default: float = math.nan) -> float:
+        """A value; the default where it is not given. Raises HframeError."""
+        text = self.text(section, key)
+        if not text:
+            return default
+        try:
+            return float(text)
+        except ValueError:
+            raise HframeError(f"{self._path}: [{section}] {key}: {text!r} is no number") from None
+
+    def step(self, section: str) -> float:
+        """mm a step of a motor; nan where it is not told."""
+        gears = 1.0
+        for pair in filter(None, self.text(section, "gear_ratio").split(",")):
+            driven, _, driving = pair.partition(":")
+            try:
+                gears *= float(driven) / float(driving)
+            except (ValueError, ZeroDivisionError):
+                return math.nan
+        steps = self.number(section, "full_steps_per_rotation", 200.0)
+        steps *= self.number(section, "microsteps") * gears
+        return self.number(section, "rotation_distance") / steps if steps else math.nan
+
+
+def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """Where a printer.cfg and a profile do not fit each other. Raises HframeError."""
+    for name in config.missing:
+        yield Finding(False, f"[include {name}]: not found beside printer.cfg, so not checked")
+    yield from _kinematics(config, printer)
+    yield from _numbers(config, printer)
+    yield from _travel(config, printer)
+    yield from _stream(config, printer)
+
+
+def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    has = config.text("printer", "kinematics")
+    needs = "cartesian" if printer.kinematics.type == "cartesian" else "corexy"
+    if has != needs:
+        yield Finding(
+            True,
+            f"[printer] kinematics: {has}; a profile with kinematics.type = "
+            f'"{printer.kinematics.type}" needs {needs}',
+        )
+
+
+def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """Each number of printer.cfg that the profile repeats."""
+    own, limits = printer.firmware.klipper, printer.limits
+    velocity = config.number("printer", "max_velocity")
+    acceleration = config.number("printer", "max_accel")
+    pairs = [("limits.z_velocity", limits.z_velocity, "printer", "max_z_velocity", velocity),
+        ("limits.z_acceleration", limits.z_acceleration, "printer", "max_z_accel", acceleration),
+        ("limits.extruder_velocity", limits.extruder_velocity,
+         "extruder", "max_extrude_only_velocity", math.nan),
+        ("limits.extruder_acceleration", limits.extruder_acceleration,
+         "extruder", "max_extrude_only_accel", math.nan),
+        ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
+         "extruder", "instantaneous_corner_velocity", 1.0),
+    ]  # fmt: skip
+    if own is not None and not own.end_macro:
+        table = "firmware.klipper"
+        pairs += [
+            (f"{table}.velocity", own.velocity, "printer", "max_velocity", math.nan),
+            (f"{table}.acceleration", own.acceleration, "printer", "max_accel", math.nan),
+            (f"{table}.square_corner_velocity", own.square_corner_velocity,
+             "printer", "square_corner_velocity", 5.0),
+            (f"{table}.minimum_cruise_ratio", own.minimum_cruise_ratio,
+             "printer", "minimum_cruise_ratio", 0.5),
+            (f"{table}.shaper_freq_x", own.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
+            (f"{table}.shaper_freq_y", own.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
+        ]  # fmt: skip
+    if printer.steps is not None:
+        for motor in ("stepper_x", "stepper_y"):
+            step = config.step(motor)
+            if not math.isnan(step) and not math.isclose(step, printer.steps.belt, rel_tol=0.01):
+                yield Finding(
+                    True,
+                    f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is "
+                    f"{printer.steps.belt:.5g}",
+                )
+    for key, wanted, section, option, default in pairs:
+        has = config.number(section, option, default)
+        if math.isnan(has):
+            yield Finding(
+                False,
+                f"[{section}] {option} is not given: Klipper computes its own; set it to {key} = "
+                f"{wanted:g}",
+            )
+        elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
+            given = "" if config.text(section, option) else " (by default)"
+            yield Finding(True, f"[{section}] {option}: {has:g}{given}, but {key} = {wanted:g}")
+
+
+def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    for axis in "xyz":
+        low, high = getattr(printer.travel, axis)
+        least = config.number(f"stepper_{axis}", "position_min", 0.0)
+        most = config.number(f"stepper_{axis}", "position_max")
+        for end, bound, inside in (
+            (low, f"position_min: {least:g}", low >= least - CLOSE),
+            (high, f"position_max: {most:g}", not high > most + CLOSE),
+        ):
+            if math.isfinite(end) and not inside:
+                yield Finding(
+                    True, f"[stepper_{axis}] {bound}, but travel.{axis} reaches to {end:g}"
+                )
+
+
+def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """What the stream needs, and what is in its way."""
+    own = printer.firmware.klipper
+    for name in (own.begin_macro, own.end_macro) if own is not None else ():
+        if name and not config.macro(name):
+            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
+    if config.text("printer", "max_accel_to_decel"):
+        yield Finding(False, "[printer] max_accel_to_decel is of an older Klipper: the stream uses "
+                      "MINIMUM_CRUISE_RATIO, of March 2024 or newer")  # fmt: skip
+    if config.has("skew_correction"):
+        yield Finding(False, "[skew_correction] turns segments of the stream: leave it off")
+    if not config.macro("CANCEL_PRINT"):
+        yield Finding(
+            False,
+            "[gcode_macro CANCEL_PRINT] does not restore the limits: a print cancelled in the "
+            "stream leaves the printer with those of the stream (docs/klipper.md)",
+        )

@@ -1,0 +1,139 @@
+"""A commented profile for a printer of one's own, from what is known of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+
+from hframe_post.errors import HframeError
+from hframe_post.printer.klipper_cfg import KlipperConfig
+
+BASES = {"hbot": "paper", "corexy": "example-corexy", "cartesian": "example-cartesian"}
+Range = tuple[float, float]
+
+
+@dataclass
+class Known:
+    """The few things that are particular to a printer; mm, s. The rest is the base profile's.
+
+    nan: not known, left to the base profile.
+    """
+
+    description: str
+    kinematics: str
+    x: Range
+    y: Range
+    velocity: float
+    acceleration: float
+    corner: float = 5.0
+    z_velocity: float = math.nan
+    z_acceleration: float = math.nan
+    extruder_velocity: float = math.nan
+    extruder_acceleration: float = math.nan
+    extruder_corner_velocity: float = 1.0
+    minimum_cruise_ratio: float = 0.5
+    shaper_freq: Range = (0.0, 0.0)
+    steps: dict[str, float] = field(default_factory=dict)
+
+
+def from_klipper(config: KlipperConfig, description: str, kinematics: str | None) -> Known:
+    """What a printer.cfg tells. kinematics: Klipper does not know corexy from hbot.
+
+    Raises HframeError where a number is missing.
+    """
+    told = config.text("printer", "kinematics")
+    if told not in ("corexy", "cartesian"):
+        raise HframeError(f"[printer] kinematics: {told!r}: only corexy and cartesian can be used")
+    ranges = []
+    for axis in "xy":
+        low = config.number(f"stepper_{axis}", "position_min", 0.0)
+        high = config.number(f"stepper_{axis}", "position_max")
+        if not low < high:
+            raise HframeError(f"[stepper_{axis}] position_max is missing, or below position_min")
+        ranges.append((low, high))
+    velocity, acceleration = (
+        config.number("printer", f"max_{name}") for name in ("velocity", "accel")
+    )
+    if not (velocity > 0.0 and acceleration > 0.0):
+        raise HframeError("[printer] max_velocity or max_accel is missing")
+    steps = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
+    shaper = tuple(config.number("input_shaper", f"shaper_freq_{a}", 0.0) for a in "xy")
+    return Known(
+        description, kinematics or ("cartesian" if told == "cartesian" else "hbot"),
+        ranges[0], ranges[1], velocity, acceleration,
+        config.number("printer", "square_corner_velocity", 5.0),
+        config.number("printer", "max_z_velocity", velocity),
+        config.number("printer", "max_z_accel", acceleration),
+        config.number("extruder", "max_extrude_only_velocity"),
+        config.number("extruder", "max_extrude_only_accel"),
+        config.number("extruder", "instantaneous_corner_velocity", 1.0),
+        config.number("printer", "minimum_cruise_ratio", 0.5),
+        (shaper[0], shaper[1]),
+        {name: config.step(motor) for name, motor in steps.items()},
+    )  # fmt: skip
+
+
+def text(known: Known) -> str:
+    """The profile, as TOML with comments."""
+    steps = {name: step for name, step in known.steps.items() if step > 0.0}
+    told_steps = "".join(f"{name} = {step:.9g}\n" for name, step in steps.items())
+    shapers = "".join(
+        f"shaper_freq_{axis} = {hz:g}\n"
+        for axis, hz in zip("xy", known.shaper_freq, strict=True)
+        if hz > 0.0
+    )
+    return f"""\
+# A profile for hframe-post. Lengths in mm, times in s. What is not said here is as in the
+# profile that this one extends: 'hframe-post printers show {BASES[known.kinematics]}'.
+
+extends = "{BASES[known.kinematics]}"
+description = {json.dumps(known.description, ensure_ascii=False)}
+
+[kinematics]
+type = "{known.kinematics}"
+
+[travel]                # where the nozzle may be commanded: inside position_min, position_max
+x = [{known.x[0]!r}, {known.x[1]!r}]
+y = [{known.y[0]!r}, {known.y[1]!r}]
+
+[limits]                # what the planner may ask; a file's own limits lower these
+velocity = {known.velocity:g}
+acceleration = {known.acceleration:g}
+square_corner_velocity = {known.corner:g}
+{_given("z_velocity", known.z_velocity, "max_z_velocity of printer.cfg")}\
+{_given("z_acceleration", known.z_acceleration, "max_z_accel")}\
+{_given("extruder_velocity", known.extruder_velocity, "max_extrude_only_velocity")}\
+{_given("extruder_acceleration", known.extruder_acceleration, "max_extrude_only_accel")}\
+extruder_corner_velocity = {known.extruder_corner_velocity:g}  # instantaneous_corner_velocity
+
+# [motors]              # what no command may exceed; the base profile's until you know better
+# belt_velocity = …
+# belt_acceleration = …
+{
+        f'''
+[steps]                 # mm a step, from rotation_distance and microsteps
+{told_steps}'''
+        if told_steps
+        else ""
+    }
+[firmware]
+dialect = "klipper"
+
+[firmware.klipper]      # in force before and after the stream: those of printer.cfg
+velocity = {known.velocity:g}
+acceleration = {known.acceleration:g}
+square_corner_velocity = {known.corner:g}
+minimum_cruise_ratio = {known.minimum_cruise_ratio:g}
+{shapers}
+# The plant is NOT YOURS yet but that of "{
+        BASES[known.kinematics]
+    }". So nothing is compensated until
+# you have measured yours (docs/identify.md: sweep, print it, identify) and take this line out:
+[compensation]
+strategy = "none"
+"""
+
+
+def _given(name: str, value: float, comment: str) -> str:
+    return "" if math.isnan(value) else f"{name} = {value:g}  # {comment}\n"

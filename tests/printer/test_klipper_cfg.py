@@ -1,0 +1,116 @@
+"""A printer.cfg is read as Klipper reads it, and laid beside a profile."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hframe_post.errors import HframeError
+from hframe_post.printer.klipper_cfg import KlipperConfig, check
+from hframe_post.printer.new_profile import from_klipper, text
+from hframe_post.printer.profile import load, parse
+from hframe_post.printer.settings import Printer
+from tests.conftest import ROOT
+
+REAL = ROOT / "tests" / "klipper" / "printer.cfg"  # which Klipper itself runs with in other tests
+
+
+@pytest.fixture(scope="module")
+def own() -> Printer:
+    return parse(text(from_klipper(KlipperConfig(REAL), "own", None)), "own")
+
+
+def wrong(path: Path, printer: Printer) -> list[str]:
+    return [each.text for each in check(KlipperConfig(path), printer) if each.wrong]
+
+
+def changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    content = REAL.read_text()
+    for old, new in changes:
+        assert old in content
+        content = content.replace(old, new, 1)
+    path = folder / "printer.cfg"
+    path.write_text(content)
+    return path
+
+
+def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
+    assert wrong(REAL, own) == []
+    assert own.travel.x == (0.0, 280.0)
+    assert own.limits.z_velocity == 20.0
+    assert own.firmware.klipper is not None
+    assert own.firmware.klipper.velocity == 500.0
+    assert own.steps is not None
+    assert own.steps.belt == pytest.approx(0.0206)
+    assert own.compensation.strategy == "none"  # its plant is not measured
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("max_z_velocity: 20", "max_z_velocity: 10"), "max_z_velocity: 10, but limits.z_velocity"),
+        (("max_z_accel: 500", "max_z_accel=400 # slow"), "max_z_accel: 400"),
+        (("max_accel: 10000", "max_accel: 3000"), "max_accel: 3000"),
+        (("max_velocity: 500", "max_velocity: 300"), "max_velocity: 300"),
+        (("square_corner_velocity: 5\n", "\n"), ""),  # by default as it was
+        (("square_corner_velocity: 5", "square_corner_velocity: 8"), "square_corner_velocity: 8"),
+        (("minimum_cruise_ratio: 0.5", "minimum_cruise_ratio: 0"), "minimum_cruise_ratio: 0"),
+        (("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"), "shaper_freq_x: 51.5"),
+        (("kinematics: corexy", "kinematics: delta"), "kinematics: delta"),
+        (("position_max: 280", "position_max: 270"), "travel.x reaches to 280"),
+        (("microsteps: 16", "microsteps: 32"), "[stepper_x] steps are of 0.0103 mm"),
+    ],
+)
+def test_each_difference_is_wrong(
+    own: Printer, tmp_path: Path, change: tuple[str, str], told: str
+) -> None:
+    found = wrong(changed(tmp_path, change), own)
+    assert len(found) == (1 if told else 0)
+    assert told in "".join(found)
+
+
+def test_macros_that_the_profile_names_must_be_there(own: Printer, tmp_path: Path) -> None:
+    assert own.firmware.klipper is not None
+    table = replace(own.firmware.klipper, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END")
+    named = replace(own, firmware=replace(own.firmware, klipper=table))
+    assert len(wrong(REAL, named)) == 2
+    macros = "[gcode_macro hframe_begin]\ngcode:\n  G4 P1\n\n  M400\n[gcode_macro HFRAME_END]\n"
+    path = changed(tmp_path, ("[fan]", macros + "gcode: M400\n[fan]"))
+    assert wrong(path, named) == []
+
+
+def test_includes_and_what_klipper_saved_are_read(own: Printer, tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "limits.cfg").write_text("[printer]\nmax_accel: 4000\n")
+    saved = "#*# <---- SAVE_CONFIG ---->\n#*# [input_shaper]\n#*# shaper_freq_y = 40\n"
+    path = changed(tmp_path)
+    lines = "[include parts/*.cfg]\n[include mainsail.cfg]\n"
+    path.write_text(path.read_text() + lines + saved)
+    findings = list(check(KlipperConfig(path), own))
+    assert ["max_accel: 4000" in each.text for each in findings if each.wrong] == [True, False]
+    assert any("shaper_freq_y: 40" in each.text for each in findings if each.wrong)
+    assert any("mainsail.cfg" in each.text for each in findings if not each.wrong)
+
+
+def test_a_file_that_includes_itself_ends(tmp_path: Path) -> None:
+    path = changed(tmp_path, ("[fan]", "[include printer.cfg]\n[fan]"))
+    assert KlipperConfig(path).has("printer")
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "nonsense\n", "[printer\n", "\0\xff", "[extruder]\na: 1\n"],
+)
+def test_what_is_no_printer_cfg_is_an_error(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "printer.cfg"
+    path.write_text(content, "latin-1")
+    with pytest.raises(HframeError, match=r"printer\.cfg"):
+        KlipperConfig(path)
+
+
+def test_a_number_that_is_none_is_named(tmp_path: Path) -> None:
+    path = changed(tmp_path, ("max_z_accel: 500", "max_z_accel: many"))
+    with pytest.raises(HframeError, match=r"\[printer\] max_z_accel: 'many'"):
+        list(check(KlipperConfig(path), load("paper")))
