@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 @extrusion_option
 @on_limit_option
 @click.option(
-    "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.002", metavar="MM",
+    "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.014", metavar="MM",
     help="G-code for Klipper: how far the written command may be off the computed one.",
 )  # fmt: skip
 @click.option(

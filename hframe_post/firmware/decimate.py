@@ -1,52 +1,105 @@
-"""A sampled curve as a polyline in time, within a tolerance at every sample."""
+"""A sampled curve as a polyline in time: few segments, the curve in the middle of them.
+
+1. Neighbouring segments become one, those first that lose least by it, as long as every sample
+   stays within the tolerance of its chord (Keogh's bottom-up segmentation, all places at once).
+   A straight at constant speed becomes one segment, however long.
+2. Chords lie on one side of a bend. So the vertices leave the samples for where the squares of
+   what is missed are least.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z
 
-LONGEST = 8  # samples in a segment, a power of two
+SHORT = 8  # samples; what takes longer is answered by the nozzle, and is therefore held closer
+E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
+ALIKE = 1e-6  # mm; losses no farther apart are equal, on every machine
+ROUNDS = 12  # of Jacobi's method, each of which at least halves what is missing
 
 
 def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
     """Indices of the points to keep, ascending, without the first and with the last one.
 
-    points (n + 1, 4): x, y, z, e one sample apart; forced (n + 1,): points that must stay.
-    Segments are the longest of 1, 2, 4 and 8 samples, aligned to multiples of their length,
-    whose chord is within ``tolerance`` (mm) of every sample: of x and y together, of z and
-    of e.
+    points (n + 1, 4): x, y, z, e one sample apart; forced (n + 1,): points that must stay. The
+    chord of each segment is within ``tolerance`` (mm) of every sample between: of x and y
+    together, of z, and of e within a share 1/E_WEIGHT of it. A segment of n > SHORT samples is
+    within √(SHORT/n) of that.
     """
-    n = len(points) - 1
-    block = LONGEST * np.arange(-(-n // LONGEST))[:, None] + np.arange(LONGEST + 1)
-    P, F = points[np.minimum(block, n)], forced[np.minimum(block, n)]
-    F |= block == n
-    keep = np.zeros(block.shape, dtype=bool)
-    keep[:, LONGEST] = True
-    _split(P, F, keep, np.arange(len(block)), 0, LONGEST, tolerance)
-    kept = block[keep]
-    return kept[kept <= n]
+    kept = np.arange(len(points))
+    off = np.zeros(len(points) - 1)  # greatest distance of samples from each chord, or more
+    while len(kept) > 2:
+        off_merged = _merged(points[kept], kept, off)
+        cost = off_merged * np.sqrt(np.maximum((kept[2:] - kept[:-2]) / SHORT, 1.0))
+        cost[forced[kept[1:-1]] | (cost > tolerance)] = np.inf
+        chosen = _cheapest(np.rint(cost / ALIKE))
+        if not len(chosen):
+            break
+        off[chosen] = off_merged[chosen]
+        off, kept = np.delete(off, chosen + 1), np.delete(kept, chosen + 1)
+    return kept[1:]
 
 
-def _split(
-    P: Array, F: Flags, keep: Flags, which: Integers, a: int, b: int, tolerance: float
-) -> None:
-    """Keeps the middle of a … b in those blocks whose chord from a to b does not fit."""
-    middle = (a + b) // 2
-    which = which[~_fits(P[which, a : b + 1], F[which, a + 1 : b], tolerance)]
-    keep[which, middle] = True
-    if len(which) and b - a > 2:
-        _split(P, F, keep, which, a, middle, tolerance)
-        _split(P, F, keep, which, middle, b, tolerance)
+def _merged(vertices: Array, at: Integers, off: Array) -> Array:
+    """A bound on the distance of samples from the chord of each two segments as one, (k − 1,).
+
+    vertices (k + 1, 4) at samples ``at``; off (k,): the bound for each segment. A sample is no
+    farther from the new chord than from its old one and that from the new one together.
+    """
+    share = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+    apart = vertices[1:-1] - vertices[:-2]
+    apart -= share[:, None] * (vertices[2:] - vertices[:-2])
+    np.square(apart, out=apart)
+    xy = apart[:, X] + apart[:, Y]
+    z_e = np.maximum(apart[:, Z], E_WEIGHT**2 * apart[:, E])
+    farthest = np.sqrt(np.maximum(xy, z_e))
+    return np.asarray(np.maximum(off[:-1], off[1:]) + farthest)
 
 
-def _fits(points: Array, forced: Flags, tolerance: float) -> Flags:
-    """Whether the chord of each row of points (r, k, 4) is within the tolerance, (r,)."""
-    k = points.shape[1] - 1
-    share = (np.arange(1, k) / k)[None, :, None]
-    first, last = points[:, :1], points[:, -1:]
-    off = points[:, 1:-1] - (first + share * (last - first))
-    np.square(off, out=off)
-    within = off[..., 0] + off[..., 1] <= tolerance**2
-    within &= (off[..., 2] <= tolerance**2) & (off[..., 3] <= tolerance**2)
-    return np.asarray(within.all(axis=1) & ~forced.any(axis=1))
+def _cheapest(cost: Array) -> Integers:
+    """Those of the finite costs (k,) that are less than their neighbours'; of equals the even."""
+    even = np.arange(len(cost)) % 2 == 0
+    left, right = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
+    least = (cost < left) | (even & (cost == left))
+    least &= (cost < right) | (even & (cost == right))
+    return np.flatnonzero(least & np.isfinite(cost))
+
+
+def fitted(points: Array, ends: Integers) -> Array:
+    """Vertices (k, 4) at ``ends`` (k,): in x and y the squares of what samples miss are least.
+
+    points (n + 1, 4) as for ``breakpoints``, of which the first and the last are met. No vertex
+    goes beyond the samples' least and greatest x and y; z and e are those of its sample.
+    """
+    xy = points[:, :Z]
+    start = np.append(0, ends[:-1])
+    length = ends - start
+    which = np.repeat(np.arange(len(ends)), length)  # the segment of each sample but the first
+    share = (np.arange(1, len(xy)) - start[which]) / length[which]
+    chord = xy[ends] - xy[start]
+    missed = xy[1:] - xy[start][which] - share[:, None] * chord[which]
+    later = np.add.reduceat(share[:, None] * missed, start)
+    earlier = np.add.reduceat(missed, start) - later
+    last, first, both = _weights(length)
+    diagonal = last + np.append(first[1:], 1.0)
+    wanted = later + np.vstack([earlier[1:], np.zeros(2)])
+    moved = np.zeros((len(ends), 2))
+    for _ in range(ROUNDS):
+        now = wanted.copy()
+        now[1:] -= both[1:, None] * moved[:-1]
+        now[:-1] -= both[1:, None] * moved[1:]
+        moved = now / diagonal[:, None]
+        moved[-1] = 0.0
+    vertices = points[ends]
+    vertices[:, :Z] = np.clip(vertices[:, :Z] + moved, xy.min(axis=0), xy.max(axis=0))
+    return vertices
+
+
+def _weights(length: Integers) -> tuple[Array, Array, Array]:
+    """Sums over the samples of segments of these lengths (k,), with s from above 0 to 1 in each:
+
+    of s², of (1 − s)² and of s(1 − s); (k,) each.
+    """
+    n = length.astype(float)
+    return (n + 1) * (2 * n + 1) / (6 * n), (n - 1) * (2 * n - 1) / (6 * n), (n * n - 1) / (6 * n)

@@ -10,7 +10,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
-from hframe_post.firmware.decimate import breakpoints
+from hframe_post.firmware.decimate import breakpoints, fitted
 from hframe_post.firmware.player import Dwelling, coordinates, plain
 from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
@@ -149,10 +149,10 @@ class Klipper:
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Decimated to the tolerance."""
-        ends = np.arange(1, len(points))
-        if self.tolerance is not None:
-            ends = breakpoints(points, forced, self.tolerance)
-        return ends, points[ends]
+        if self.tolerance is None:
+            return np.arange(1, len(points)), points[1:]
+        ends = breakpoints(points, forced, self.tolerance)
+        return ends, fitted(points, ends)
 
     def least_times(self, at: Array, T: Array) -> Array:
         """All of it."""

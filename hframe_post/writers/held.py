@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.firmware.decimate import LONGEST
 from hframe_post.stream.types import Mark
 
-SAMPLES_AT_ONCE = 2048 * LONGEST
+SAMPLES_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
