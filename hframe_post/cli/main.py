@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from hframe_post.cli.batch import batch
 from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert
 from hframe_post.cli.cura import cura_script
@@ -66,6 +67,7 @@ def main() -> None:
 
 
 main.add_command(convert)
+main.add_command(batch)
 main.add_command(compare)
 main.add_command(simulate)
 main.add_command(paper)
