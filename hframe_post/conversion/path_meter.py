@@ -126,7 +126,7 @@ class PathSummary:
         """What a person must not overlook."""
         if self.extrusion_share <= TELLING:
             return []
-        cause = self._largest()[0][0]
+        cause = max(self.uncompensated.items(), key=lambda item: item[1].filament)[0]
         percent = 100.0 * self.extrusion_share
         return [
             f"AS IT WAS   {percent:.1f} % of the extrusion is not compensated, "

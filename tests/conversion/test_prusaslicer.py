@@ -1,0 +1,103 @@
+"""Fifty settings of the real PrusaSlicer (Debian's prusa-slicer), where it is installed."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.errors import GcodeError
+from hframe_post.printer.profile import load
+from tests.conversion.test_slices import carried, converted, filament
+from tests.slices import Slice
+
+SLICER = shutil.which("prusa-slicer")
+BASE = "--center 150,100 --layer-height 0.3 --skirts 0 --start-gcode G28"
+MULTI = (
+    "--nozzle-diameter 0.4,0.4 --filament-diameter 1.75,1.75 --temperature 200,200 "
+    "--first-layer-temperature 200,200 --single-extruder-multi-material --infill-extruder 2 --use-relative-e-distances"
+)
+USUAL = ["", f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80"]
+SETTINGS = [
+    "--gcode-flavor marlin", "--gcode-flavor marlin2", "--gcode-flavor reprap",
+    "--gcode-flavor reprapfirmware", "--gcode-flavor repetier", "--gcode-flavor teacup",
+    "--gcode-flavor makerware", "--gcode-flavor sailfish", "--gcode-flavor smoothie",
+    "--solid-infill-below-area 0 --top-solid-layers 0", "--thin-walls",
+    "--use-relative-e-distances", "--use-relative-e-distances --layer-gcode ;L[layer_num]",
+    "--use-firmware-retraction", "--use-volumetric-e", "--spiral-vase --perimeters 1 --fill-density 0 --top-solid-layers 0", "--retract-lift 0.4",
+    "--retract-lift 0.4 --retract-layer-change", "--wipe", "--wipe --retract-before-wipe 50%",
+    "--avoid-crossing-perimeters", "--complete-objects", "--gcode-comments",
+    "--gcode-label-objects", "--gcode-label-objects --use-relative-e-distances", "--infill-first",
+    "--only-retract-when-crossing-perimeters", "--ooze-prevention", "--remaining-times",
+    "--gcode-flavor marlin2 --remaining-times --silent-mode", "--default-acceleration 1000",
+    "--default-acceleration 2000 --perimeter-acceleration 800 --infill-acceleration 1500",
+    "--gcode-flavor marlin --default-acceleration 900 --machine-limits-usage emit_to_gcode",
+    "--gcode-flavor marlin2 --machine-limits-usage emit_to_gcode", "--gcode-resolution 0.1",
+    "--brim-width 3", "--skirts 2", "--raft-layers 2", "--support-material",
+    "--support-material-enforce-layers 2", "--fuzzy-skin external", "--ironing",
+    "--fill-pattern gyroid", "--fill-pattern honeycomb", "--fill-density 0", "--perimeters 4",
+    "--retract-length 0", "--retract-restart-extra 0.05", "--first-layer-height 0.2",
+    f"{MULTI} --gcode-flavor marlin --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80",
+    f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80 --wipe",
+    "--end-gcode M84 --toolchange-gcode M117",
+]  # fmt: skip
+FACES = (
+    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),
+    (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+)  # fmt: skip
+
+pytestmark = pytest.mark.skipif(SLICER is None, reason="prusa-slicer is not installed")
+
+
+def brick(path: Path) -> None:
+    """14 × 10 × 1.5 mm as STL."""
+    corners = [(14 * a, 10 * b, 1.5 * c) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    lines = ["solid brick"]
+    for face in FACES:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x} {y} {z}" for x, y, z in (corners[k] for k in face)]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid brick"]))
+
+
+def check(settings: str, folder: Path) -> None:
+    brick(folder / "brick.stl")
+    asked = [str(SLICER), "--export-gcode", "brick.stl", "-o", "brick.gcode"]
+    subprocess.run(
+        [*asked, *BASE.split(), *settings.split()], cwd=folder, check=True, capture_output=True
+    )
+    text = (folder / "brick.gcode").read_bytes()
+    source = text.splitlines()
+    each = Slice("prusaslicer", text.decode(), harmless=("M101", "M103"))
+    marlin = "marlin" in settings
+    printer = load("paper-marlin" if marlin else "paper")
+    high = replace(printer.limits, z_velocity=10.0, z_acceleration=500.0)
+    output, _, report = converted(each, replace(printer, limits=high))
+    before, after = filament(source, False), filament(output, False)
+    assert len(before) == len(after) > 3
+    # Marlin's segments end where six steps have been made, not where a line is carried
+    np.testing.assert_allclose(after, before, atol=0.03 if marlin else 1e-3)
+    assert carried(output) == carried(source)
+    assert report.path.extrusion_share < 0.005
+
+
+@pytest.mark.parametrize("settings", USUAL)
+def test_prusaslicer(settings: str, tmp_path: Path) -> None:
+    check(settings, tmp_path)
+
+
+@pytest.mark.parametrize("flavor", ["mach3", "machinekit"])
+def test_filament_on_an_axis_of_its_own_is_refused(flavor: str, tmp_path: Path) -> None:
+    with pytest.raises(GcodeError, match="the word A is not understood"):
+        check(f"--gcode-flavor {flavor}", tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", SETTINGS)
+def test_fifty_settings(settings: str, tmp_path: Path) -> None:
+    assert len(SETTINGS) >= 50
+    check(settings, tmp_path)

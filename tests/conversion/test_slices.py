@@ -1,0 +1,144 @@
+"""Prints of many slicers from end to end: nothing lost, nothing out of order, all of it told."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.report import Report
+from hframe_post.prediction.labels import BEFORE
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.deferred import DeferredLine
+from tests.prediction.test_labels import block, names, printing
+from tests.slices import LAYERS, SLICES, Slice
+
+MOTION = re.compile(rb"\s*(?:G[01235](?!\d)|M20[1345](?!\d)|M220(?!\d)|SET_VELOCITY_LIMIT|G92 E)")
+MOVE = re.compile(rb"\s*G[01235](?!\d)")
+OURS = re.compile(
+    rb"; processed by|; hframe-post|SET_VELOCITY_LIMIT|SET_INPUT_SHAPER|M400$|G4 P|G9[01]|M8[23]"
+)
+WORD = re.compile(rb"\bE(-?(?:\d+\.?\d*|\.\d+))")
+LAYER = re.compile(rb"\s*;.*layer|\(Slice", re.IGNORECASE)
+
+
+def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[DeferredLine], Report]:
+    """Lines of the output, those of them that tell of time, and the report."""
+    firmware = replace(printer.firmware, harmless=each.harmless, returns=each.returns)
+    conversion = GcodeConversion(
+        each.lines, replace(printer, firmware=firmware), Options("racking")
+    )
+    pieces = list(conversion)
+    text = b"".join(p.line + b"\n" if isinstance(p, DeferredLine) else p for p in pieces)
+    deferred = [p for p in pieces if isinstance(p, DeferredLine) and not p.summary]
+    return text.splitlines(), deferred, conversion.report()
+
+
+def filament(lines: list[bytes], relative: bool) -> list[float]:
+    """Total before every layer's mark, and at the end: Klipper's reading, in ten lines."""
+    total, at, told = 0.0, 0.0, []
+    absolute = True
+    for line in lines:
+        body = line.partition(b";")[0].split(b"(")[0]
+        word = WORD.search(body)
+        if LAYER.match(line):
+            told.append(total)
+        elif body.startswith(b"G92") and word:
+            at = float(word[1])
+        elif body.startswith((b"G90", b"G91")):
+            absolute = body.startswith(b"G90")
+        elif body.startswith((b"M82", b"M83")):
+            relative = body.startswith(b"M83")
+        elif MOVE.match(body) and word:
+            value = float(word[1])
+            step = value if relative or not absolute else value - at
+            total, at = total + step, at + step
+    return [*told, total]
+
+
+def carried(lines: list[bytes]) -> list[bytes]:
+    """What is neither motion nor the stream's, without the time that it tells at once."""
+    kept = (line for line in lines if not MOTION.match(line) and not OURS.match(line))
+    return [re.sub(rb"^(;TIME_ELAPSED:).*", rb"\1", line) for line in kept]
+
+
+@pytest.mark.parametrize("each", SLICES.values(), ids=SLICES)
+def test_every_slicer_converts(each: Slice, paper: Printer) -> None:
+    output, deferred, report = converted(each, paper)
+    source = [line.rstrip(b"\n") for line in each.lines]
+    hidden = each.name == "hidden_relative"
+    before, after = filament(source, hidden), filament(output, hidden)
+    assert len(before) == len(after) >= LAYERS
+    np.testing.assert_allclose(after, before, atol=1e-3)
+    assert before[-1] > 5.0
+    assert carried(output) == carried(source)
+    assert report.path.extrusion_share < 0.005
+    for start in each.times:
+        rewritten = [d for d in deferred if d.line.startswith(start.encode())]
+        assert rewritten or any(line.startswith(start.encode()) for line in output)
+    assert all(any(d.line.startswith(t.encode()) for t in each.times) for d in deferred)
+
+
+@pytest.mark.parametrize("each", SLICES.values(), ids=SLICES)
+def test_layers_of_every_slicer_are_told_apart(each: Slice) -> None:
+    comments = [(k, line.rstrip(b"\n")) for k, line in enumerate(each.lines)]
+    layers, features = names([block(printing(len(comments) + 1), *comments)])
+    assert len(set(layers) - {BEFORE}) == LAYERS
+    assert set(features) != {BEFORE} or each.name == "sailfish"
+
+
+def test_uncompensated_motion_is_told_by_its_cause(paper: Printer) -> None:
+    told = SLICES["prusaslicer"]
+    known = converted(told, paper)[2]
+    unknown = converted(replace(told, harmless=()), paper)[2]
+    assert set(known.path.uncompensated) == {"START_PRINT", "EXCLUDE_OBJECT_END"}
+    assert unknown.path.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
+    shares = unknown.as_json()["uncompensated"]
+    assert shares["path_percent"] > 5.0
+    assert "_ON_LAYER_CHANGE" in shares["by_cause"]
+    assert "_ON_LAYER_CHANGE" in unknown.as_text()
+
+
+def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
+    lines = [
+        b"M83\n", b"G28\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"PARK\n",
+        b"G1 X140 Y100 E1\n", b"G1 X160 E1\n",
+    ]  # fmt: skip
+    conversion = GcodeConversion(lines, paper, Options("racking"))
+    list(conversion)
+    report = conversion.report()
+    assert report.path.extrusion_share == pytest.approx(1 / 3)
+    (warning,) = report.path.warnings()
+    assert "mostly after PARK" in warning
+    assert "[firmware]" in warning
+
+
+def test_what_holds_a_print_back_is_told(paper: Printer) -> None:
+    lines = [
+        b"M83\n", b"G92 X100 Y100 Z1\n", b"M204 S700\n", b"SET_VELOCITY_LIMIT ACCEL=500\n",
+        b"M201 X100\n", b"G1 X150 F60000\n", b"M204 S90000\n",
+        b"G1 X200 F600\n",
+    ]  # fmt: skip
+    conversion = GcodeConversion(lines, paper, Options("none"))
+    list(conversion)
+    held = conversion.report().as_json()["held_back"]
+    assert held["acceleration"] == {"path_percent": 50.0, "least": 500.0, "greatest": 500.0}
+    assert held["speed"]["path_percent"] == 50.0
+    assert "acceleration by the file (500 mm/s²" in conversion.report().as_text()
+
+
+def test_macros_that_return_keep_their_place(paper: Printer) -> None:
+    """They run with the user's limits in force, and nothing after them is left as it was."""
+    lines = [
+        b"M83\n", b"G92 X100 Y100 Z1 E0\n", b"G1 X120 E1 F6000\n", b"TIMELAPSE_TAKE_FRAME\n",
+        b"G1 X140 E1\n",
+    ]  # fmt: skip
+    firmware = replace(paper.firmware, returns=("TIMELAPSE_*",))
+    conversion = GcodeConversion(lines, replace(paper, firmware=firmware), Options("racking"))
+    text = b"".join(p for p in conversion if isinstance(p, bytes)).splitlines()
+    frame = text.index(b"TIMELAPSE_TAKE_FRAME")
+    assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=") for line in text[frame - 4 : frame])
+    assert not conversion.report().path.uncompensated
