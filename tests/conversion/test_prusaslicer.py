@@ -19,8 +19,10 @@ SLICER = shutil.which("prusa-slicer")
 BASE = "--center 150,100 --layer-height 0.3 --skirts 0 --start-gcode G28"
 MULTI = (
     "--nozzle-diameter 0.4,0.4 --filament-diameter 1.75,1.75 --temperature 200,200 "
-    "--first-layer-temperature 200,200 --single-extruder-multi-material --infill-extruder 2 --use-relative-e-distances"
+    "--first-layer-temperature 200,200 --single-extruder-multi-material --infill-extruder 2 "
+    "--use-relative-e-distances"
 )
+VASE = "--spiral-vase --perimeters 1 --fill-density 0 --top-solid-layers 0"
 USUAL = ["", f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80"]
 SETTINGS = [
     "--gcode-flavor marlin", "--gcode-flavor marlin2", "--gcode-flavor reprap",
@@ -28,7 +30,7 @@ SETTINGS = [
     "--gcode-flavor makerware", "--gcode-flavor sailfish", "--gcode-flavor smoothie",
     "--solid-infill-below-area 0 --top-solid-layers 0", "--thin-walls",
     "--use-relative-e-distances", "--use-relative-e-distances --layer-gcode ;L[layer_num]",
-    "--use-firmware-retraction", "--use-volumetric-e", "--spiral-vase --perimeters 1 --fill-density 0 --top-solid-layers 0", "--retract-lift 0.4",
+    "--use-firmware-retraction", "--use-volumetric-e", VASE, "--retract-lift 0.4",
     "--retract-lift 0.4 --retract-layer-change", "--wipe", "--wipe --retract-before-wipe 50%",
     "--avoid-crossing-perimeters", "--complete-objects", "--gcode-comments",
     "--gcode-label-objects", "--gcode-label-objects --use-relative-e-distances", "--infill-first",
