@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import subprocess
 from dataclasses import replace
@@ -43,7 +44,7 @@ SETTINGS = [
     "--support-material-enforce-layers 2", "--fuzzy-skin external", "--ironing",
     "--fill-pattern gyroid", "--fill-pattern honeycomb", "--fill-density 0", "--perimeters 4",
     "--retract-length 0", "--retract-restart-extra 0.05", "--first-layer-height 0.2",
-    f"{MULTI} --gcode-flavor marlin --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80",
+    f"{MULTI} --gcode-flavor marlin --layer-gcode 'G92 E0' --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80",
     f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80 --wipe",
     "--end-gcode M84 --toolchange-gcode M117",
 ]  # fmt: skip
@@ -70,7 +71,7 @@ def check(settings: str, folder: Path) -> None:
     brick(folder / "brick.stl")
     asked = [str(SLICER), "--export-gcode", "brick.stl", "-o", "brick.gcode"]
     subprocess.run(
-        [*asked, *BASE.split(), *settings.split()], cwd=folder, check=True, capture_output=True
+        [*asked, *BASE.split(), *shlex.split(settings)], cwd=folder, check=True, capture_output=True
     )
     text = (folder / "brick.gcode").read_bytes()
     source = text.splitlines()
