@@ -24,7 +24,8 @@ MULTI = (
     "--use-relative-e-distances"
 )
 VASE = "--spiral-vase --perimeters 1 --fill-density 0 --top-solid-layers 0"
-USUAL = ["", f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80"]
+TOWER = "--wipe-tower --wipe-tower-x 190 --wipe-tower-y 80"
+USUAL = ["", f"{MULTI} {TOWER}"]
 SETTINGS = [
     "--gcode-flavor marlin", "--gcode-flavor marlin2", "--gcode-flavor reprap",
     "--gcode-flavor reprapfirmware", "--gcode-flavor repetier", "--gcode-flavor teacup",
@@ -44,8 +45,7 @@ SETTINGS = [
     "--support-material-enforce-layers 2", "--fuzzy-skin external", "--ironing",
     "--fill-pattern gyroid", "--fill-pattern honeycomb", "--fill-density 0", "--perimeters 4",
     "--retract-length 0", "--retract-restart-extra 0.05", "--first-layer-height 0.2",
-    f"{MULTI} --gcode-flavor marlin --layer-gcode 'G92 E0' --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80",
-    f"{MULTI} --wipe-tower --wipe-tower-x 190 --wipe-tower-y 80 --wipe",
+    f"{MULTI} {TOWER} --gcode-flavor marlin --layer-gcode 'G92 E0'", f"{MULTI} {TOWER} --wipe",
     "--end-gcode M84 --toolchange-gcode M117",
 ]  # fmt: skip
 FACES = (
