@@ -59,6 +59,7 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
             "fig05": plots.axis_responses(responses),
             "fig08": plots.approximation(approximations),
             "fig09": plots.time_response(time_responses),
+            "corner": plots.corner(time_responses),
         }
     if prism is not None:
         prisms = [results.widths(profile, lines, printed) for printed in (False, True)]

@@ -56,6 +56,25 @@ def approximation(rows: Sequence[Approximation]) -> Figure:
     return figure
 
 
+def corner(responses: Sequence[TimeResponse]) -> Figure:
+    """The nozzle at the first corner of Fig. 7, on the path that was asked for: for the README."""
+    figure, axes = canvas(1, 1, (7.0, 3.6))
+    axis = axes[0, 0]
+    path = responses[0].path - responses[0].path[0]
+    axis.plot(*path.T, color="#e0dccf", lw=7.0, solid_capstyle="round", label="the path")
+    for response in responses:
+        shown = STRATEGIES[response.name]
+        label = f"{shown.label}: {response.rms * 1e3:.0f} µm RMS"
+        x, y = (response.nozzle - response.nozzle[0]).T
+        axis.plot(x, y, color=shown.colour, lw=1.6, label=label)
+    axis.set(xlim=(112.5, 121.6), ylim=(-0.9, 3.3), xlabel="x, mm", ylabel="y, mm", aspect="equal")
+    axis.set_title(
+        "the nozzle at a corner, to the right and then up, 150 mm/s, simulated", loc="left"
+    )
+    axis.legend(loc="upper left")
+    return figure
+
+
 def time_response(responses: Sequence[TimeResponse]) -> Figure:
     """Fig. 9: the nozzle's path at a corner, and contour error along the path."""
     figure, axes = canvas(1, 2, (9.0, 3.4))

@@ -76,9 +76,10 @@ class Approximation:
 
 @dataclass(frozen=True)
 class TimeResponse:
-    """Fig. 9, one control: way along the path (k,), nozzle (k, 2), contour error (k,), mm."""
+    """Fig. 9, one control: path, nozzle (k, 2), way along the path, contour error (k,), mm."""
 
     name: str
+    path: Array
     along: Array
     nozzle: Array
     error: Array
@@ -188,7 +189,7 @@ def time_responses(plant: Plant, xy: Array) -> list[TimeResponse]:
     responses = []
     for name, command in commands.items():
         nozzle, error = contour(plant, xy, command)
-        responses.append(TimeResponse(name, along, nozzle, error))
+        responses.append(TimeResponse(name, xy, along, nozzle, error))
     return responses
 
 

@@ -1,0 +1,217 @@
+"""The documentation's words are true: snippets run, links lead somewhere, names exist."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tomllib
+import unicodedata
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+from hframe_post.cli import main
+from hframe_post.identification import command_file
+from hframe_post.printer.profile import load
+from tests.conftest import ROOT, SAMPLES
+from tests.recordings import Sensor, moved, sweep, write_klipper
+
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
+EVERY_PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def prose(page: Path) -> str:
+    """A page without what is shown in fences."""
+    return FENCED.sub("", page.read_text("utf-8"))
+
+
+# ---------------------------------------------------------------------- snippets
+
+SNIPPETS = {
+    page: [code for kind, code in FENCED.findall(page.read_text("utf-8")) if kind == "python"]
+    for page in PAGES
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the snippets read: a print, and sweeps of the paper's printer with their recordings."""
+    folder = tmp_path_factory.mktemp("snippets")
+    shutil.copy(SAMPLES / "rectangle.gcode", folder / "in.gcode")
+    (folder / "sample_gcode").symlink_to(SAMPLES)
+    plant, swept = load("paper").plant, sweep(rate=8.0)
+    for seed, (axis, place) in enumerate((("x", 80), ("x", 140), ("x", 200), ("y", 140))):
+        xy = np.zeros((len(swept), 2))
+        xy[:, "xy".index(axis)] = swept
+        xy += (place, 150.0)
+        name = f"{axis}-at-{place}"
+        command = b"".join(command_file.written(xy))
+        (folder / f"sweep-{axis}.{name}.csv").write_bytes(command)
+        felt = Sensor().felt(moved(plant, xy, None), (len(xy) - 1) * 1e-3, seed)
+        write_klipper(folder / f"adxl345-{name}.csv", felt)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if SNIPPETS[page]], ids=lambda page: page.name
+)
+def test_snippets_run(page: Path, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of a page in one namespace, as a reader would type them."""
+    monkeypatch.chdir(files)
+    names: dict[str, object] = {"__name__": page.name}
+    for code in SNIPPETS[page]:
+        exec(compile(code, f"{page.name}: {code.splitlines()[0]}", "exec"), names)
+
+
+def test_snippets_are_there_and_can_fail(files: Path) -> None:
+    assert SNIPPETS[ROOT / "docs" / "api.md"]
+    with pytest.raises(AttributeError):
+        exec("import hframe_post as hp\nhp.compensat", {})
+
+
+# ---------------------------------------------------------------------- links
+
+LINK = re.compile(r"\]\((?!https?:)([^)\s#]*)(?:#([^)\s]+))?\)")
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    return {
+        re.sub(r"[^\w\- ]", "", unicodedata.normalize("NFC", heading).lower()).replace(" ", "-")
+        for heading in re.findall(r"^#+ +(.+?) *$", prose(page), re.MULTILINE)
+    }
+
+
+def broken(page: Path) -> list[str]:
+    """Links of a page that lead nowhere."""
+    lost = []
+    for target, anchor in LINK.findall(prose(page)):
+        to = page.parent / target if target else page
+        if not to.exists() or (anchor and (to.suffix != ".md" or anchor not in anchors(to))):
+            lost.append(f"{target}#{anchor}")
+    return lost
+
+
+@EVERY_PAGE
+def test_links_lead_somewhere(page: Path) -> None:
+    assert not broken(page)
+
+
+def test_a_broken_link_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# What is µ?\n[a](#what-is-µ) [b](#b) [c](page.md#c) [d](none.md)\n")
+    assert broken(page) == ["#b", "page.md#c", "none.md#"]
+
+
+@EVERY_PAGE
+def test_pages_can_be_reached(page: Path) -> None:
+    """From the README, by any number of links."""
+    reached, new = set[Path](), {ROOT / "README.md"}
+    while new:
+        reached |= new
+        new = {
+            (one.parent / target).resolve()
+            for one in new
+            for target, _ in LINK.findall(prose(one))
+            if target.endswith(".md")
+        } - reached
+    assert page.resolve() in {one.resolve() for one in reached}
+
+
+# ---------------------------------------------------------------------- names
+
+CODE_PATH = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml|gcode|md|cfg)|[\w./-]+/)`")
+MEMBER = re.compile(r"`(\w+)\.(?!py|toml|md|csv|gcode|npz)(\w+)[`(\[]")
+TYPE = re.compile(r"`([A-Z][a-z]+[A-Z]?\w*)`")
+SOURCES = {path: path.read_text("utf-8") for path in (ROOT / "hframe_post").rglob("*.py")}
+HOUSE = pytest.mark.parametrize(
+    "name", ["architecture.md", "derivations.md", "api.md", "../CONTRIBUTING.md"]
+)
+
+
+def known_path(name: str) -> bool:
+    """Whether a path named in the text is one of the tree, from its root, package or tests."""
+    bases = (ROOT, ROOT / "hframe_post", ROOT / "docs", SAMPLES)
+    return "NAME" in name or any((base / name).exists() for base in bases)
+
+
+def defines(owner: str, member: str) -> bool:
+    """Whether a module or class of that name, if there is one, has such a member."""
+    homes = [text for path, text in SOURCES.items() if path.stem == owner]
+    homes += [text for text in SOURCES.values() if re.search(rf"^class {owner}\b", text, re.M)]
+    named = rf"^ *(?:class|def) {member}\b|^ *{member}\b *[:=,]"
+    return not homes or any(re.search(named, text, re.M) for text in homes)
+
+
+@HOUSE
+def test_files_and_rooms_named_exist(name: str) -> None:
+    """Paths in backticks: ``planner/lookahead.py``, ``gcode/``; NAME stands for any."""
+    named = CODE_PATH.findall(prose(ROOT / "docs" / name))
+    assert not [path for path in named if not known_path(path)]
+
+
+@HOUSE
+def test_members_and_types_named_exist(name: str) -> None:
+    """``lpfbs.bsplines``, ``Window.n_C``, ``LiftedFilter``."""
+    text = prose(ROOT / "docs" / name)
+    assert not [f"{one}.{two}" for one, two in MEMBER.findall(text) if not defines(one, two)]
+    source = "\n".join(SOURCES.values())
+    types = {one for one in TYPE.findall(text) if not re.search(rf"^class {one}\b", source, re.M)}
+    assert types <= {"Gxx", "Gyy", "Gxtheta", "None"}
+
+
+QUOTED = re.compile(r"\*([^*]+)\*")
+JOINT = re.compile(r'"\s*\n\s*f?"')
+
+
+@pytest.mark.parametrize("name", ["troubleshooting.md", "identify.md"])
+def test_what_the_tool_is_said_to_say_it_says(name: str) -> None:
+    """The messages in the first column, as far as they do not vary."""
+    source = JOINT.sub("", "\n".join(SOURCES.values()))
+    rows = re.findall(r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / name), re.MULTILINE)
+    pieces = [
+        piece.strip(" .,")
+        for row in rows
+        for quoted in QUOTED.findall(row)
+        for piece in re.split(r"…|\b\d+\b", quoted)
+    ]
+    assert len(pieces) > 10
+    assert not [piece for piece in pieces if piece not in source]
+
+
+def test_names_that_are_gone_are_found() -> None:
+    assert not known_path("gcode/words.py")
+    assert not defines("lpfbs", "bspline")
+    assert not defines("Window", "n_D")
+    assert defines("Window", "n_C")
+
+
+def test_layers_shown_are_those_of_the_contract() -> None:
+    shown = FENCED.findall((ROOT / "docs" / "architecture.md").read_text("utf-8"))
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    layers = contract["tool"]["importlinter"]["contracts"][0]["layers"]
+    assert "\n".join(layers) + "\n" in [text for _, text in shown]
+
+
+CALL = re.compile(r"hframe-post ([^#`\n|]*)")
+
+
+@EVERY_PAGE
+def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
+    """Each option of each command line, looked up among that command's parameters."""
+    for line in CALL.findall(page.read_text("utf-8").replace("\\\n", "")):
+        words = line.split()
+        names = [word for word in words if not word.startswith("-")]
+        chosen = main.main.commands.get(names[0] if names else "", main.main.commands["convert"])
+        if isinstance(chosen, click.Group):
+            continue
+        known = {option for parameter in chosen.params for option in parameter.opts}
+        for word in words:
+            if word.startswith("-") and word not in ("-", "--help", "-h", "--version"):
+                assert word in known, f"{page.name}: {line}"
