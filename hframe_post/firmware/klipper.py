@@ -172,7 +172,7 @@ class Klipper:
         Without it Klipper would round the corner between a lift and the motion next to it,
         and be early.
         """
-        if beside is Dwelling.MOTION and seconds < TS / 2.0:
+        if not beside.lifts and seconds < TS / 2.0:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited

@@ -12,9 +12,16 @@ from hframe_post.stream.types import ModalState
 class Dwelling(Enum):
     """What a dwell stands next to."""
 
-    MOTION = "motion in x and y, or a retraction"
+    MOTION = "motion in x and y"
     BEFORE_LIFT = "a lift that follows"
     AFTER_LIFT = "a lift that has been"
+    BEFORE_RETRACTION = "a retraction that follows"
+    AFTER_RETRACTION = "a retraction that has been"
+
+    @property
+    def lifts(self) -> bool:
+        """Whether it is a lift."""
+        return self in (Dwelling.BEFORE_LIFT, Dwelling.AFTER_LIFT)
 
 
 class Player(Protocol):

@@ -2,7 +2,8 @@
 
 A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
 acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
-more than their corner allows.
+more than their corner allows; but no less, in some firmware, than a speed at which a segment
+begins at least.
 """
 
 from __future__ import annotations
@@ -14,30 +15,39 @@ from hframe_post.arrays import Array
 ROUNDS = 3  # of the speeds' dependence on their neighbours'
 
 
-def speeds(d: Array, T: Array, a: Array, caps: Array, before: float) -> Array:
+def speeds(
+    d: Array, T: Array, a: Array, caps: Array, before: float, least: Array | float = 0.0
+) -> Array:
     """Cruise speeds (k,) with which segments d (k,) take the time T (k,).
 
     a (k,): acceleration; caps (k + 1,): greatest speeds at the ends; before: cruise speed of
-    the segment that precedes. Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
+    the segment that precedes; least (k,): speeds of entry that neither lowers.
+    Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
     """
     v = d / T
     for _ in range(ROUNDS):
-        v_s, v_e = ends(v, caps, before)
+        v_s, v_e = ends(v, caps, before, least)
         S = a * T + v_s + v_e
         c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
         v = (S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0
     return np.asarray(v)
 
 
-def durations(d: Array, v: Array, a: Array, caps: Array, before: float) -> Array:
+def durations(
+    d: Array, v: Array, a: Array, caps: Array, before: float, least: Array | float = 0.0
+) -> Array:
     """Time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
-    v_s, v_e = ends(v, caps, before)
+    v_s, v_e = ends(v, caps, before, least)
     ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
     return np.asarray((d + ramps) / v)
 
 
-def ends(v: Array, caps: Array, before: float) -> tuple[Array, Array]:
-    """Speeds (k,) at the start and at the end of each segment."""
+def ends(v: Array, caps: Array, before: float, least: Array | float = 0.0) -> tuple[Array, Array]:
+    """Speeds (k,) at the start and at the end of each segment.
+
+    Where ``least`` makes the next one begin faster than this one runs, it ends that fast.
+    """
     neighbours = np.concatenate([[before], v, v[-1:]])
     joint = np.minimum(np.minimum(neighbours[:-1], neighbours[1:]), caps)
-    return np.minimum(joint[:-1], v), np.minimum(joint[1:], v)
+    joint[:-1] = np.maximum(joint[:-1], np.minimum(least, v))
+    return joint[:-1], joint[1:]

@@ -12,6 +12,8 @@ from typing import Any
 from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive
 
+MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
+
 
 @dataclass(frozen=True, slots=True)
 class KlipperTable:
@@ -52,9 +54,13 @@ class MarlinTable:
     shaper_freq_x: float = not_negative(0.0)
     shaper_freq_y: float = not_negative(0.0)
     fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
+    fixed_time_shaper: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
     lines_per_second: float = positive(250.0, below=1001.0)
     min_steps_per_segment: int = positive(6)
     timer_hz: float = positive(2e6, least=1e5)
+    timer_extra_tick: bool = False
+    planner: str = field(default="2.1", metadata={"choices": MARLIN_PLANNERS})
+    adaptive_step_smoothing: float = not_negative(0.0)
 
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)

@@ -204,7 +204,7 @@ class _Machine:
         """Retraction or lift: one line."""
         lifts = move.end[Z] != move.start[Z]
         yield from self._enter()
-        yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.MOTION)
+        yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
         yield from self._count_anew()
         assert self._at is not None
         end = np.concatenate([self._at[:Z], self._units.rounded(np.array(move.end))[Z:]])
@@ -214,7 +214,7 @@ class _Machine:
             yield line
         self._at = end
         self._pace.lag += pause.exact - pause.samples * TS
-        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.MOTION)
+        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
 
     def _release(self, action: Passthrough) -> Iterator[Output]:
         """The machine is the user's again, limits, modes and all."""

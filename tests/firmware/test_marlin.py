@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.marlin_planner import PLANNERS
 from hframe_post.firmware.player import Dwelling
 from hframe_post.firmware.registry import player
 from hframe_post.gcode import reader
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
-from hframe_post.printer.firmware_tables import MarlinTable
+from hframe_post.printer.firmware_tables import MARLIN_PLANNERS, MarlinTable
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
@@ -78,7 +79,7 @@ def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
 
 def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
     mine = mode(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
-    assert b"M205 B0 S0 T0 X100 Y100 E50" in mine.begin(NOWHERE, AT)
+    assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.begin(NOWHERE, AT)
     assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.end(STATE, AT)
     assert mine.dwell(0.0, Dwelling.BEFORE_LIFT) == (b"", 0.0)  # z has kept its own jerk
 
@@ -251,10 +252,40 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
         assert converted(lines, marlin)[0] == whole
 
 
-def test_golden_rectangle(marlin: Printer, golden: Callable[[str, bytes], bytes]) -> None:
+@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
+def test_golden_rectangle(
+    marlin: Printer, golden: Callable[[str, bytes], bytes], planner: str
+) -> None:
     """Other machines may round to another tick of the timer."""
-    now = converted(sample("rectangle.gcode"), marlin)[0]
-    assert_same_stream(now, golden("rectangle.marlin.gcode", now), feed=2e-2)
+    now = converted(sample("rectangle.gcode"), with_own(marlin, planner=planner))[0]
+    assert_same_stream(now, golden(f"rectangle.marlin-{planner}.gcode", now), feed=2e-2)
+
+
+def test_generations_of_planners_are_those_of_the_profile() -> None:
+    assert tuple(PLANNERS) == MARLIN_PLANNERS
+
+
+def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:
+    mine = mode(with_own(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
+    assert b"M493 S1 X0 Y0 C0 P0" in mine.begin(NOWHERE, AT)
+    end = mine.end(STATE, AT)
+    assert [line for line in end if b"M493" in line] == [b"M493 S0", b"M493 X1 C1", b"M493 Y8 C8"]
+
+
+JERKS: dict[str, object] = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("own", "users", "ours"),
+    [({}, b"M205 J0.013", b"M205 J0.3"), (JERKS, b"M205 E5", b"M205 E1000")],
+)
+def test_retractions_begin_as_the_users_do(
+    marlin: Printer, own: dict[str, object], users: bytes, ours: bytes
+) -> None:
+    lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"G1 E-3 F2700\n", b"G1 X140\n"]
+    text = converted(lines, with_own(marlin, **own))[0].splitlines()
+    retraction = text.index(b"G1 E-3 F2700")
+    assert text[retraction - 1 : retraction + 2] == [users, b"G1 E-3 F2700", ours]
 
 
 def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -> None:

@@ -25,6 +25,7 @@ from hframe_post.arrays import Array, Integers
 
 WORD = re.compile(r"([A-Z])(-?\d*\.?\d+)?")
 SLOWEST = 120
+FRAME = 1e-3  # s, of fixed-time motion
 SMALL_SEGMENT = 1.0  # mm
 SHALLOW = -math.sqrt(0.5)  # cosine of the angle between segments
 
@@ -40,7 +41,9 @@ class Build:
     classic_jerk: bool = False
     min_steps: int = 6
     timer_hz: float = 2e6
-    half_interval: bool = False  # ramps of later builds begin half an interval on
+    planner: str = "2.1"  # 2.0, 2.1, 2.1-dev or ft-motion
+    extra_tick: bool = False  # the timer counts one tick beyond what it is told
+    smoothing_hz: float = 0.0  # of interrupts, up to which ADAPTIVE_STEP_SMOOTHING splits steps
     max_velocity: list[float] = field(default_factory=lambda: [300.0, 300.0, 20.0, 60.0])
     max_acceleration: list[float] = field(default_factory=lambda: [1e4, 1e4, 500.0, 2000.0])
     acceleration: float = 3000.0
@@ -60,9 +63,14 @@ class Block:
     v: float
     acceleration: float
     corner: float  # greatest entry speed
-    row: int
+    least: float  # entry speed that nothing lowers
     entry: float = 0.0
     exit: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Nominal steps per second of the leading motor."""
+        return self.v * self.n / self.d
 
     @property
     def path_acceleration(self) -> float:
@@ -76,8 +84,10 @@ class Run:
     time: Array  # (m,) of every step of the leading motor
     steps: Integers  # (m, 4): A, B, z, e after it
     start: Integers  # (4,)
-    rows: Integers  # (m,): line of the file
-    blocks: list[Block]
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1])
 
     def cells(self, t: Array) -> Integers:
         """Steps (n, 4) made at times t (n,)."""
@@ -85,12 +95,31 @@ class Run:
         return np.where(made[:, None] > 0, self.steps[made - 1], self.start)
 
 
+@dataclass
+class FixedTimeRun:
+    """The same where motion is looked up every FRAME, and straight between."""
+
+    frames: Array  # (m, 4): A, B, z, e in steps, not whole
+
+    @property
+    def duration(self) -> float:
+        return FRAME * (len(self.frames) - 1)
+
+    def cells(self, t: Array) -> Integers:
+        """Steps (n, 4) made at times t (n,): each in the middle between two places."""
+        at = np.clip(t / FRAME, 0.0, len(self.frames) - 1.000001)
+        k = at.astype(np.int64)
+        part = (at - k)[:, None]
+        between = (1.0 - part) * self.frames[k] + part * self.frames[k + 1]
+        return np.asarray(np.floor(between + 0.5).astype(np.int64))
+
+
 class Machine:
     """Follows a file; ``runs`` is filled as the queue runs empty."""
 
     def __init__(self, build: Build) -> None:
         self.build = build
-        self.runs: list[Run] = []
+        self.runs: list[Run | FixedTimeRun] = []
         self.settings: list[str] = []  # every line that is no move
         self.merged = 0  # blocks that were not queued
         self._queue: list[Block] = []
@@ -99,24 +128,23 @@ class Machine:
         self._feed = 25.0
         self._absolute, self._absolute_e = True, True
         self._unit = np.zeros(4)
-        self._last_v = 0.0
-        self._last_speed = np.zeros(4)
+        self._last_v = self._last_safe = 0.0
 
-    def read(self, text: bytes) -> list[Run]:
-        for row, raw in enumerate(text.decode("latin-1").splitlines(), 1):
+    def read(self, text: bytes) -> list[Run | FixedTimeRun]:
+        for raw in text.decode("latin-1").splitlines():
             line = raw.split(";")[0].strip()
             if line:
-                self._line(row, line)
+                self._line(line)
         self._drain()
         return self.runs
 
     # ------------------------------------------------------------------ lines
 
-    def _line(self, row: int, line: str) -> None:
+    def _line(self, line: str) -> None:
         command, _, rest = line.partition(" ")
         words = {k: float(v) if v else None for k, v in WORD.findall(rest)}
         if command in ("G0", "G1"):
-            self._move(row, {k: v for k, v in words.items() if v is not None})
+            self._move({k: v for k, v in words.items() if v is not None})
             return
         self.settings.append(line)
         if command in ("G90", "G91"):
@@ -162,7 +190,7 @@ class Machine:
         x, y, z, e = xyze
         return np.array([x, y, z, e] if self.build.cartesian else [x + y, x - y, z, e])
 
-    def _move(self, row: int, words: dict[str, float]) -> None:
+    def _move(self, words: dict[str, float]) -> None:
         if "F" in words:
             assert words["F"] > 0.0
             self._feed = words["F"] / 60.0
@@ -179,10 +207,10 @@ class Machine:
         if n < self.build.min_steps:
             self.merged += 1
             return
-        self._plan(row, moved, delta, n)
+        self._plan(moved, delta, n)
         self._at = target
 
-    def _plan(self, row: int, moved: Integers, delta: Integers, n: int) -> None:
+    def _plan(self, moved: Integers, delta: Integers, n: int) -> None:
         build = self.build
         sizes = np.array([build.belt, build.belt, build.z, build.e])
         mm = moved * sizes
@@ -198,10 +226,15 @@ class Machine:
         a = asked * n / d
         a = min([a, *(limits[k] * n / abs(delta[k]) for k in range(4) if delta[k])])
         unit = mm / d
-        block = Block(self._motors(self._at), delta, n, d, v, a, 0.0, row)
-        if self._queue:
-            corner = self._jerk(block, unit) if build.classic_jerk else self._corner(block, unit)
-            block.corner = min(corner, v, self._last_v)
+        block = Block(self._motors(self._at), delta, n, d, v, a, 0.0, 0.0)
+        if build.planner in ("2.1-dev", "ft-motion"):  # the mean speed of a first step from rest
+            block.least = min(math.sqrt(a / 2.0) * d / n, v)
+        if build.classic_jerk:
+            block.corner = max(self._jerk(block, unit), block.least)
+        elif self._queue:
+            block.corner = max(min(self._corner(block, unit), v, self._last_v), block.least)
+        else:
+            block.corner = block.least
         self._unit, self._last_v = unit, v
         self._queue.append(block)
 
@@ -225,60 +258,135 @@ class Machine:
         return math.sqrt(v2)
 
     def _jerk(self, block: Block, unit: Array) -> float:
-        v = min(block.v, self._last_v)
-        jump = np.abs(unit - self._unit) * v
-        shares = [m / j for m, j in zip(self.build.jerk, jump, strict=True) if j]
-        return float(v * min([1.0, *shares]))
+        """Sudden changes of speed, axis by axis.
 
-    # ------------------------------------------------------------------ stepping
+        Before the development branch, blocks whose speed may be taken up from a standstill, and
+        given up to one, begin at their own speed whatever that of the one before.
+        """
+        v = min(block.v, self._last_v) if self._queue else block.v
+        safe = block.v * self._share(unit * block.v)
+        passed = v * (self._share((unit - self._unit) * v) if self._queue else 1.0)
+        both = min(safe, self._last_safe if self._queue else safe)
+        self._last_safe = safe
+        if self.build.planner in ("2.0", "2.1") and (both > 0.99 * passed or not self._queue):
+            return safe
+        return passed
+
+    def _share(self, jump: Array) -> float:
+        shares = [m / abs(j) for m, j in zip(self.build.jerk, jump, strict=True) if j]
+        return float(min([1.0, *shares]))
+
+    # ------------------------------------------------------------------ look-ahead
 
     def _drain(self) -> None:
         blocks, self._queue, self._last_v = self._queue, [], 0.0
         if not blocks:
             return
-        following = 0.0
+        following = blocks[-1].least
         for block in reversed(blocks):
             block.exit = following
             reach = math.sqrt(block.exit**2 + 2.0 * block.path_acceleration * block.d)
-            following = block.entry = min(block.corner, reach)
+            following = block.entry = max(min(block.corner, reach), block.least)
         for one, other in pairwise(blocks):
             reach = math.sqrt(one.entry**2 + 2.0 * one.path_acceleration * one.d)
-            one.exit = other.entry = min(other.entry, reach)
-        ticks = [self._ticks(block) for block in blocks]
+            one.exit = other.entry = max(min(other.entry, reach), other.least)
+        if self.build.planner == "ft-motion":
+            self.runs.append(fixed_time(blocks))
+            return
+        stepper = development if self.build.planner == "2.1-dev" else released
+        ticks = [stepper(block, self.build) for block in blocks]
         time = np.cumsum(np.concatenate(ticks)) / self.build.timer_hz
         steps = np.vstack([_spread(block) for block in blocks])
-        rows = np.repeat([block.row for block in blocks], [block.n for block in blocks])
-        self.runs.append(Run(time, steps, blocks[0].start, rows, blocks))
+        self.runs.append(Run(time, steps, blocks[0].start))
 
-    def _ticks(self, block: Block) -> Array:
-        """Ticks before each step of the leading motor, (n,)."""
-        hz, n, a = self.build.timer_hz, block.n, block.acceleration
-        nominal = math.ceil(block.v * n / block.d)
-        first = max(round(nominal * block.entry / block.v), SLOWEST)
-        final = max(round(nominal * block.exit / block.v), SLOWEST)
-        first, final = min(first, max(nominal, SLOWEST)), min(final, max(nominal, SLOWEST))
-        up = max(0, math.ceil((nominal**2 - first**2) / (2.0 * a)))
-        down = max(0, math.floor((nominal**2 - final**2) / (2.0 * a)))
-        if up + down > n:
-            meet = (final**2 - first**2 + 2.0 * a * n) / (4.0 * a)
-            up = min(max(math.ceil(meet), 0), n)
-            down = n - up
-        ticks = np.full(n, float(hz // nominal))
-        ticks[0] = hz // first
-        t = ticks[0] / 2.0 if self.build.half_interval else 0.0
-        rate, beyond = float(first), 0 if self.build.half_interval else 1
-        for k in range(1, min(up + beyond, n)):
-            rate = min(first + a * t / hz, nominal)
-            ticks[k] = hz // rate
-            t += ticks[k]
-        if not up:
-            rate = float(nominal)
-        t = 0.0
-        for k in range(max(n - down + beyond, 1), n):
-            now = max(rate - a * t / hz, final)
-            ticks[k] = hz // now
-            t += ticks[k]
-        return ticks
+
+# ---------------------------------------------------------------------- stepping
+
+
+class _Timer:
+    """Ticks from step to step. Smoothing splits a step into 2, 4, 8 … while the timer can."""
+
+    def __init__(self, build: Build, nominal: int) -> None:
+        self.hz, self.extra = build.timer_hz, int(build.extra_tick)
+        self.shift = 0
+        while nominal << (self.shift + 1) < build.smoothing_hz:
+            self.shift += 1
+
+    def ticks(self, rate: int) -> int:
+        return int(self.hz // (rate << self.shift))
+
+    def taken(self, counted: Array) -> Array:
+        """Ticks (n,) of whole steps, of which the parts were counted (n << shift,)."""
+        return np.asarray((counted + self.extra).reshape(-1, 1 << self.shift).sum(axis=1))
+
+
+def released(block: Block, build: Build) -> Array:
+    """Ticks (n,) of the steps, as 2.0.9 and 2.1.2 have them.
+
+    Rates are at least 120 steps a second. Ramps: rising through step ``up``, falling after
+    ``n − down``. 2.1 counts the first step into the time of the ramp, 2.0 does not.
+    """
+    a, n = block.acceleration, block.n
+    nominal = math.ceil(block.rate)
+    first = max(math.ceil(nominal * block.entry / block.v - 1e-6), SLOWEST)
+    final = max(math.ceil(nominal * block.exit / block.v - 1e-6), SLOWEST)
+    up = max(0, math.ceil((nominal**2 - first**2) / (2.0 * a)))
+    down = max(0, math.floor((nominal**2 - final**2) / (2.0 * a)))
+    if up + down > n:
+        meet = math.ceil((n + (final**2 - first**2) / (2.0 * a)) / 2.0)
+        up = min(max(meet, 0), n)
+        down = n - up
+    timer = _Timer(build, nominal)
+    scale = 1 << timer.shift
+    counted = np.empty(n * scale)
+    counted[0] = timer.ticks(first)
+    rising, falling = (counted[0] if build.planner == "2.1" else 0.0), 0.0
+    reached = first
+    for k in range(1, n * scale):
+        if k <= up * scale:
+            reached = min(first + int(a * rising / build.timer_hz), nominal)
+            counted[k] = timer.ticks(reached)
+            rising += counted[k]
+        elif k > (n - down) * scale:
+            counted[k] = timer.ticks(max(reached - int(a * falling / build.timer_hz), final))
+            falling += counted[k]
+        else:
+            counted[k] = timer.ticks(nominal)
+    return timer.taken(counted)
+
+
+def development(block: Block, build: Build) -> Array:
+    """Ticks (n,) of the steps, as the development branch has them since the end of 2024.
+
+    Both ramps begin half an interval on; falling takes whole steps rounded up.
+    """
+    a, n = block.acceleration, block.n
+    nominal = math.ceil(block.rate)
+    first, final = (max(round(v * n / block.d), 1) for v in (block.entry, block.exit))
+    rise, fall = ((nominal**2 - rate**2) / (2.0 * a) for rate in (first, final))
+    up, down = math.ceil(rise), math.ceil(fall)
+    if up + down > n:
+        up = min(max(round((n + rise - fall) / 2.0), 0), n)
+        down = n - up
+    timer = _Timer(build, nominal)
+    scale = 1 << timer.shift
+    counted = np.empty(n * scale)
+    counted[0] = timer.ticks(first)
+    rising = falling = counted[0] // 2
+    reached, cruised = first, False
+    for k in range(1, n * scale):
+        if k < up * scale:
+            reached = min(first + int(a * rising / build.timer_hz), nominal)
+            counted[k] = timer.ticks(reached)
+            rising, falling = rising + counted[k], 0.0
+        elif k >= (n - down) * scale:
+            counted[k] = timer.ticks(max(reached - int(a * falling / build.timer_hz), final))
+            falling += counted[k]
+        else:
+            counted[k] = timer.ticks(nominal)
+            if not cruised:
+                reached, cruised, falling = nominal, True, counted[k] // 2
+    return timer.taken(counted)
 
 
 def _spread(block: Block) -> Integers:
@@ -286,6 +394,32 @@ def _spread(block: Block) -> Integers:
     k = np.arange(1, block.n + 1)[:, None]
     made = (2 * k * np.abs(block.delta) + block.n) // (2 * block.n)
     return np.asarray(block.start + np.sign(block.delta) * made)
+
+
+def fixed_time(blocks: list[Block]) -> FixedTimeRun:
+    """Exact trapezoids in time, looked up every millisecond."""
+    durations, shares = [], []
+    for block in blocks:
+        a, v_s, v_e = block.path_acceleration, block.entry, block.exit
+        v = min(block.v, math.sqrt(a * block.d + (v_s**2 + v_e**2) / 2.0))
+        up, down = (v - v_s) / a, (v - v_e) / a
+        cruise = max(block.d - (v * v - v_s**2) / (2.0 * a) - (v * v - v_e**2) / (2.0 * a), 0.0) / v
+        durations.append(up + cruise + down)
+        shares.append((a, v_s, v, up, cruise, down))
+    ends = np.cumsum(durations)
+    t = FRAME * np.arange(1, math.ceil(ends[-1] / FRAME) + 1)
+    which = np.minimum(np.searchsorted(ends, t), len(blocks) - 1)
+    tau = np.minimum(t - (ends - durations)[which], np.array(durations)[which])
+    a, v_s, v, up, cruise, down = np.array(shares)[which].T
+    rising, falling = np.minimum(tau, up), np.maximum(tau - up - cruise, 0.0)
+    s = v_s * rising + a * rising**2 / 2.0 + v * np.clip(tau - up, 0.0, cruise)
+    s += v * falling - a * falling**2 / 2.0
+    start, delta = (
+        np.array([getattr(b, name) for b in blocks])[which] for name in ("start", "delta")
+    )
+    d = np.array([b.d for b in blocks])[which]
+    frames = np.vstack([blocks[0].start, start + delta * np.clip(s / d, 0.0, 1.0)[:, None]])
+    return FixedTimeRun(frames)
 
 
 def xy(cells: Integers, build: Build) -> Array:

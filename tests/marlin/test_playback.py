@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +21,9 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from tests.conversion.test_pipeline import converted, sample
 
-from .planner import Build, Machine, Run, xy
+from .planner import Build, FixedTimeRun, Machine, Run, xy
 
+STREAMS = Path(__file__).parent / "streams"
 SKIRT = 14_000  # samples of the cube before its first retraction in mid-layer
 LAPS = 15  # of the rectangle: half a minute
 WINDOW, STEP = 500, 1000  # samples over which lateness is measured, and from one to the next
@@ -32,7 +35,7 @@ class Played:
 
     command: Array
     build: Build
-    run: Run
+    run: Run | FixedTimeRun
     machine: Machine
 
     def at(self, t: NDArray[np.floating[Any]]) -> Array:
@@ -67,13 +70,17 @@ def built(printer: Printer, **how: object) -> Build:
     return replace(own, **how)  # type: ignore[arg-type]
 
 
-def played(lines: list[bytes], printer: Printer, **how: object) -> Played:
+def intended(lines: list[bytes], printer: Printer) -> Array:
+    """The command (n, 2) that is to be played."""
     options = Options(printer.compensation.strategy)
-    text = converted(lines, printer, options)[0]
     blocks = Commands(iter(lines), printer, options).computed()
-    command = np.concatenate([b.commands[options.strategy] for b in blocks])
+    return np.concatenate([b.commands[options.strategy] for b in blocks])
+
+
+def played(lines: list[bytes], printer: Printer, **how: object) -> Played:
+    text, command = converted(lines, printer)[0], intended(lines, printer)
     machine = Machine(build := built(printer, **how))
-    run = max(machine.read(text), key=lambda r: len(r.time))
+    run = max(machine.read(text), key=lambda r: r.duration)
     return Played(command, build, run, machine)
 
 
@@ -96,34 +103,92 @@ def marlin() -> Printer:
     return load("paper-marlin")
 
 
+def with_own(printer: Printer, **own: object) -> Printer:
+    table = printer.firmware.marlin
+    assert table is not None
+    changed = replace(table, **own)  # type: ignore[arg-type]
+    return replace(printer, firmware=replace(printer.firmware, marlin=changed))
+
+
+# ---------------------------------------------------------------------- the simulation itself
+
+# The rectangle of half a minute, as version 0.1.0 wrote it for a planner of its own belief, at
+# 250 and 500 lines a second. Drift in ms a minute of whole firmware, built natively with its
+# stepper interrupt on a virtual clock and every step stamped.
+REAL = [
+    ("laps-250", {"planner": "2.1"}, -46.2),
+    ("laps-500", {"planner": "2.1"}, -154.0),
+    ("laps-250", {"planner": "2.1-dev"}, 30.7),
+    ("laps-250", {"planner": "ft-motion"}, -21.0),
+    ("laps-250", {"planner": "2.1", "extra_tick": True}, 168.0),
+    ("laps-250", {"planner": "2.0", "extra_tick": True}, 213.0),
+]
+
+
+@pytest.fixture(scope="module")
+def command_of_laps(marlin: Printer) -> Array:
+    return intended(laps(), marlin)
+
+
+@pytest.mark.parametrize(("stream", "how", "real"), REAL)
+def test_simulation_drifts_as_the_real_firmware(
+    marlin: Printer, command_of_laps: Array, stream: str, how: dict[str, object], real: float
+) -> None:
+    text = gzip.decompress((STREAMS / f"{stream}.gcode.gz").read_bytes())
+    machine = Machine(build := built(marlin, **how))
+    run = max(machine.read(text), key=lambda r: r.duration)
+    first, late, _ = Played(command_of_laps, build, run, machine).track()
+    assert drift(first, late) == pytest.approx(real, rel=0.02, abs=0.5)
+
+
+# ---------------------------------------------------------------------- what is written
+
+
 @pytest.fixture(scope="module")
 def rectangle(marlin: Printer) -> Played:
     return played(laps(), marlin)
 
 
-def test_rectangle_keeps_time_and_place(rectangle: Played) -> None:
+BUILDS: list[tuple[dict[str, object], dict[str, object]]] = [
+    ({"planner": "2.0"}, {}),
+    ({"planner": "2.1"}, {}),
+    ({"planner": "2.1-dev"}, {}),
+    ({"planner": "ft-motion"}, {}),
+    ({"planner": "2.1", "timer_extra_tick": True}, {"extra_tick": True}),
+    ({"planner": "2.1-dev", "timer_hz": 25e6}, {"timer_hz": 25e6}),
+    ({"planner": "2.1", "lines_per_second": 500.0}, {}),
+]
+
+
+@pytest.mark.parametrize(("own", "how"), BUILDS)
+def test_rectangle_keeps_time_and_place(
+    marlin: Printer, own: dict[str, object], how: dict[str, object]
+) -> None:
+    rectangle = played(laps(), with_own(marlin, **own), planner=own["planner"], **how)
     first, late, off = rectangle.track()
     assert rectangle.machine.merged == 0
-    assert abs(drift(first, late)) < 2.0
-    assert np.ptp(late) < 1e-3
-    assert rms(off) < 0.015
+    assert abs(drift(first, late)) < 3.0
+    assert np.ptp(late) < 2e-3
+    assert rms(off) < 0.012
     assert off.max() < 0.06
 
 
-def test_later_builds_ramp_earlier_by_little(marlin: Printer) -> None:
-    first, late, off = played(laps(), marlin, half_interval=True).track()
-    assert abs(drift(first, late)) < 60.0
-    assert rms(off) < 0.02
+@pytest.mark.parametrize("hz", [3e4, 5e4])
+def test_smoothed_steps_keep_time_more_coarsely(marlin: Printer, hz: float) -> None:
+    """Whole ticks of a part of a step are coarse: unmodelled, it is 200 ms a minute and more."""
+    mine = with_own(marlin, adaptive_step_smoothing=hz)
+    first, late, off = played(laps(5), mine, smoothing_hz=hz).track()
+    assert abs(drift(first, late)) < 20.0
+    assert rms(off) < 0.018
 
 
-def test_classic_jerk_plays_the_same(marlin: Printer) -> None:
-    own = marlin.firmware.marlin
-    assert own is not None
-    own = replace(own, junction_deviation=0.0, jerk=(8.0, 8.0), jerk_e=5.0)
-    mine = replace(marlin, firmware=replace(marlin.firmware, marlin=own))
-    first, late, off = played(laps(5), mine, classic_jerk=True).track()
-    assert abs(drift(first, late)) < 10.0
-    assert rms(off) < 0.015
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev"])
+def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
+    jerk = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
+    mine = with_own(marlin, planner=planner, **jerk)
+    first, late, off = played(laps(), mine, classic_jerk=True, planner=planner).track()
+    assert abs(drift(first, late)) < 5.0
+    assert rms(off) < 0.012
 
 
 def naive(command: Array) -> bytes:
@@ -145,11 +210,11 @@ def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
     ours = played(layers_of_cube(1), marlin)
     command = ours.command[:SKIRT]
     machine = Machine(built(marlin))
-    run = max(machine.read(naive(command)), key=lambda r: len(r.time))
+    run = max(machine.read(naive(command)), key=lambda r: r.duration)
     moving = np.any(np.diff(np.round(command, 2), axis=0) != 0.0, axis=1).sum() * TS
     assert machine.merged > len(command) / 2
     assert ours.machine.merged == 0
-    assert abs(run.time[-1] - moving) / moving * 60e3 > 200.0
+    assert abs(run.duration - moving) / moving * 60e3 > 200.0
     first, late, _ = ours.track()
     skirt = first < len(command)
     assert abs(drift(first[skirt], late[skirt])) < 10.0
@@ -159,8 +224,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
     marlin: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def plainly(self: Marlin, at: Array, T: Array, rest: Array, before: float) -> Array:
-        _, d, _ = self._counts(at)
-        return np.asarray(d / T)
+        return np.asarray(self._blocks(at).d / T)
 
     monkeypatch.setattr(Marlin, "feed_rates", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
@@ -174,17 +238,33 @@ def layers_of_cube(last: int) -> list[bytes]:
     return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
-def test_cube_keeps_place_and_loses_only_standstill(marlin: Printer) -> None:
-    """Between two windows, lateness changes by standstill that is left out, or hardly at all."""
-    cube = played(layers_of_cube(2), marlin)
-    _, late, off = cube.track()
+def in_motion(late: Array) -> float:
+    """ms in a minute, between windows between which no standstill was left out."""
     change = np.diff(late)
     moved = np.abs(change) < 1e-3
     assert moved.mean() > 0.7
     assert change[~moved].mean() < 0.0
-    assert abs(change[moved].sum()) / (moved.sum() * STEP * TS) * 60e3 < 15.0
-    assert np.median(off) < 0.015
+    return float(change[moved].sum() / (moved.sum() * STEP * TS) * 60e3)
+
+
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
+def test_cube_keeps_place_and_loses_only_standstill(marlin: Printer, planner: str) -> None:
+    cube = played(layers_of_cube(2), with_own(marlin, planner=planner), planner=planner)
+    _, late, off = cube.track()
+    assert abs(in_motion(late)) < 5.0
+    assert rms(off) < 0.018
+    assert np.median(off) < 0.014
     assert cube.machine.merged < 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
+def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
+    cube = played(layers_of_cube(8), with_own(marlin, planner=planner), planner=planner)
+    first, late, off = replace(cube, command=cube.command[:240_000]).track()
+    assert len(first) > 230
+    assert abs(in_motion(late)) < 3.0
+    assert rms(off) < 0.016
 
 
 @pytest.mark.slow
