@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from hframe_post.cli.batch import batch
+from hframe_post.cli.calibrate import calibrate_marlin
 from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert
 from hframe_post.cli.cura import cura_script
@@ -73,6 +74,7 @@ main.add_command(simulate)
 main.add_command(paper)
 main.add_command(sweep)
 main.add_command(tune)
+main.add_command(calibrate_marlin)
 main.add_command(identify)
 main.add_command(use)
 main.add_command(cura_script)

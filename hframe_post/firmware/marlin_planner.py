@@ -115,6 +115,25 @@ class Planner:
             return ramps.durations(d, v, a, corners, before, least)
         return self._block_times(blocks, np.ceil(v * n / d), before, timer)
 
+    def stroke(self, blocks: Blocks, joint: Array, v: Array, timer: Timer) -> float:
+        """Seconds for blocks at speeds v (k,), mm/s, whose ends are passed at joint (k + 1,)."""
+        n, d, _ = blocks
+        a, _, least = self._trapezoids(blocks)
+        joint = joint.copy()
+        joint[:-1] = np.maximum(joint[:-1], np.minimum(least, v))
+        joint[-1] = max(joint[-1], min(float(least[-1]), float(v[-1])))
+        for k in range(len(v)):  # what can be reached
+            joint[k + 1] = min(joint[k + 1], np.sqrt(joint[k] ** 2 + 2.0 * a[k] * d[k]))
+        for k in reversed(range(len(v))):
+            joint[k] = min(joint[k], np.sqrt(joint[k + 1] ** 2 + 2.0 * a[k] * d[k]))
+        v_s, v_e = joint[:-1], joint[1:]
+        if self.whole_rates:
+            taken = self.times(blocks, v_s * n / d, np.ceil(v * n / d), v_e * n / d, timer)
+        else:
+            v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
+            taken = (d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v
+        return float(taken.sum())
+
     def _trapezoids(self, blocks: Blocks) -> tuple[Array, Array, Array]:
         """Acceleration of the path, corners that allow any speed, least speeds of entry."""
         n, d, a = blocks
@@ -124,14 +143,17 @@ class Planner:
         return a * d / n, np.full(len(n) + 1, np.inf), least
 
     def _block_times(self, blocks: Blocks, rate: Array, before: float, timer: Timer) -> Array:
-        """Time (k,) of blocks at nominal rates (k,)."""
-        n, d, a = blocks
+        """Time (k,) of blocks at nominal rates (k,), of which the last keeps its speed."""
+        n, d, _ = blocks
         v = rate * d / n
         _, corners, least = self._trapezoids(blocks)
-        begin, end = (
-            np.minimum(self._whole(w * n / d), rate)
-            for w in ramps.ends(v, corners, before or v[0], least)
-        )
+        v_s, v_e = ramps.ends(v, corners, before or v[0], least)
+        return self.times(blocks, v_s * n / d, rate, v_e * n / d, timer)
+
+    def times(self, blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer) -> Array:
+        """Time (k,) of blocks from rates ``begin`` over nominal ``rate`` to ``end``, all (k,)."""
+        n, _, a = blocks
+        begin, end = (np.minimum(self._whole(w), rate) for w in (begin, end))
         up, down = self._ramp_steps(n, a, begin, rate, end)
         shares = timer.interrupts(rate)
         late = 0 if self.development else 1

@@ -1,0 +1,70 @@
+"""The calibration file, played by the simulation of each board: what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.errors import PrinterError
+from hframe_post.firmware.marlin_calibration import Calibration, calibration
+from hframe_post.printer.profile import load
+from tests.cli.test_main import run
+from tests.marlin.planner import Build, Machine
+
+PART = 60.0  # s, more than any approach
+
+
+@pytest.fixture(scope="module")
+def found() -> Calibration:
+    return calibration(load("paper-marlin"))
+
+
+@pytest.mark.parametrize("planner", ["2.0", "2.1", "2.1-dev", "ft-motion"])
+@pytest.mark.parametrize("tick", [False, True])
+def test_parts_take_as_long_as_the_table_says(found: Calibration, planner: str, tick: bool) -> None:
+    if planner == "ft-motion" and tick:
+        pytest.skip("fixed-time motion counts no ticks")
+    steps = load("paper-marlin").steps
+    assert steps is not None
+    machine = Machine(Build(steps.belt, steps.z, steps.e, planner=planner, extra_tick=tick))
+    parts = [r.duration for r in machine.read(b"".join(found.lines)) if r.duration > PART]
+    board = f'planner = "{planner}"' + (", timer_extra_tick = true" if tick else "")
+    np.testing.assert_allclose(parts, found.durations[board], rtol=5e-4)
+
+
+def test_boards_differ_by_more_than_a_stop_watch(found: Calibration) -> None:
+    times = np.array([row for name, row in found.durations.items() if "ft-motion" not in name])
+    apart = np.abs(times[:, None] - times[None]).max(axis=2)[~np.eye(len(times), dtype=bool)]
+    assert apart.min() > 0.5
+
+
+def test_file_stays_on_the_bed_and_restores_the_settings(found: Calibration) -> None:
+    printer = load("paper-marlin")
+    x = [float(w[1:]) for line in found.lines for w in line.decode().split() if w[0] == "X"
+         and line.startswith(b"G1")]  # fmt: skip
+    assert printer.travel.x[0] < min(x)
+    assert max(x) < printer.travel.x[1]
+    assert b"M204 P3000 T3000\n" in found.lines[-12:]
+
+
+def test_profile_that_knows_no_marlin_is_refused() -> None:
+    with pytest.raises(PrinterError, match=r"firmware\.marlin"):
+        calibration(load("paper"))
+
+
+def test_bed_without_room_is_refused() -> None:
+    printer = load("paper-marlin")
+    with pytest.raises(PrinterError, match="too short"):
+        calibration(replace(printer, travel=replace(printer.travel, x=(0.0, 25.0))))
+
+
+def test_command_writes_the_file_and_prints_the_table(tmp_path: Path) -> None:
+    out = tmp_path / "calibration.gcode"
+    done = run("calibrate-marlin", "-o", out, "-p", "paper-marlin")
+    assert done.returncode == 0
+    assert b'planner = "2.1-dev", timer_extra_tick = true' in done.stderr
+    assert out.read_bytes().count(b"M31\n") == 2
+    assert run("calibrate-marlin", "-o", tmp_path / "no.gcode", "-p", "paper").returncode == 1
