@@ -84,7 +84,7 @@ def _uneven(printer: Printer, marlin: Marlin) -> Part:
     x = left + d * np.arange(int((right - left) / d) // 2 * 2 + 1)
     fast = min(math.sqrt(DRAWN * 2.0 * printer.limits.acceleration * d), printer.limits.velocity)
     v = np.where(np.arange(len(x) - 1) % 2, fast, SLOW * fast)
-    return Part("uneven", x, v, _even(SECONDS / float((d / v).sum())))
+    return Part("uneven", np.asarray(x), np.asarray(v), _even(SECONDS / float((d / v).sum())))
 
 
 def _even(strokes: float) -> int:

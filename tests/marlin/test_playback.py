@@ -126,8 +126,10 @@ REAL = [
 
 
 @pytest.fixture(scope="module")
-def command_of_laps(marlin: Printer) -> Array:
-    return intended(laps(), marlin)
+def command_of_laps() -> Array:
+    """What those streams were to play; kept in µm."""
+    with np.load(STREAMS / "laps.npz") as kept:
+        return np.asarray(kept["um"] * 1e-3)
 
 
 @pytest.mark.parametrize(("stream", "how", "real"), REAL)
@@ -150,7 +152,7 @@ def rectangle(marlin: Printer) -> Played:
 
 
 BUILDS: list[tuple[dict[str, object], dict[str, object]]] = [
-    ({"planner": "2.0"}, {}),
+    ({"planner": "2.0", "lines_per_second": 280.0}, {}),
     ({"planner": "2.1"}, {}),
     ({"planner": "2.1-dev"}, {}),
     ({"planner": "ft-motion"}, {}),
@@ -247,12 +249,20 @@ def in_motion(late: Array) -> float:
     return float(change[moved].sum() / (moved.sum() * STEP * TS) * 60e3)
 
 
+def without_gaps(late: Array, off: Array) -> Array:
+    """What is left in windows in which, by those around, no standstill was left out."""
+    around = np.abs(np.pad(late, 1, mode="edge")[2:] - np.pad(late, 1, mode="edge")[:-2])
+    kept = np.repeat(around < 1e-3, WINDOW)[: len(off)]
+    assert kept.mean() > 0.6
+    return off[kept]
+
+
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_cube_keeps_place_and_loses_only_standstill(marlin: Printer, planner: str) -> None:
     cube = played(layers_of_cube(2), with_own(marlin, planner=planner), planner=planner)
     _, late, off = cube.track()
     assert abs(in_motion(late)) < 5.0
-    assert rms(off) < 0.018
+    assert rms(without_gaps(late, off)) < 0.016
     assert np.median(off) < 0.014
     assert cube.machine.merged < 5
 
@@ -264,7 +274,7 @@ def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
     first, late, off = replace(cube, command=cube.command[:240_000]).track()
     assert len(first) > 230
     assert abs(in_motion(late)) < 3.0
-    assert rms(off) < 0.016
+    assert rms(without_gaps(late, off)) < 0.016
 
 
 @pytest.mark.slow
