@@ -1,4 +1,3 @@
-; processed by hframe-post 0.1.0, printer paper-marlin, settings 325f52a027e4
 ; hframe-post:
 ;FLAVOR:Marlin
 G28
