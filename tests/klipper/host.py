@@ -134,11 +134,14 @@ class Playback:
         return [queue for queue in (self.moves, self.extruder) if len(queue)]
 
 
-def play(gcode: Path, *, limits: Mapping[str, float] | None = None, workdir: Path) -> Playback:
+def play(
+    gcode: Path, *, limits: Mapping[str, float] | None = None, workdir: Path, sections: str = ""
+) -> Playback:
     """Play the file ``gcode`` on the printer of ``printer.cfg``.
 
     ``limits`` overrides options of its section [printer]: max_velocity (mm/s), max_accel
-    (mm/s^2), square_corner_velocity (mm/s), minimum_cruise_ratio and so on. ``workdir`` is
+    (mm/s^2), square_corner_velocity (mm/s), minimum_cruise_ratio and so on; ``sections`` are
+    added to it as they are. ``workdir`` is
     created if need be and takes the working files, over those of an earlier call. The file
     has to home (G28) before it moves; that makes the current position the origin.
 
@@ -149,7 +152,7 @@ def play(gcode: Path, *, limits: Mapping[str, float] | None = None, workdir: Pat
     config, messages = workdir / "printer.cfg", workdir / "messages.json"
     log, stream = workdir / "klippy.log", workdir / "stream.bin"
     log.unlink(missing_ok=True)  # klippy appends
-    config.write_text(_configuration(limits or {}))
+    config.write_text(_configuration(limits or {}) + sections)
     messages.write_text(json.dumps(dictionary()))
     klippy = [config, "-i", gcode.resolve(), "-o", stream, "-d", messages, "-l", log]
     body, print_time = _run(workdir, [str(argument) for argument in klippy], log)

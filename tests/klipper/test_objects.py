@@ -1,0 +1,131 @@
+"""What Klipper does to a stream in mid-print: objects left out, pauses, bed mesh, skew, pressure
+advance. It ends where the file as sliced ends, with as much filament."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.printer.profile import load
+from hframe_post.writers.deferred import DeferredLine
+
+from .host import Playback, play
+
+SECTIONS = """
+[exclude_object]
+[gcode_arcs]
+[pause_resume]
+[skew_correction]
+[bed_mesh]
+mesh_min: 20, 20
+mesh_max: 260, 260
+speed: 50
+[bed_mesh tilted]
+version: 1
+points: 0.0, 0.05, 0.1
+  0.0, 0.06, 0.12
+  0.0, 0.07, 0.14
+tension: 0.2
+min_x: 20
+algo: lagrange
+y_count: 3
+mesh_y_pps: 2
+min_y: 20
+x_count: 3
+max_y: 260
+mesh_x_pps: 2
+max_x: 260
+"""
+HEAD = ["G28", "G90", "M83", "G92 E0"]
+OBJECTS = {"a": (100.0, 100.0), "b": (140.0, 100.0), "c": (100.0, 140.0)}
+
+
+def loop(x: float, y: float) -> list[str]:
+    corners = ((x + 15, y), (x + 15, y + 15), (x, y + 15), (x, y))
+    return ["G1 F4800", *(f"G1 X{px} Y{py} E.5" for px, py in corners)]
+
+
+def objects(layers: int = 2) -> list[str]:
+    """Labelled objects as OrcaSlicer writes them, with its spiral lift."""
+    lines = [f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in OBJECTS]
+    for k in range(layers):
+        z = 0.2 * (k + 1)
+        for name, (x, y) in OBJECTS.items():
+            lines += [f"EXCLUDE_OBJECT_START NAME={name}", "G1 E-.8 F2400", "G17"]
+            lines += [f"G3 Z{z + 0.4:.1f} I1.2 J0 P1 F12000"] if (k, name) != (0, "a") else []
+            lines += [f"G1 X{x} Y{y} Z{z + 0.4:.1f} F12000", f"G1 Z{z:.1f} F600", "G1 E.8 F2400"]
+            lines += [*loop(x, y), f"EXCLUDE_OBJECT_END NAME={name}"]
+    return [*lines, "G1 E-.8 F2400", "G1 Z5 F600", "G1 X50 Y60 F12000"]
+
+
+def both(lines: list[str], folder: Path) -> tuple[Playback, Playback]:
+    """The file as sliced and as converted, played."""
+    paper = load("paper")
+    limits = replace(paper.limits, z_velocity=20.0, z_acceleration=500.0)
+    conversion = GcodeConversion(
+        [line.encode() + b"\n" for line in lines], replace(paper, limits=limits), Options("racking")
+    )
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    (folder / "sliced.gcode").write_text("\n".join(lines) + "\n")
+    (folder / "converted.gcode").write_bytes(text)
+    sliced, converted = (
+        play(folder / f"{name}.gcode", workdir=folder / name, sections=SECTIONS)
+        for name in ("sliced", "converted")
+    )
+    return sliced, converted
+
+
+def left_out(name: str) -> list[str]:
+    """The print with an object cancelled while another one is printed.
+
+    Of the one being printed, Klipper loses count of filament in the file as sliced, too.
+    """
+    lines = objects()
+    at = lines.index(f"EXCLUDE_OBJECT_START NAME={'a' if name == 'b' else 'b'}") + 8
+    return [*HEAD, *lines[:at], f"EXCLUDE_OBJECT NAME={name}", *lines[at:]]
+
+
+def paused() -> list[str]:
+    lines = objects(1)
+    at = lines.index("EXCLUDE_OBJECT_START NAME=b") + 7
+    return [*HEAD, *lines[:at], "PAUSE", "G1 X20 Y20 F6000", "RESUME", *lines[at:]]
+
+
+FILES = {
+    "nothing left out": [*HEAD, *objects()],
+    "a left out": left_out("a"), "b left out": left_out("b"), "c left out": left_out("c"),
+    "paused": paused(),
+    "pressure advance": [*HEAD, "SET_PRESSURE_ADVANCE ADVANCE=0.05", *objects(1)],
+    "bed mesh": ["G28", "BED_MESH_PROFILE LOAD=tilted", *HEAD[1:], *objects(1)],
+    "skew": ["G28", "SET_SKEW XY=100.4,99.8,70.8", *HEAD[1:], *objects(1)],
+}  # fmt: skip
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("name", FILES)
+def test_the_stream_ends_where_the_file_ends(name: str, tmp_path: Path) -> None:
+    sliced, converted = both(FILES[name], tmp_path)
+    at_end = [played.position(played.end + 1.0) for played in (sliced, converted)]
+    np.testing.assert_allclose(at_end[1], at_end[0], atol=0.01)
+    filament = [played.extruded(played.end + 1.0) for played in (sliced, converted)]
+    np.testing.assert_allclose(filament[1], filament[0], atol=2e-3)
+    unknown = [w for w in converted.warnings if "Unknown" in w]
+    assert not [w for w in unknown if w not in sliced.warnings and "INPUT_SHAPER" not in w]
+
+
+@pytest.mark.klipper
+def test_catching_up_on_a_left_out_object_is_not_done_with_the_streams_limits(
+    tmp_path: Path,
+) -> None:
+    """The long move after it has the printer's own acceleration, not the stream's."""
+    _, converted = both(left_out("c"), tmp_path)
+    moves = converted.moves
+    seconds = moves["accel_t"] + moves["cruise_t"] + moves["decel_t"]
+    length = seconds * moves["cruise_v"]
+    long = length > 20.0
+    assert long.any()
+    assert moves["accel"][long].max() <= 10_000.0
