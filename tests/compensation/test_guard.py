@@ -1,0 +1,182 @@
+"""No command leaves the bed or outruns a motor; what is taken back is taken back smoothly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import TS, Array
+from hframe_post.compensation.guard import REACH, Clamp, Guard
+from hframe_post.errors import LimitError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Motors, Travel
+from hframe_post.stream.chunks import batches, join
+from hframe_post.stream.types import Samples
+
+TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
+LIMITS = (TRAVEL, MOTORS, Kinematics("cartesian"))
+FAR = (TRAVEL, Motors(1e5, 1e8), Kinematics())
+
+
+def chunk(path: Array, command: Array, first: int = 0, ends: bool = False) -> Samples:
+    """Samples whose source lines are counted from 1000."""
+    xyze = np.column_stack([path, np.zeros((len(path), 2))])
+    line = 1000 + first + np.arange(len(path))
+    return Samples(first, xyze, line, (), {"racking": command}, ends)
+
+
+def standing(n: int, x: float = 100.0, y: float = 50.0) -> Array:
+    return np.tile([x, y], (n, 1))
+
+
+def bump(n: int, at: int, height: float, width: int) -> Array:
+    """A smooth deviation (n,) around a sample."""
+    share = np.clip((np.arange(n) - at) / width, -1.0, 1.0)
+    return height * (0.5 + 0.5 * np.cos(np.pi * share)) ** 2
+
+
+def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]) -> Guard:
+    guard = Guard(*limits)
+    for _ in guard.check(chunks, "racking"):
+        pass
+    return guard
+
+
+# ---------------------------------------------------------------------- guard
+
+
+@pytest.mark.parametrize(
+    ("axis", "place", "told"),
+    [
+        (0, -0.01, r"x \(mm\) would be -0\.01, the printer's limit is 0"),
+        (0, 200.01, r"x \(mm\) would be 200\.01, the printer's limit is 200"),
+        (1, -0.01, r"y \(mm\) would be -0\.01"),
+        (1, 150.01, r"y \(mm\) would be 150\.01"),
+    ],
+)
+def test_bed_is_not_left(axis: int, place: float, told: str) -> None:
+    command = standing(50)
+    command[30, axis] = place
+    with pytest.raises(LimitError, match=rf"line 1030: {told}"):
+        checked([chunk(standing(50), command)], FAR)
+
+
+def test_edge_of_the_bed_is_on_it() -> None:
+    command = np.tile([200.0, 0.0], (50, 1))
+    checked([chunk(standing(50), command)], FAR)
+
+
+def test_motors_are_driven_up_to_their_limits_and_no_further() -> None:
+    """x at 2000 mm/s² up to 100 mm/s, from rest."""
+    command = standing(100)
+    command[:, 0] += np.cumsum(np.minimum(np.arange(100) * 2.0, 100.0)) * TS
+    peaks = checked([chunk(command, command)], LIMITS).peaks
+    assert peaks.belt_velocity == pytest.approx(100.0)
+    assert peaks.belt_acceleration == pytest.approx(2000.0)
+    assert peaks.axis_acceleration == pytest.approx((2000.0, 0.0))
+    harder = standing(100)
+    harder[:, 0] += np.cumsum(np.minimum(np.arange(100) * 2.001, 50.0)) * TS
+    with pytest.raises(LimitError, match=r"belt acceleration \(mm/s²\) would be 2001"):
+        checked([chunk(harder, harder)], LIMITS)
+
+
+def test_speed_that_is_reached_gently_is_limited_too() -> None:
+    command = standing(300)
+    command[:, 1] += np.cumsum(np.minimum(np.arange(300) * 0.5, 101.0)) * TS
+    with pytest.raises(LimitError, match=r"line 12\d\d: belt velocity \(mm/s\) would be 101"):
+        checked([chunk(command, command)], LIMITS)
+
+
+def test_a_jump_is_seen_across_chunks_but_not_where_the_machine_may_have_moved() -> None:
+    here, there = standing(20), standing(20, 120.0)
+    apart = [chunk(here, here, ends=True), chunk(there, there, 20)]
+    assert checked(apart, LIMITS).peaks.belt_velocity == 0.0
+    with pytest.raises(LimitError, match="line 1020: belt velocity"):
+        checked([chunk(here, here), chunk(there, there, 20)], LIMITS)
+
+
+def test_only_the_chosen_command_is_checked() -> None:
+    outside = standing(20, -5.0)
+    both = replace(
+        chunk(standing(20), standing(20)), commands={"racking": standing(20), "fbs": outside}
+    )
+    checked([both], FAR)
+    with pytest.raises(LimitError):
+        list(Guard(*FAR).check([both], "fbs"))
+
+
+# ---------------------------------------------------------------------- clamp
+
+
+def clamped(whole: Samples, limits: tuple[Travel, Motors, Kinematics]) -> tuple[Array, Clamp]:
+    clamp = Clamp(*limits)
+    return join(list(clamp.limit([whole], "racking"))).commands["racking"], clamp
+
+
+def test_commands_within_the_limits_stay_bit_for_bit() -> None:
+    path = standing(500)
+    command = path + 0.3 * bump(500, 250, 1.0, 100)[:, None]
+    result, clamp = clamped(chunk(path, command), LIMITS)
+    np.testing.assert_array_equal(result, command)
+    assert clamp.clamped.samples == 0
+
+
+@pytest.mark.parametrize("height", [0.2, 1.0, 5.0])
+def test_a_command_off_the_bed_is_taken_back_onto_it_smoothly(height: float) -> None:
+    path = standing(800, x=0.1)
+    command = path.copy()
+    command[:, 0] -= bump(800, 400, height, 150)
+    result, clamp = clamped(chunk(path, command), FAR)
+    changed = np.flatnonzero((result != command).any(axis=1))
+    assert result[:, 0].min() >= 0.0
+    assert clamp.clamped.samples == len(changed)
+    assert clamp.clamped.line == 1000 + changed[0]
+    beyond = np.flatnonzero(command[:, 0] < 0.0)
+    assert changed[0] >= beyond[0] - REACH
+    assert changed[-1] <= beyond[-1] + REACH
+    assert np.abs(np.diff(result - command, axis=0)).max() < 4.0 * height / REACH
+    np.testing.assert_array_equal(result[:, 1], 50.0)
+
+
+@pytest.mark.parametrize("width", [10, 20, 30])
+def test_a_command_that_outruns_the_motors_is_taken_back_until_they_follow(width: int) -> None:
+    path = standing(800)
+    command = path.copy()
+    command[:, 1] += bump(800, 400, 0.3, width)
+    with pytest.raises(LimitError):
+        checked([chunk(path, command)], LIMITS)
+    result, clamp = clamped(chunk(path, command), LIMITS)
+    peaks = checked([chunk(path, result)], LIMITS).peaks
+    assert peaks.belt_velocity <= MOTORS.belt_velocity
+    assert peaks.belt_acceleration <= MOTORS.belt_acceleration
+    assert 0 < clamp.clamped.samples <= 2 * (width + REACH) + 1
+    assert np.abs(result - path).max() > 0.0  # not all of it
+
+
+@given(cut=st.integers(1, 400), seed=st.integers(0, 20))
+def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = standing(600, x=0.5)
+    command = path.copy()
+    for _ in range(3):
+        at, width = int(rng.integers(50, 550)), int(rng.integers(30, 120))
+        command[:, int(rng.integers(2))] += bump(600, at, rng.normal(), width)
+    whole, clamp = clamped(chunk(path, command), LIMITS)
+    pieces = Clamp(*LIMITS)
+    cuts = batches([chunk(path, command)], cut)
+    assert (
+        join(list(pieces.limit(cuts, "racking"))).commands["racking"].tobytes() == whole.tobytes()
+    )
+    assert pieces.clamped == clamp.clamped
+    peaks = checked(
+        batches([chunk(path, command)], cut), (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])
+    ).peaks
+    assert (
+        peaks
+        == checked([chunk(path, command)], (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])).peaks
+    )
