@@ -68,7 +68,8 @@ if TYPE_CHECKING:
 @click.option(
     "--report", "report_file", metavar="FILE",
     type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    help="Write the summary as text, where a slicer does not show it; '-' for standard output.",
+    help="Write the summary as text, where a slicer does not show it; '-' for standard output. "
+    "With a name that ends in .html: a page with a view of the layers.",
 )  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Report, but write nothing.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
@@ -92,6 +93,7 @@ def convert(
     from hframe_post.errors import HframeError
     from hframe_post.firmware.registry import firmware as chosen
     from hframe_post.model.strategies import STRATEGIES
+    from hframe_post.page.build import page
     from hframe_post.printer.profile import load, played_by
     from hframe_post.writers.atomic_file import Outputs
 
@@ -107,6 +109,9 @@ def convert(
             raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
         if tolerance is not None or every_sample:
             raise click.UsageError("--tolerance and --every-sample are for G-code")
+    html = report_file is not None and report_file.suffix == ".html"
+    if html and str(source) == "-":
+        raise click.UsageError("a page needs a file to read twice, not standard input")
     profile = load(printer)
     profile = played_by(profile, firmware or profile.firmware.dialect)
     if not chosen(profile).decimates and (tolerance is not None or every_sample):
@@ -141,7 +146,11 @@ def convert(
                 *slicer.warnings(os.environ, profile.limits),
             ]
         )
-        if summary is not None:
+        if summary is not None and html:
+            file.seek(0)
+            name = slicer.shown_name(os.environ, source)
+            summary.write(page(file, profile, options, name, text.splitlines()))
+        elif summary is not None:
             summary.write(text.encode() + b"\n")
     if not quiet:
         say(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 from hframe_post.errors import one_line
 from hframe_post.printer.settings import Limits
@@ -16,6 +17,11 @@ def output(environ: Mapping[str, str]) -> list[str]:
     """The name that the converted file will have, where a slicer runs this; it is another now."""
     name = environ.get("SLIC3R_PP_OUTPUT_NAME")
     return [f"file        {one_line(name)}"] if name else []
+
+
+def shown_name(environ: Mapping[str, str], source: Path) -> str:
+    """What people call the file."""
+    return one_line(Path(environ.get("SLIC3R_PP_OUTPUT_NAME") or source).name)
 
 
 def warnings(environ: Mapping[str, str], limits: Limits) -> list[str]:

@@ -23,6 +23,7 @@ from hframe_post.prediction.statistics import ContourErrors, Figures
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
+from hframe_post.studies.layer_view import LayerView
 from hframe_post.studies.simulation_report import (
     Group,
     Parts,
@@ -49,11 +50,15 @@ class Study:
 
 
 def simulate(
-    lines: Iterable[bytes], printer: Printer, options: Options, study: Study
+    lines: Iterable[bytes],
+    printer: Printer,
+    options: Options,
+    study: Study,
+    view: LayerView | None = None,
 ) -> SimulationReport:
     """What the options' strategies would do; memory does not grow with the print.
 
-    Raises HframeError.
+    view: what looks on, for a picture of the layers. Raises HframeError.
     """
     source = Commands(lines, printer, replace(options, predict=()), options.strategies)
     parts, uncertainties = Parts(), list[Uncertainty]()
@@ -73,7 +78,10 @@ def simulate(
             drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
     labels = Labels()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
-        _add_errors(judgement, labels, parts)
+        layer, feature = labels.of(judgement.chunk)
+        _add_errors(judgement, layer, feature, labels, parts)
+        if view is not None:
+            view.add(judgement, layer, feature, labels)
     contour = {name: figures.contour for name, figures in parts.whole.items()}
     return SimulationReport(
         **known(replace(source.report(), contour=contour)), plant=study.name,
@@ -89,8 +97,9 @@ def _drawn(judged: Iterable[Judgement], contour: dict[str, ContourErrors]) -> It
         yield
 
 
-def _add_errors(judgement: Judgement, labels: Labels, parts: Parts) -> None:
-    layer, feature = labels.of(judgement.chunk)
+def _add_errors(
+    judgement: Judgement, layer: Integers, feature: Integers, labels: Labels, parts: Parts
+) -> None:
     for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
         for name, contour in judgement.contour.items():
             figures = group.setdefault(name, Figures())

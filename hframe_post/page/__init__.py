@@ -1,0 +1,1 @@
+"""The report as one page: what a browser shows without a network."""

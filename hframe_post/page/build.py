@@ -1,0 +1,217 @@
+"""``report.html``: one page with everything in it, for a browser without a network.
+
+What comes from a file (names, lines, comments) is data: JSON with its angle brackets escaped, and
+compressed bytes. The page's script puts it into text nodes only.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.conversion.pipeline import Options
+from hframe_post.model.strategies import STRATEGIES
+from hframe_post.prediction.statistics import Figures
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.layer_view import LayerView, Segments
+from hframe_post.studies.simulation import Study, simulate
+from hframe_post.studies.simulation_report import SimulationReport
+from hframe_post.version import __version__
+
+LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries
+WORST = 10  # places
+APART = 2.0  # mm between two of them, seen from above
+PER_MM = 100.0  # places are written in 10 µm
+PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
+ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
+
+
+def page(
+    lines: Iterable[bytes], printer: Printer, options: Options, name: str, notes: list[str]
+) -> bytes:
+    """The page for a file, simulated with all strategies. Raises HframeError.
+
+    name: of the file; notes: the summary in words, a line each.
+    """
+    source = _Kept(lines)
+    view = LayerView(tuple(STRATEGIES))
+    study = Study(printer.plant, name=printer.name)
+    report = simulate(source, printer, replace(options, predict=tuple(STRATEGIES)), study, view)
+    names = view.labels
+    layers = view.layers()
+    data = {
+        "name": name,
+        "version": __version__,
+        "notes": notes,
+        "chosen": options.strategy,
+        "strategies": [
+            {"name": each.name, "label": each.label, "colour": each.colour}
+            for each in STRATEGIES.values()
+        ],
+        "report": report.as_json(),
+        "features": names.features,
+        "layers": [
+            {
+                "name": names.layers[number],
+                "count": len(each.line),
+                "rms": _rms_of(report, names.layers[number]),
+            }
+            for number, each in layers.items()
+        ],
+        "byFeature": _by_feature(report),
+        "worst": _worst(layers, options.strategy),
+        "joined": view.joined,
+        "travel": {"x": printer.travel.x, "y": printer.travel.y},
+        "printer": _printer(printer, options),
+    }
+    return _filled(data, _packed(layers), source.packed)
+
+
+class _Kept:
+    """The lines, and what they are compressed; None once that is too much."""
+
+    def __init__(self, lines: Iterable[bytes]) -> None:
+        self._lines, self._size = lines, 0
+        self._parts: list[bytes] | None = []
+
+    def __iter__(self) -> Iterator[bytes]:
+        squeeze = zlib.compressobj(9)
+        for line in self._lines:
+            if self._parts is not None:
+                part = squeeze.compress(line.rstrip(b"\r\n") + b"\n")
+                self._parts.append(part)
+                self._size += len(part)
+                if self._size > LARGEST_TEXT:
+                    self._parts = None
+            yield line
+        if self._parts is not None:
+            self._parts.append(squeeze.flush())
+
+    @property
+    def packed(self) -> bytes:
+        """Compressed text, or nothing."""
+        return b"".join(self._parts or ())
+
+
+def _rms_of(report: SimulationReport, layer: str) -> list[float]:
+    """RMS of each strategy in a layer, µm."""
+    group = report.parts.layers.get(layer, {})
+    return [_rms(group.get(name)) for name in STRATEGIES]
+
+
+def _rms(figures: Figures | None) -> float:
+    return round(figures.contour.rms * 1e3, 3) if figures is not None else 0.0
+
+
+def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
+    """Each feature: share of the time, and errors of each strategy."""
+    counts = {
+        name: max(each.contour.all.count for each in group.values())
+        for name, group in report.parts.features.items()
+        if group
+    }
+    whole = sum(counts.values()) or 1
+    return [
+        {
+            "name": name,
+            "share": count / whole,
+            "rms": [_rms(report.parts.features[name].get(each)) for each in STRATEGIES],
+            "peak": [
+                round(figures.contour.shown.peak * 1e3, 1) if figures is not None else 0.0
+                for each in STRATEGIES
+                for figures in (report.parts.features[name].get(each),)
+            ],
+        }
+        for name, count in sorted(counts.items(), key=lambda each: -each[1])
+        if count
+    ]
+
+
+def _worst(layers: dict[int, Segments], strategy: str) -> list[dict[str, Any]]:
+    """Where the chosen strategy prints furthest off: layer and segment, each place once."""
+    column = list(STRATEGIES).index(strategy)
+    order, found = list(layers.values()), list[dict[str, Any]]()
+    candidates = []
+    for index, each in enumerate(order):
+        errors = np.where(each.feature > 0, each.error[:, column], 0.0)  # what prints
+        candidates += [(float(errors[k]), index, int(k)) for k in np.argsort(errors)[-5 * WORST :]]
+    taken: list[Array] = []
+    for error, index, k in sorted(candidates, reverse=True):
+        place = order[index].xy[k]
+        if error > 0.0 and not any(np.hypot(*(place - other)) < APART for other in taken):
+            taken.append(place)
+            found.append({"layer": index, "segment": k})
+        if len(found) == WORST:
+            break
+    return found
+
+
+def _printer(printer: Printer, options: Options) -> list[list[str]]:
+    """Name and value of what decides the result."""
+    limits, window, motors = printer.limits, printer.compensation, printer.motors
+    return [
+        ["profile", f"{printer.name}: {printer.description}"],
+        ["kinematics", printer.kinematics.type],
+        ["firmware", printer.firmware.dialect],
+        ["highest speed", f"{limits.velocity:g} mm/s"],
+        ["highest acceleration", f"{limits.acceleration:g} mm/s²"],
+        ["square corner", f"{limits.square_corner_velocity:g} mm/s"],
+        [
+            "belts",
+            f"{motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} mm/s²",
+        ],
+        ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
+        ["limits of the file", str(options.limits)],
+        ["beyond a limit", "taken back" if options.clamp else "an error"],
+        ["settings", printer.digest],
+    ]
+
+
+def _packed(layers: dict[int, Segments]) -> bytes:
+    """All segments, column by column, differences where these are smaller; little-endian.
+
+    int32 x, y, line; uint16 speed and each strategy's error; uint8 feature, 128 more where the
+    path begins.
+    """
+    parts = list(layers.values())
+    if not parts:
+        return zlib.compress(b"")
+    xy, speed, error = (
+        np.concatenate([getattr(each, name) for each in parts]) for name in ("xy", "speed", "error")
+    )
+    feature = np.concatenate([np.minimum(each.feature, 127) + 128 * each.begins for each in parts])
+    line = np.concatenate([each.line for each in parts])
+    places = np.column_stack([np.rint(xy * PER_MM).astype(np.int64), line])
+    errors = np.minimum(np.rint(error * PER_MM_OF_ERROR), 65535.0)
+    columns = (
+        np.diff(places, axis=0, prepend=np.zeros((1, 3), np.int64)).T.astype("<i4"),
+        np.minimum(speed, 65535.0).astype("<u2"),
+        errors.T.astype("<u2"),
+        feature.astype("u1"),
+    )
+    return zlib.compress(b"".join(column.tobytes() for column in columns), 9)
+
+
+def _filled(data: dict[str, Any], segments: bytes, text: bytes) -> bytes:
+    """The template with its style, its script and the data."""
+    told = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for character, escape in ESCAPED.items():
+        told = told.replace(character, escape)
+    folder = resources.files(__package__)
+    parts = {
+        "STYLE": (folder / "page.css").read_text("utf-8"),
+        "SCRIPT": (folder / "page.js").read_text("utf-8"),
+        "DATA": told,
+        "SEGMENTS": base64.b64encode(segments).decode(),
+        "TEXT": base64.b64encode(text).decode(),
+    }
+    pieces = (folder / "page.html").read_text("utf-8").split("@@")
+    return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8", "replace")

@@ -1,0 +1,301 @@
+"use strict";
+const $ = (id) => document.getElementById(id);
+const data = JSON.parse($("data").textContent);
+const S = data.strategies.length;
+const RAMP = [[44, 123, 182], [63, 173, 160], [214, 176, 48], [238, 122, 44], [214, 40, 60], [128, 16, 70]];
+const LOW = 0.3, HIGH = 300, COLOURS = 48;  // µm, and shades between them
+const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), scale: 1, x: 0, y: 0, picked: -1 };
+let path = null, first = [], rows = null;
+
+// ------------------------------------------------------------------ small helpers
+
+function make(tag, text, kind) {  // what comes from a file is text, never markup
+  const made = document.createElement(tag);
+  if (text !== undefined) made.textContent = text;
+  if (kind) made.className = kind;
+  return made;
+}
+function add(parent, ...children) { parent.append(...children); return parent; }
+const micrometres = (um) => um >= 99.5 ? um.toFixed(0) : um >= 9.95 ? um.toFixed(0) : um.toFixed(1);
+const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+function shade(um) {
+  const share = Math.log(Math.max(um, LOW) / LOW) / Math.log(HIGH / LOW);
+  return Math.min(Math.floor(share * COLOURS), COLOURS - 1);
+}
+function colour(k) {
+  const at = (k / (COLOURS - 1)) * (RAMP.length - 1), i = Math.min(Math.floor(at), RAMP.length - 2), t = at - i;
+  return `rgb(${RAMP[i].map((c, n) => Math.round(c + t * (RAMP[i + 1][n] - c))).join(",")})`;
+}
+function clock(seconds) {
+  const s = Math.round(seconds), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60;
+  return h ? `${h} h ${m} min` : m ? `${m} min ${s % 60} s` : `${s} s`;
+}
+async function unpacked(id) {
+  const packed = Uint8Array.from(atob($(id).textContent), (c) => c.charCodeAt(0));
+  if (!packed.length) return new ArrayBuffer(0);
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+// ------------------------------------------------------------------ the path
+
+async function load() {
+  const bytes = await unpacked("segments");
+  const n = data.layers.reduce((sum, layer) => sum + layer.count, 0);
+  let offset = 0;
+  const take = (Kind) => { const made = new Kind(bytes, offset, n); offset += n * Kind.BYTES_PER_ELEMENT; return made; };
+  const summed = () => { const made = take(Int32Array); for (let k = 1; k < n; k++) made[k] += made[k - 1]; return made; };
+  path = { x: summed(), y: summed(), line: summed(), speed: take(Uint16Array), error: [], feature: null };
+  for (let s = 0; s < S; s++) path.error.push(take(Uint16Array));
+  path.feature = take(Uint8Array);
+  let start = 0;
+  first = data.layers.map((layer) => { const here = start; start += layer.count; return here; });
+  first.push(n);
+}
+const place = (k) => [path.x[k] / 100, path.y[k] / 100];
+const begins = (k) => path.feature[k] >= 128 || k === first[state.layer];
+const um = (k, s) => path.error[s][k] / 10;
+async function lineOf(number) {
+  if (rows === null) rows = new TextDecoder("utf-8").decode(await unpacked("text")).split("\n");
+  return rows[number - 1];
+}
+
+// ------------------------------------------------------------------ drawing
+
+const canvas = $("canvas");
+function fit() {
+  const box = canvas.getBoundingClientRect();
+  let x0 = Infinity, x1 = -Infinity, y0 = Infinity, y1 = -Infinity;
+  for (let k = first[state.layer]; k < first[state.layer + 1]; k++) {
+    const [x, y] = place(k);
+    x0 = Math.min(x0, x); x1 = Math.max(x1, x); y0 = Math.min(y0, y); y1 = Math.max(y1, y);
+  }
+  if (!(x1 >= x0)) return;
+  state.scale = 0.86 * Math.min(box.width / Math.max(x1 - x0, 1), box.height / Math.max(y1 - y0, 1));
+  state.x = (x0 + x1) / 2; state.y = (y0 + y1) / 2;
+}
+const toScreen = (x, y, box) => [box.width / 2 + (x - state.x) * state.scale, box.height / 2 - (y - state.y) * state.scale];
+let asked = false;
+function draw() {
+  if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; paint(); }); }
+}
+function paint() {
+  if (!path) return;
+  const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
+  canvas.width = Math.round(box.width * ratio); canvas.height = Math.round(box.height * ratio);
+  const ink = canvas.getContext("2d");
+  ink.scale(ratio, ratio);
+  grid(ink, box);
+  const from = first[state.layer], to = first[state.layer + 1], error = path.error[state.strategy];
+  const strokes = new Array(COLOURS).fill(null), travels = new Path2D();
+  let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0];
+  for (let k = from; k < to; k++) {
+    const [x, y] = toScreen(...place(k), box);
+    if (!begins(k)) {
+      const travel = (path.feature[k] & 127) === 0;
+      const shown = travel ? 0 : shade(error[k] / 10);
+      const stroke = travel ? travels : (strokes[shown] = strokes[shown] || new Path2D());
+      stroke.moveTo(x0, y0); stroke.lineTo(x, y);
+    }
+    x0 = x; y0 = y;
+  }
+  ink.lineCap = "round"; ink.lineJoin = "round";
+  ink.lineWidth = 1; ink.strokeStyle = style("--faint"); ink.setLineDash([2, 4]); ink.stroke(travels); ink.setLineDash([]);
+  ink.lineWidth = Math.min(Math.max(0.38 * state.scale, 1.3), 9);
+  strokes.forEach((stroke, k) => { if (stroke) { ink.strokeStyle = colour(k); ink.stroke(stroke); } });
+  if (state.picked >= from && state.picked < to) {
+    const [x, y] = toScreen(...place(state.picked), box);
+    ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 5; ink.strokeStyle = style("--stage"); ink.stroke();
+    ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 2.5; ink.strokeStyle = style("--ink"); ink.stroke();
+  }
+}
+function grid(ink, box) {
+  const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100].find((mm) => mm * state.scale >= 56) || 200;
+  const [left, right] = [-1, 1].map((side) => state.x + side * box.width / 2 / state.scale);
+  const [low, high] = [-1, 1].map((side) => state.y + side * box.height / 2 / state.scale);
+  ink.strokeStyle = style("--line"); ink.fillStyle = style("--soft"); ink.lineWidth = 1; ink.font = "11px system-ui, sans-serif";
+  const label = (mm) => String(Math.round(mm * 10) / 10);
+  for (let x = Math.ceil(left / step) * step; x < right; x += step) {
+    const at = Math.round(toScreen(x, 0, box)[0]) + 0.5;
+    ink.beginPath(); ink.moveTo(at, 0); ink.lineTo(at, box.height); ink.stroke(); ink.fillText(label(x), at + 4, box.height - 6);
+  }
+  for (let y = Math.ceil(low / step) * step; y < high; y += step) {
+    const at = Math.round(toScreen(0, y, box)[1]) + 0.5;
+    ink.beginPath(); ink.moveTo(0, at); ink.lineTo(box.width, at); ink.stroke(); ink.fillText(label(y), 6, at - 4);
+  }
+}
+function strip() {  // the error of each layer, above the slider
+  const shown = $("strip"), box = shown.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
+  shown.width = Math.round(box.width * ratio); shown.height = Math.round(box.height * ratio);
+  const ink = shown.getContext("2d"); ink.scale(ratio, ratio);
+  const n = data.layers.length, inset = 8, wide = (box.width - 2 * inset) / Math.max(n - 1, 1);
+  const height = (um) => box.height * Math.min(Math.max(Math.log(um / LOW) / Math.log(HIGH / LOW), 0.03), 1);
+  data.layers.forEach((layer, k) => {
+    const um = layer.rms[state.strategy];
+    ink.fillStyle = colour(shade(um)); ink.globalAlpha = k === state.layer ? 1 : 0.45;
+    ink.fillRect(inset + (k - 0.5) * wide + (wide > 3 ? 0.5 : 0), box.height - height(um), Math.max(wide - (wide > 3 ? 1 : 0), 1), height(um));
+  });
+  ink.globalAlpha = 1; ink.fillStyle = style("--ink"); ink.fillRect(inset + state.layer * wide - 1, 0, 2, box.height);
+}
+
+// ------------------------------------------------------------------ what is told
+
+function told() {
+  const layer = data.layers[state.layer];
+  $("where").replaceChildren("Layer ", make("b", layer ? layer.name : "–"), ` (${state.layer + 1} of ${data.layers.length})`,
+    ...(layer ? data.strategies.flatMap((each, s) => [" · ", each.label, " ", make("b", micrometres(layer.rms[s])), " µm"]) : []));
+  document.querySelectorAll("#strategies button").forEach((button, k) => button.setAttribute("aria-checked", String(k === state.strategy)));
+  strip(); draw();
+}
+function show(layer) {
+  const n = data.layers.length;
+  state.layer = Math.min(Math.max(layer, 0), n - 1);
+  $("layer").value = state.layer;
+  told();
+}
+async function pick(k) {
+  state.picked = k;
+  const [x, y] = place(k), number = path.line[k], feature = data.features[path.feature[k] & 127] || "";
+  const text = await lineOf(number);
+  if (state.picked !== k) return;
+  const code = make("code");
+  add(code, make("i", `line ${number}  `), text === undefined || (!rows || rows.length < 2) ? "(the file is too large to be carried along)" : text.slice(0, 300));
+  const facts = make("div", undefined, "facts");
+  const fact = (name, value) => add(facts, add(make("span", name + " "), make("b", value)));
+  fact("at", `X${x.toFixed(2)} Y${y.toFixed(2)}`);
+  fact("feature", feature);
+  fact("speed", `${path.speed[k]} mm/s`);
+  data.strategies.forEach((each, s) => fact(each.label, `${micrometres(um(k, s))} µm`));
+  $("place").replaceChildren(code, facts);
+  draw();
+}
+function nearest(px, py) {
+  const box = canvas.getBoundingClientRect();
+  let best = -1, least = 24 * 24;
+  let before = null;
+  for (let k = first[state.layer]; k < first[state.layer + 1]; k++) {
+    const here = toScreen(...place(k), box);
+    const start = begins(k) || !before ? here : before;
+    const dx = here[0] - start[0], dy = here[1] - start[1], length2 = dx * dx + dy * dy;
+    const t = length2 ? Math.min(Math.max(((px - start[0]) * dx + (py - start[1]) * dy) / length2, 0), 1) : 0;
+    const ex = px - start[0] - t * dx, ey = py - start[1] - t * dy;
+    const far = ex * ex + ey * ey + ((path.feature[k] & 127) === 0 ? 60 : 0);  // printing before travel
+    if (far < least) { least = far; best = k; }
+    before = here;
+  }
+  return best;
+}
+
+// ------------------------------------------------------------------ pointers
+
+const fingers = new Map();
+let moved = 0;
+function zoom(factor, px, py) {
+  const box = canvas.getBoundingClientRect();
+  const x = state.x + (px - box.width / 2) / state.scale, y = state.y - (py - box.height / 2) / state.scale;
+  state.scale = Math.min(Math.max(state.scale * factor, 0.2), 4000);
+  state.x = x - (px - box.width / 2) / state.scale; state.y = y + (py - box.height / 2) / state.scale;
+  draw();
+}
+const at = (event) => { const box = canvas.getBoundingClientRect(); return [event.clientX - box.left, event.clientY - box.top]; };
+canvas.addEventListener("pointerdown", (event) => {
+  canvas.setPointerCapture(event.pointerId);
+  if (!fingers.size) moved = 0;
+  fingers.set(event.pointerId, at(event));
+});
+canvas.addEventListener("pointermove", (event) => {
+  const old = fingers.get(event.pointerId);
+  if (!old) return;
+  const now = at(event), other = [...fingers].find(([id]) => id !== event.pointerId);
+  moved += Math.hypot(now[0] - old[0], now[1] - old[1]);
+  if (other) {
+    const q = other[1], factor = Math.hypot(now[0] - q[0], now[1] - q[1]) / Math.max(Math.hypot(old[0] - q[0], old[1] - q[1]), 1);
+    zoom(factor, (now[0] + q[0]) / 2, (now[1] + q[1]) / 2);
+  } else if (moved > 4) {
+    state.x -= (now[0] - old[0]) / state.scale; state.y += (now[1] - old[1]) / state.scale; draw();
+  }
+  fingers.set(event.pointerId, now);
+});
+canvas.addEventListener("pointerup", (event) => {
+  if (path && fingers.size === 1 && moved <= 4) { const k = nearest(...at(event)); if (k >= 0) pick(k); }
+  fingers.delete(event.pointerId);
+});
+canvas.addEventListener("pointercancel", (event) => fingers.delete(event.pointerId));
+canvas.addEventListener("wheel", (event) => { event.preventDefault(); zoom(Math.exp(-event.deltaY / 400), ...at(event)); }, { passive: false });
+const middle = () => { const box = canvas.getBoundingClientRect(); return [box.width / 2, box.height / 2]; };
+$("closer").addEventListener("click", () => zoom(1.6, ...middle()));
+$("farther").addEventListener("click", () => zoom(1 / 1.6, ...middle()));
+$("fit").addEventListener("click", () => { fit(); draw(); });
+$("layer").addEventListener("input", () => show(Number($("layer").value)));
+$("below").addEventListener("click", () => show(state.layer - 1));
+$("above").addEventListener("click", () => show(state.layer + 1));
+window.addEventListener("resize", () => { if (path) { strip(); draw(); } });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (path) told(); });
+
+// ------------------------------------------------------------------ the page around it
+
+function cards() {
+  const report = data.report, whole = report.strategies, before = whole.none, chosen = whole[data.chosen];
+  const card = (what, value, unit, more, kind) => add($("cards"), add(make("div", undefined, "card " + (kind || "")), make("p", what, "what"),
+    add(make("p", value, "value"), make("small", unit ? " " + unit : "")), make("p", more, "more")));
+  data.strategies.forEach((each) => {
+    const told = whole[each.name];
+    if (told) card(each.label, micrometres(told.contour_error_um.rms), "µm RMS", `95 % below ${micrometres(told.contour_error_um.p95)} µm`, each.name === data.chosen ? "best" : "");
+  });
+  const time = report.print_time_s, longer = 100 * (time.after / time.before - 1);
+  card("Print time", clock(time.after), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
+  if (chosen) card("Belts at most", chosen.peak_belt_speed.toFixed(0), "mm/s", `${Math.round(chosen.peak_belt_acceleration).toLocaleString("en")} mm/s²`);
+  if (before && chosen && data.chosen !== "none") {
+    const was = before.contour_error_um.rms, is = chosen.contour_error_um.rms;
+    $("lead").replaceChildren("Without compensation the nozzle would be ", make("strong", `${micrometres(was)} µm`), " off the path (RMS), with it ",
+      make("strong", `${micrometres(is)} µm`), is < was ? `: ${(was / is).toFixed(was / is < 10 ? 1 : 0)} times closer.` : ".");
+  } else $("lead").textContent = "Nothing is compensated in this file.";
+}
+function tables() {
+  const head = (names) => add(make("thead"), add(make("tr"), ...names.map((name) => make("th", name))));
+  const body = make("tbody");
+  data.byFeature.forEach((each) => {
+    const share = make("td"), meter = make("span", undefined, "meter");
+    meter.style.width = `${Math.max(60 * each.share, 1)}px`;
+    add(share, meter, `${(100 * each.share).toFixed(1)} %`);
+    add(body, add(make("tr"), make("td", each.name, "name"), share, ...each.rms.map((um) => make("td", micrometres(um)))));
+  });
+  add($("features"), head(["feature", "of the time", ...data.strategies.map((s) => `${s.label}, µm`)]), body);
+  const worst = make("tbody");
+  data.worst.forEach((each, n) => {
+    const k = first[each.layer] + each.segment, [x, y] = place(k), row = make("tr", undefined, "go");
+    row.tabIndex = 0;
+    const go = () => { state.x = x; state.y = y; show(each.layer); state.scale = Math.max(state.scale, 14); pick(k); $("canvas").scrollIntoView({ behavior: "smooth", block: "center" }); };
+    row.addEventListener("click", go);
+    row.addEventListener("keydown", (event) => { if (event.key === "Enter") go(); });
+    add(worst, add(row, make("td", data.layers[each.layer].name), ...data.strategies.map((_, s) => make("td", micrometres(um(k, s)))), make("td", `X${x.toFixed(1)} Y${y.toFixed(1)}`), make("td", path.line[k]),
+      make("td", data.features[path.feature[k] & 127] || "", "name"), make("td", `${path.speed[k]}`)));
+  });
+  add($("worst"), head(["layer", ...data.strategies.map((s) => `${s.label}, µm`), "place", "line", "feature", "mm/s"]), worst);
+}
+function frame() {
+  document.title = `${data.name} – hframe-post`;
+  $("name").textContent = data.name; $("version").textContent = data.version;
+  const ramp = $("ramp").getContext("2d");
+  for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
+  data.strategies.forEach((each, k) => {
+    const button = make("button", each.label);
+    button.setAttribute("role", "radio");
+    button.addEventListener("click", () => { state.strategy = k; told(); });
+    add($("strategies"), button);
+  });
+  data.notes.forEach((note) => {
+    const [, name, text] = /^(\S.{0,10}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
+    add($("notes"), add(make("li"), make("span", name), make("span", text)));
+  });
+  data.printer.forEach(([name, value]) => add($("printer"), make("dt", name), make("dd", value)));
+  $("layer").max = Math.max(data.layers.length - 1, 0);
+  if (data.joined) $("sampled").textContent = `This print is long: the view joins ${2 ** data.joined} neighbouring segments into one, each with its largest error.`;
+}
+frame(); cards();
+load().then(() => {
+  $("loading").remove();
+  show(Math.floor(data.layers.length / 2));
+  fit(); tables(); told();
+  document.body.dataset.ready = "yes";
+}).catch((error) => { $("loading").textContent = "This browser cannot unpack the view: " + error; throw error; });

@@ -1,0 +1,109 @@
+"""The path of a print with its predicted errors, layer by layer, small enough to look at.
+
+Samples are gathered into short segments, each with the largest error in it. Where there get to
+be too many, neighbours are joined, two by two: a view of any print is bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Integers, Z
+from hframe_post.prediction.labels import Labels
+from hframe_post.prediction.predict import Judgement
+
+FINEST = 1.0  # mm of a segment at most, as long as there are few
+MOST = 300_000  # segments of a print
+COLUMNS = 6  # of a segment: the ones of ``Segments`` but errors
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """n ends of segments of one layer, in the order of time; each begins where the last ended.
+
+    xy (n, 2): mm. line, feature (n,): source line, number of the feature. speed (n,): mm/s.
+    begins (n,): the path before it is not known, so there is no segment. error (n, s): largest
+    in the segment, mm, for each of s strategies.
+    """
+
+    xy: Array
+    line: Integers
+    feature: Integers
+    speed: Array
+    begins: Integers
+    error: Array
+
+
+class LayerView:
+    """Gathers the segments of each layer, for the given strategies, as they are judged."""
+
+    def __init__(self, strategies: tuple[str, ...]) -> None:
+        self._strategies = strategies
+        self._layers: dict[int, list[Array]] = {}
+        self._count, self._apart = 0, True
+        self.labels = Labels()
+        self.joined = 0  # times that neighbours were joined
+
+    def add(self, judgement: Judgement, layer: Integers, feature: Integers, labels: Labels) -> None:
+        """The next judged samples; layer, feature: numbers, by the labels, for the whole chunk."""
+        self.labels = labels
+        chunk, at = judgement.chunk, judgement.at
+        if len(at):
+            table = self._table(judgement, feature[at])
+            for number in np.unique(layer[at]).tolist():
+                rows = table[layer[at] == number]
+                merged = _merged(rows, _starts(rows, FINEST * 2**self.joined))
+                self._layers.setdefault(number, []).append(merged)
+                self._count += len(merged)
+            self._apart = False
+        self._apart = self._apart or chunk.ends_stretch
+        while self._count > MOST:
+            self._join()
+
+    def _table(self, judgement: Judgement, feature: Integers) -> Array:
+        """A row a sample, the columns of ``Segments``."""
+        chunk, at = judgement.chunk, judgement.at
+        xy = chunk.xyze[:, :Z]
+        steps = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T)
+        begins = np.zeros(len(at))
+        begins[0] = self._apart
+        errors = [judgement.contour[name] for name in self._strategies]
+        return np.column_stack([xy[at], chunk.line[at], feature, steps[at] / TS, begins, *errors])
+
+    def _join(self) -> None:
+        """Neighbours become one, so that there are half as many."""
+        self.joined += 1
+        for number, tables in self._layers.items():
+            rows = np.concatenate(tables)
+            self._layers[number] = [_merged(rows, np.arange(0, len(rows), 2))]
+        self._count = sum(len(table) for (table,) in self._layers.values())
+
+    def layers(self) -> dict[int, Segments]:
+        """By the layer's number, in their order."""
+        told = {}
+        for number in sorted(self._layers):
+            rows = np.concatenate(self._layers[number])
+            line, feature, begins = (rows[:, k].astype(np.int64) for k in (2, 3, 5))
+            told[number] = Segments(
+                rows[:, :2], line, feature, rows[:, 4], begins, rows[:, COLUMNS:]
+            )
+        return told
+
+
+def _starts(rows: Array, length: float) -> Integers:
+    """Rows at which a segment begins: another line or feature, or far enough from the last."""
+    way = np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0, prepend=rows[:1, :2]).T))
+    new = np.diff(rows[:, 2], prepend=-1.0) != 0.0
+    new |= np.diff(rows[:, 3], prepend=-1.0) != 0.0
+    new |= np.diff(np.floor(way / length), prepend=-1.0) != 0.0
+    return np.flatnonzero(new)
+
+
+def _merged(rows: Array, starts: Integers) -> Array:
+    """One row for the rows from each start to the next: the last place, the largest error."""
+    last = np.append(starts[1:], len(rows)) - 1
+    merged = rows[last]
+    merged[:, 4:] = np.maximum.reduceat(rows[:, 4:], starts, axis=0)
+    return np.asarray(merged)

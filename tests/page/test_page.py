@@ -1,0 +1,136 @@
+"""The report as a page: whole, small, harmless, and alive in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hframe_post.conversion.pipeline import Options
+from hframe_post.page.build import page
+from hframe_post.printer.settings import Printer
+from tests.chromium import PROGRAM, Browser
+from tests.cli.test_main import run
+from tests.conftest import SAMPLES
+
+EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
+BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
+
+
+def sliced(feature: str = "WALL-OUTER") -> bytes:
+    """Three layers of a square, with places and names of our choice."""
+    lines = ["M83", "G28", "G1 Z5 F600", "G0 X100 Y100 F9000"]
+    for layer in range(3):
+        lines += [f";LAYER:{layer}", f";TYPE:{feature}", f"G1 Z{0.2 * (layer + 1):.1f} F600"]
+        for x, y in ((140, 100), (140, 130), (100, 130), (100, 100)):
+            lines.append(f"G1 X{x} Y{y} E1 F6000")
+    return ("\n".join(lines) + f"\n; {EVIL}\nM104 S0\n").encode()
+
+
+def built(paper: Printer, text: bytes, name: str = "square.gcode") -> bytes:
+    return page(text.splitlines(keepends=True), paper, Options("racking"), name, ["profile     p"])
+
+
+def data_of(html: bytes) -> dict[str, object]:
+    found = re.search(rb'id="data">(.*?)</script>', html, re.DOTALL)
+    assert found is not None
+    told: dict[str, object] = json.loads(found[1])
+    return told
+
+
+def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:
+    html = built(paper, sliced(EVIL), EVIL)
+    assert EVIL.encode() not in html
+    assert html.count(b"<script") == html.count(b"</script>") == 4
+    assert b"<img" not in html
+    assert not re.search(rb"(src|href)=[\"'](?!data:)", html)
+    assert b"http" not in html.replace(b"http-equiv", b"")
+    assert data_of(html)["name"] == EVIL
+    assert EVIL in str(data_of(html)["features"])
+
+
+def test_it_is_the_same_again(paper: Printer) -> None:
+    assert built(paper, sliced()) == built(paper, sliced())
+
+
+def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:
+    part = SAMPLES / "rectangle.gcode"
+    out, report = tmp_path / "out.gcode", tmp_path / "report.html"
+    assert run(part, "-o", out, "--report", report).returncode == 0
+    told = data_of(report.read_bytes())
+    assert told["name"] == "rectangle.gcode"
+    assert told["chosen"] == "racking"
+    assert out.is_file()
+    assert run("-", "-o", out, "--report", report, stdin=part.read_bytes()).returncode == 2
+    part_of_evil = tmp_path / "bad.gcode"
+    part_of_evil.write_text("G28\nG1 X10 Y10\nG1 X9999\n")
+    failed = run(part_of_evil, "-o", tmp_path / "no.gcode", "--report", tmp_path / "no.html")
+    assert failed.returncode == 1
+    assert not (tmp_path / "no.html").exists()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if PROGRAM is None:
+        pytest.skip("chromium is not installed")
+    with Browser(tmp_path_factory.mktemp("chromium")) as running:
+        yield running
+
+
+def test_slider_strategies_click_and_zoom_change_what_they_should(
+    browser: Browser, paper: Printer, tmp_path: Path
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(built(paper, sliced()))
+    browser.screen(1280, 1500)
+    assert browser.open(path) < 10.0
+    assert browser.value("document.getElementById('where').textContent").startswith("Layer 1 (")
+
+    browser.value("layer = document.getElementById('layer'); layer.value = 2; "
+                  "layer.dispatchEvent(new Event('input'))")  # fmt: skip
+    assert browser.value("document.getElementById('where').textContent").startswith("Layer 2 (")
+
+    frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    browser.value(frame)
+    coloured = browser.value("canvas.toDataURL()")
+    browser.value("document.querySelectorAll('#strategies button')[0].click()")
+    browser.value(frame)
+    assert browser.value("canvas.toDataURL()") != coloured
+    assert browser.value("state.strategy") == 0
+
+    left, top, width, height = browser.value(BOX)
+    x, y = browser.value("toScreen(120, 100, canvas.getBoundingClientRect())")
+    assert 0 < x < width
+    assert 0 < y < height
+    browser.click(left + x, top + y)
+    browser.value("new Promise(done => setTimeout(done, 300))")
+    place = browser.value("document.getElementById('place').textContent")
+    assert "G1 X140 Y100 E1 F6000" in place
+    assert "line 22" in place
+    assert "WALL-OUTER" in place
+    assert "no compensation" in place
+
+    scale = browser.value("state.scale")
+    browser("Input.dispatchMouseEvent", type="mouseWheel", x=left + x, y=top + y, deltaX=0,
+            deltaY=-200)  # fmt: skip
+    browser.value(frame)
+    assert browser.value("state.scale") > scale
+    browser.value("document.querySelector('#worst tr.go').click()")
+    assert browser.value("state.picked") >= 0
+    assert browser.complaints == []
+
+
+def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
+    path = tmp_path / "evil.html"
+    path.write_bytes(built(paper, sliced(EVIL), EVIL))
+    browser.screen(390, 844, dark=True)
+    browser.open(path)
+    browser.value("pick(first[1] + 2)")
+    assert browser.value("window.evil") is None
+    assert browser.value("document.querySelectorAll('img').length") == 0
+    assert EVIL in browser.value("document.getElementById('features').textContent")
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    assert browser.complaints == []
