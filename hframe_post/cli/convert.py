@@ -25,6 +25,7 @@ from hframe_post.cli.options import (
     say,
     strategies,
 )
+from hframe_post.cli.speed import hastened, speed_options, told, told_as_json
 
 if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
 )  # fmt: skip
+@speed_options
 @json_option
 @click.option(
     "--report", "report_file", metavar="FILE",
@@ -75,10 +77,17 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
+<<<<<<< HEAD
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
     every_sample: bool, predict: str, json_file: Path | None,
     report_file: Path | None, dry_run: bool, quiet: bool,
+=======
+    firmware: str | None, compensation: str | None, limits: str, on_limit: str,
+    tolerance: float | None, every_sample: bool, predict: str,
+    max_error: dict[str, float] | None, error_measure: str, speed_up: float, model_error: float,
+    json_file: Path | None, dry_run: bool, quiet: bool,
+>>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -116,6 +125,10 @@ def convert(
     profile = played_by(profile, firmware or profile.firmware.dialect)
     if not chosen(profile).decimates and (tolerance is not None or every_sample):
         raise click.UsageError("--tolerance and --every-sample are for Klipper")
+    if max_error is None and speed_up != 1.0:
+        raise click.UsageError("--speed-up needs --max-error")
+    if max_error is not None and str(source) == "-":
+        raise click.UsageError("--max-error reads the file several times: name one")
     strategy = compensation or profile.compensation.strategy
     wanted = {"chosen": ("none", strategy), "all": tuple(STRATEGIES), "off": ()}[predict]
     options = Options(
@@ -126,6 +139,10 @@ def convert(
         clamp=on_limit == "clamp",
         tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
     )
+    found = None
+    if max_error is not None:
+        found = hastened(source, profile, options, max_error, error_measure, speed_up, model_error)
+        profile, options = found.printer, found.options
     with (
         click.open_file(str(source), "rb") as file,
         Outputs(files_read(source, printer)) as outputs,
@@ -137,6 +154,7 @@ def convert(
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
         report = converted(lines, None if dry_run else target, profile, options, kind)
+<<<<<<< HEAD
         write_json({**choice.taken().as_json(), **report.as_json()})
         text = "\n".join(
             [
@@ -154,3 +172,15 @@ def convert(
             summary.write(text.encode() + b"\n")
     if not quiet:
         say(text)
+=======
+        write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
+    if not quiet:
+        lines_told = [
+            *slicer.output(os.environ),
+            choice.taken().as_text(),
+            report.as_text(),
+            *told(found),
+            *slicer.warnings(os.environ, profile.limits),
+        ]
+        click.echo("\n".join(lines_told), err=True)
+>>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)

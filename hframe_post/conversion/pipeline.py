@@ -24,6 +24,7 @@ from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.course import Compensator
 from hframe_post.planner.lookahead import plan
+from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.prefetch import prefetch
@@ -46,7 +47,7 @@ class Options:
     strategy: what is written; predict: strategies whose contour error is reported;
     limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
     beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
-    for every sample.
+    for every sample; paces: by what is printed, in place of the file's own.
     """
 
     strategy: str
@@ -54,7 +55,11 @@ class Options:
     limits: FileLimits = "file"
     clamp: bool = False
     tolerance: float | None = TOLERANCE
+<<<<<<< HEAD
     extrusion: Extrusion | None = None
+=======
+    paces: Paces | None = None
+>>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -98,8 +103,15 @@ class Commands:
         printer, options = self._printer, self._options
         limits = printer.limits
         lines = self._input.lines(self._lines)
+<<<<<<< HEAD
         reading = ReadOptions.of(printer, options.limits, options.extrusion)
         items = self._path.items(self._input.items(read(lines, reading)))
+=======
+        reading = ReadOptions.of(printer, "file-all" if options.file_limits else "printer")
+        items = self._input.items(read(lines, reading))
+        if options.paces is not None:
+            items = pace(items, options.paces)
+>>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
         waits = rests(printer.compensation.stops, options.strategy)
         samples = sample(plan(items, limits), limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)

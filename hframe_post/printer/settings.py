@@ -34,6 +34,7 @@ class Travel:
 class Limits:
     """What the planner may ask of the path; mm, s. See the shipped profile for each.
 
+    flow (mm³/s) and min_layer_time bound only what is made faster than the file has it.
     Raises ValueError where full speed would take more than LONGEST_RAMP.
     """
 
@@ -47,6 +48,14 @@ class Limits:
     extruder_acceleration: float = within(0.1, 1e6)
     extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
+    flow: float = within(0.1, 1e3, default=15.0)
+    filament_diameter: float = within(0.5, 5.0, default=1.75)
+    min_layer_time: float = not_negative(5.0, most=600.0)
+
+    @property
+    def filament_velocity(self) -> float:
+        """mm of filament a second that the hot end can melt: from ``flow``, mm³/s."""
+        return self.flow / (math.pi / 4.0 * self.filament_diameter**2)
 
     def __post_init__(self) -> None:
         ramps = {

@@ -1,0 +1,68 @@
+"""What is told of a print that was made as fast as its error allows: text and JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hframe_post.studies.speed import KEPT, Fastest
+from hframe_post.writers.print_time import duration
+
+MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
+CAUSES = {
+    "file": "the file's own speeds", "cooling": "least time of a layer", "flow": "the hot end",
+    "travel": "travel", "motors": "the motors", "error": "the error allowed, or the file's feed",
+}  # fmt: skip
+NOTHING = 1e-5  # mm; straight lines at one speed, such as those that prime
+HARDLY = 0.01  # of the time; a cause of less is not told
+
+
+def speed_as_json(found: Fastest) -> dict[str, Any]:
+    """Everything, ready for ``json.dumps``."""
+    trial, original = found.trial, found.original
+    return {
+        "print_time_s": {
+            "before": round(original.seconds, 3), "after": round(trial.seconds, 3),
+        },
+        "measure": found.bound.measure,
+        "jerk": found.jerk,
+        "features": {
+            name: {
+                "bound_um": round(found.bound.of(name) * 1e3, 4),
+                "predicted_um": round(errors[0] * 1e3, 4),
+                "under_model_error_um": round(found.growth.get(name, 1.0) * errors[0] * 1e3, 4),
+                "uncompensated_um": round(original.errors.get(name, 0.0) * 1e3, 4),
+                "drive": round(trial.drives[name], 4),
+            }
+            for name, errors in trial.errors.items()
+            if name not in KEPT
+        },
+        "held_by_s": {cause: round(seconds, 3) for cause, seconds in trial.held.items()},
+    }  # fmt: skip
+
+
+def speed_as_text(found: Fastest) -> str:
+    """A few lines for a person."""
+    trial, original = found.trial, found.original
+    change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
+    lines = [
+        f"faster      {duration(trial.seconds)} instead of {duration(original.seconds)} "
+        f"({change:+.0f} %)"
+    ]
+    for name, errors in sorted(trial.errors.items()):
+        if errors[0] < NOTHING:
+            continue
+        um, worse = errors[0] * 1e3, found.growth.get(name, 1.0) * errors[0] * 1e3
+        before = original.errors.get(name, 0.0) * 1e3
+        lines.append(
+            f"within      {name} {um:.0f} µm {MEASURES[found.bound.measure]}, {worse:.0f} if the "
+            f"model is off; {found.bound.of(name) * 1e3:.0f} allowed; {before:.0f} as the file "
+            "has it, uncompensated"
+        )
+    total = sum(trial.held.values()) or 1.0
+    held = [
+        f"{CAUSES[cause]} {100.0 * seconds / total:.0f} %"
+        for cause, seconds in sorted(trial.held.items(), key=lambda item: -item[1])
+        if seconds > HARDLY * total
+    ]
+    lines.append(f"held by     {', '.join(held)} of the time")
+    return "\n".join(lines)

@@ -1,0 +1,102 @@
+"""Pacing: each kind of feature at its pace, the rest as the file has it, filament untouched."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hframe_post.gcode import reader
+from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.planner.pacing import Pace, Paces, pace
+from hframe_post.stream.features import KINDS, OTHER, kind
+from hframe_post.stream.types import Moves
+
+PRINT = """\
+M201 X1000 Y500
+M204 S3000
+G28
+M83
+G1 X0 Y0 Z0.2 F6000
+;LAYER:0
+;TYPE:WALL-OUTER
+G1 X10 E0.5 F1800
+;LAYER:1
+G1 X20 E0.5
+;TYPE:FILL
+G1 X30 E0.5
+G0 X40 F9000
+;TYPE:WALL-OUTER
+G1 Y10 E5 F1800
+;LAYER:2
+;TYPE:BRIDGE
+G1 X0 E0.5
+""".splitlines(keepends=True)
+
+WALL, FILL, GONE = Pace(8000.0, 8.0, 2.0), Pace(20000.0, 10.0, 4.0), Pace(15000.0, 9.0, 1.0)
+
+
+def paced(paces: Paces) -> Moves:
+    lines = [line.encode() for line in PRINT]
+    items = pace(read(lines, ReadOptions(dialect("klipper"), "file-all")), paces)
+    (moves,) = (item for item in items if isinstance(item, Moves))
+    return moves
+
+
+def test_each_kind_has_its_pace_and_the_rest_is_the_files() -> None:
+    moves = paced(Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}))
+    # the first layer and the bridge are the file's: 3000, of which M201 leaves 1000 in x
+    assert moves.acceleration.tolist() == [1000.0, 8000.0, 20000.0, 15000.0, 8000.0, 1000.0]
+    assert moves.speed.tolist() == [30.0, 60.0, 120.0, 150.0, 60.0, 30.0]
+    assert moves.corner.tolist() == [math.inf, 8.0, 10.0, 9.0, 8.0, math.inf]
+    assert set(moves.limits.acceleration) == {math.inf}
+
+
+def test_no_faster_than_the_hot_end_melts_but_never_slower_than_the_file() -> None:
+    """0.5 mm on 10 mm at 60 mm/s are 3 mm of filament a second, 5 mm are 30."""
+    moves = paced(Paces({"outer-wall": WALL}, flow=2.0))
+    assert moves.speed[1] == pytest.approx(40.0)
+    assert moves.speed[4] == pytest.approx(30.0)  # as the file has it, which is too fast already
+
+
+def test_a_layer_can_be_slowed() -> None:
+    moves = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={1: 0.5}))
+    assert moves.speed.tolist() == [30.0, 30.0, 60.0, 150.0, 30.0, 30.0]
+
+
+def test_filament_and_path_stay_and_cuts_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}, 4.0, 1, {1: 0.7})
+    whole = paced(chosen)
+    bare = paced(Paces({}))
+    np.testing.assert_array_equal(whole.points, bare.points)
+    for size in (1, 2, 5):
+        monkeypatch.setattr(reader, "MOVES_PER_ITEM", size)
+        lines = [line.encode() for line in PRINT]
+        items = pace(read(lines, ReadOptions(dialect("klipper"), "file-all")), chosen)
+        cut = [item for item in items if isinstance(item, Moves)]
+        assert len(cut) > 1
+        for name in ("speed", "acceleration", "corner", "line"):
+            joined = np.concatenate([getattr(moves, name) for moves in cut])
+            np.testing.assert_array_equal(joined, getattr(whole, name))
+
+
+@pytest.mark.parametrize(
+    ("name", "means"),
+    [
+        ("WALL-OUTER", "outer-wall"), ("External perimeter", "outer-wall"),
+        ("Outer wall", "outer-wall"), ("Perimeter", "inner-wall"), ("WALL-INNER", "inner-wall"),
+        ("Overhang perimeter", "bridge"), ("Internal Bridge", "bridge"),
+        ("Bridge infill", "bridge"), ("Internal infill", "infill"), ("FILL", "infill"),
+        ("Gap infill", "infill"), ("Solid infill", "skin"), ("Top solid infill", "skin"),
+        ("Internal solid infill", "skin"), ("Bottom surface", "skin"), ("SKIN", "skin"),
+        ("SUPPORT-INTERFACE", "interface"), ("Support material interface", "interface"),
+        ("SUPPORT", "support"), ("Skirt/Brim", "skirt"), ("Prime tower", "skirt"),
+        ("Ironing", "ironing"), ("Custom", "skirt"), ("Sonstiges", OTHER),
+    ],
+)  # fmt: skip
+def test_slicers_names_of_features(name: str, means: str) -> None:
+    assert kind(name) == means
+    assert means in (*KINDS, OTHER)
