@@ -77,17 +77,11 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
-<<<<<<< HEAD
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
-    every_sample: bool, predict: str, json_file: Path | None,
+    every_sample: bool, predict: str, max_error: dict[str, float] | None, error_measure: str,
+    speed_up: float, model_error: float, json_file: Path | None,
     report_file: Path | None, dry_run: bool, quiet: bool,
-=======
-    firmware: str | None, compensation: str | None, limits: str, on_limit: str,
-    tolerance: float | None, every_sample: bool, predict: str,
-    max_error: dict[str, float] | None, error_measure: str, speed_up: float, model_error: float,
-    json_file: Path | None, dry_run: bool, quiet: bool,
->>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -154,13 +148,13 @@ def convert(
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
         report = converted(lines, None if dry_run else target, profile, options, kind)
-<<<<<<< HEAD
-        write_json({**choice.taken().as_json(), **report.as_json()})
+        write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
         text = "\n".join(
             [
                 *slicer.output(os.environ),
                 choice.taken().as_text(),
                 report.as_text(),
+                *told(found),
                 *slicer.warnings(os.environ, profile.limits),
             ]
         )
@@ -172,15 +166,3 @@ def convert(
             summary.write(text.encode() + b"\n")
     if not quiet:
         say(text)
-=======
-        write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
-    if not quiet:
-        lines_told = [
-            *slicer.output(os.environ),
-            choice.taken().as_text(),
-            report.as_text(),
-            *told(found),
-            *slicer.warnings(os.environ, profile.limits),
-        ]
-        click.echo("\n".join(lines_told), err=True)
->>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)

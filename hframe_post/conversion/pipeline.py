@@ -55,11 +55,8 @@ class Options:
     limits: FileLimits = "file"
     clamp: bool = False
     tolerance: float | None = TOLERANCE
-<<<<<<< HEAD
     extrusion: Extrusion | None = None
-=======
     paces: Paces | None = None
->>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -103,15 +100,10 @@ class Commands:
         printer, options = self._printer, self._options
         limits = printer.limits
         lines = self._input.lines(self._lines)
-<<<<<<< HEAD
         reading = ReadOptions.of(printer, options.limits, options.extrusion)
         items = self._path.items(self._input.items(read(lines, reading)))
-=======
-        reading = ReadOptions.of(printer, "file-all" if options.file_limits else "printer")
-        items = self._input.items(read(lines, reading))
         if options.paces is not None:
             items = pace(items, options.paces)
->>>>>>> 0ddeba4 (--max-error: the fastest print within a contour error, by kind of feature and under model error)
         waits = rests(printer.compensation.stops, options.strategy)
         samples = sample(plan(items, limits), limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)
