@@ -266,7 +266,7 @@ class _Search:
                 name = labels.features[number]
                 if name == NOT_LAID or kind(name) in KEPT:
                     continue
-                here = feature[at] == number
+                here = (feature[at] == number) & (layer[at] > FIRST)
                 of = statistics.setdefault(kind(name), [ErrorStatistics() for _ in plants])
                 for judgement, errors in zip(judgements, of, strict=True):
                     errors.add(judgement.contour[options.strategy][here])

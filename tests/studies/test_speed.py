@@ -16,7 +16,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import kind
-from hframe_post.studies.speed import KEPT, Bound, Fastest, Freedom, fastest
+from hframe_post.studies.speed import FIRST, KEPT, Bound, Fastest, Freedom, fastest
 from hframe_post.studies.speed_report import speed_as_text
 from hframe_post.studies.uncertainty import draws
 from tests.cli.test_main import run
@@ -61,10 +61,10 @@ def test_the_bound_holds_when_the_print_is_computed_anew(
     commands = Commands(cube(5), fast.printer, fast.options)
     labels, errors = Labels(), dict[str, ErrorStatistics]()
     for judgement in judge(commands, fast.printer.plant):
-        _, feature = labels.of(judgement.chunk)
-        for number in np.unique(feature[judgement.at]).tolist():
+        layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
+        for number in np.unique(feature).tolist():
             name = kind(labels.features[number])
-            contour = judgement.contour["racking"][feature[judgement.at] == number]
+            contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
             errors.setdefault(name, ErrorStatistics()).add(contour)
     assert commands.duration == pytest.approx(fast.trial.seconds)
     for name in fast.trial.errors:
@@ -79,9 +79,9 @@ def test_the_promise_is_kept_on_most_printers_that_are_a_little_off(tight: Faste
         commands = Commands(cube(5), tight.printer, tight.options)
         labels, errors = Labels(), dict[str, ErrorStatistics]()
         for judgement in judge(commands, plant, 4):
-            _, feature = labels.of(judgement.chunk)
-            for number in np.unique(feature[judgement.at]).tolist():
-                contour = judgement.contour["racking"][feature[judgement.at] == number]
+            layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
+            for number in np.unique(feature).tolist():
+                contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
                 name = kind(labels.features[number])
                 errors.setdefault(name, ErrorStatistics()).add(contour)
         kept += all(
