@@ -41,7 +41,7 @@ ACCELERATION, CORNER = 1e4, 5.0  # mm/s² and mm/s of a drive of 1
 GENTLEST, HARDEST = 0.02, 4.0  # drives
 OF_BELTS = 0.5  # of the belts' acceleration that the path may have; compensation needs the rest
 KEPT = ("bridge", "ironing", "interface", "skirt")  # kinds that keep what the file has
-PREFIX = 1500  # lines of a print on which jerk is chosen
+PREFIX = 2500  # lines of a print on which jerk is chosen
 JUDGED_EVERY = 8  # samples
 STARTS = 2  # trials over the first lines
 FEW_DRAWN = 2  # printers on which a jerk is judged
@@ -167,6 +167,8 @@ class _Search:
         for _ in range(STARTS):
             trial = self.trial(prefix, jerk, drives, slowed, plants)
             growth = {name: max(of) / of[0] for name, of in trial.errors.items() if of[0] > 0.0}
+            worst = max(growth.values(), default=1.0)  # taken for kinds that come later
+            growth = {name: growth.get(name, worst) for name in trial.drives}
             drives, slowed = self._corrected(trial, growth), {**slowed, **self._short(trial)}
         return _Start(trial, growth)
 
