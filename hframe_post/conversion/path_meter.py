@@ -138,7 +138,8 @@ class PathSummary:
         return sorted(self.uncompensated.items(), key=lambda item: -item[1].path)
 
     def _percent(self, path: float) -> str:
-        return f"{100.0 * path / self.path:.2g} %" if self.path else "0 %"
+        percent = 100.0 * path / self.path if self.path else 0.0
+        return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"
 
 
 def _range(held: HeldBack) -> str:

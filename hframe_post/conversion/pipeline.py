@@ -101,9 +101,10 @@ class Commands:
         limits = printer.limits
         lines = self._input.lines(self._lines)
         reading = ReadOptions.of(printer, options.limits, options.extrusion)
-        items = self._path.items(self._input.items(read(lines, reading)))
+        items = self._input.items(read(lines, reading))
         if options.paces is not None:
             items = pace(items, options.paces)
+        items = self._path.items(items)
         waits = rests(printer.compensation.stops, options.strategy)
         samples = sample(plan(items, limits), limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)
