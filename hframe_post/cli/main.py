@@ -89,7 +89,7 @@ def printers(context: click.Context) -> None:
 
     if context.invoked_subcommand is None:
         for name in shipped():
-            click.echo(f"{name:16s}{load(name).description}")
+            click.echo(f"{name:18s}{load(name).description}")
 
 
 @printers.command()

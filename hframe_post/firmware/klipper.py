@@ -11,7 +11,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
-from hframe_post.firmware.player import Dwelling, coordinates, plain
+from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, coordinates, plain
 from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -19,7 +19,6 @@ from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 
 ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
-VELOCITY_HEADROOM = 1.1
 SQUARE_CORNER_VELOCITY = 100.0  # mm/s; corners are the stream's business
 
 

@@ -19,14 +19,13 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin_planner import PLANNERS, Blocks, Planner, Timer
 from hframe_post.firmware.marlin_segments import most_steps, motor_steps, segment_ends
-from hframe_post.firmware.player import Dwelling, coordinates, plain
+from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, coordinates, plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
-VELOCITY_HEADROOM = 1.1
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; corners are the stream's business
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 SPARED = 0.9  # of the lines that a board can take in a second; at all of them it stutters

@@ -8,6 +8,10 @@ from typing import Protocol
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.stream.types import ModalState
 
+VELOCITY_HEADROOM = (
+    1.1  # of the belts' limit that the stream may be allowed, so that it is never in the way
+)
+
 
 class Dwelling(Enum):
     """What a dwell stands next to."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
-
-NEAREST = 24  # samples to either side in which the path's nearest point is sought
-
+from hframe_post.model.stop import NEAREST
 
 COARSE = 3  # samples from one candidate to the next in the first search
 

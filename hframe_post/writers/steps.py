@@ -21,6 +21,7 @@ from itertools import takewhile
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, Z
+from hframe_post.compensation.guard import LEEWAY
 from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
@@ -32,7 +33,6 @@ from hframe_post.writers.step_file import KEY_BITS, MOTORS, End, Item, Note, Sta
 GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
 SAMPLES_AT_ONCE = 1 << 14
 LATEST = 1e-3  # s that a step may be late beyond direction_setup
-LEEWAY = 1.0 + 1e-9  # limits met exactly are met
 
 HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE: "yielded"}
 
