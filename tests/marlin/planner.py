@@ -230,6 +230,7 @@ class Machine:
         if build.planner in ("2.1-dev", "ft-motion"):  # the mean speed of a first step from rest
             block.least = min(math.sqrt(a / 2.0) * d / n, v)
         if build.classic_jerk:
+            unit = delta * sizes / d  # jerk is that of the belts
             block.corner = max(self._jerk(block, unit), block.least)
         elif self._queue:
             block.corner = max(min(self._corner(block, unit), v, self._last_v), block.least)
@@ -265,12 +266,16 @@ class Machine:
         """
         v = min(block.v, self._last_v) if self._queue else block.v
         safe = block.v * self._share(unit * block.v)
-        passed = v * (self._share((unit - self._unit) * v) if self._queue else 1.0)
+        released = self.build.planner in ("2.0", "2.1")
+        leaving, entering = self._unit * v, unit * (block.v if released else v)
+        jump = np.abs(entering - leaving)
+        if released:  # a reversal is no more than the greater of the two
+            apart = leaving * entering < 0.0
+            jump = np.where(apart, np.maximum(np.abs(leaving), np.abs(entering)), jump)
+        passed = v * (self._share(jump) if self._queue else 1.0)
         both = min(safe, self._last_safe if self._queue else safe)
         self._last_safe = safe
-        if self.build.planner in ("2.0", "2.1") and (both > 0.99 * passed or not self._queue):
-            return safe
-        return passed
+        return safe if released and (both > 0.99 * passed or not self._queue) else passed
 
     def _share(self, jump: Array) -> float:
         shares = [m / abs(j) for m, j in zip(self.build.jerk, jump, strict=True) if j]
