@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from hframe_post.firmware.klipper import Klipper
 from hframe_post.firmware.marlin import Marlin
 from hframe_post.firmware.player import Player
+from hframe_post.firmware.reprapfirmware import RepRapFirmware
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
 
@@ -35,6 +36,7 @@ FIRMWARES = {
     for each in (
         Firmware("klipper", "Klipper", Klipper.of, decimates=True),
         Firmware("marlin", "Marlin", Marlin.of),
+        Firmware("reprapfirmware", "RepRapFirmware", RepRapFirmware.of, decimates=True),
     )
 }
 

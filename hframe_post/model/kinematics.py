@@ -1,14 +1,16 @@
 """x, y ↔ the two motors that move the nozzle in the plane.
 
-=========== ========= ========= ====================================
-type        A         B         racks
-=========== ========= ========= ====================================
-hbot        x + y     x − y     yes: one belt pulls the gantry askew
-corexy      x + y     x − y     no: two belts, crossed
-cartesian   x         y         no
-=========== ========= ========= ====================================
+============= ======= ======= ==================================== ===============================
+type          A       B       racks                                Klipper, Marlin
+============= ======= ======= ==================================== ===============================
+hbot          x + y   x − y   yes: one belt pulls the gantry askew ``corexy``, COREXY
+corexy        x + y   x − y   no: two belts, crossed               ``corexy``, COREXY
+hybrid-corexy x − y   y       no                                   ``hybrid_corexy``, MARKFORGED_XY
+cartesian     x       y       no                                   ``cartesian``, neither
+============= ======= ======= ==================================== ===============================
 
-``swap`` exchanges A and B; then ``signs`` turn them around.
+A is the motor of ``stepper_x``, X_STEP; B that of ``stepper_y``, Y_STEP. ``swap`` exchanges A
+and B (an H-bot whose motors stand at the other end of y); then ``signs`` turn them around.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from hframe_post.arrays import TS, Array
 ROWS = {
     "hbot": ((1.0, 1.0), (1.0, -1.0)),
     "corexy": ((1.0, 1.0), (1.0, -1.0)),
+    "hybrid-corexy": ((1.0, -1.0), (0.0, 1.0)),
     "cartesian": ((1.0, 0.0), (0.0, 1.0)),
 }
 

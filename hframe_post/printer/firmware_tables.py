@@ -75,6 +75,25 @@ class MarlinTable:
 
 
 @dataclass(frozen=True, slots=True)
+class RepRapFirmwareTable:
+    """RepRapFirmware's own settings, in force outside the stream; mm, s.
+
+    shaper: the type that M593 P names, empty: none is turned on again.
+    """
+
+    max_velocity: tuple[float, float] = positive()
+    max_acceleration: tuple[float, float] = positive()
+    acceleration: float = positive()
+    travel_acceleration: float = positive()
+    jerk: tuple[float, float] = positive()
+    jerk_e: float = positive()
+    pressure_advance: float = not_negative(0.0)
+    shaper: str = ""
+    shaper_freq: float = not_negative(0.0)
+    lines_per_second: float = positive(400.0, below=1001.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Firmware:
     """Who reads the output, and the tables of the firmwares that the profile knows.
 
@@ -87,6 +106,7 @@ class Firmware:
     returns: tuple[str, ...] = ()
     klipper: KlipperTable | None = None
     marlin: MarlinTable | None = None
+    reprapfirmware: RepRapFirmwareTable | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +124,7 @@ class Table:
 TABLES = {
     "klipper": Table(KlipperTable, "Klipper's own limits"),
     "marlin": Table(MarlinTable, "Marlin's own settings", "Marlin needs whole steps"),
+    "reprapfirmware": Table(RepRapFirmwareTable, "RepRapFirmware's own settings"),
 }
 
 

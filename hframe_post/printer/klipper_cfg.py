@@ -116,12 +116,11 @@ def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
 
 def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     has = config.text("printer", "kinematics")
-    needs = "cartesian" if printer.kinematics.type == "cartesian" else "corexy"
+    needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
     if has != needs:
         yield Finding(
             True,
-            f"[printer] kinematics: {has}; a profile with kinematics.type = "
-            f'"{printer.kinematics.type}" needs {needs}',
+            f'[printer] kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}',
         )
 
 

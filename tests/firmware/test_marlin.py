@@ -312,7 +312,7 @@ def test_quirks_convert_or_are_refused_as_for_klipper(marlin: Printer, name: str
 
 
 @given(
-    st.integers(0, 2**32 - 1), st.sampled_from(["hbot", "corexy", "cartesian"]),
+    st.integers(0, 2**32 - 1), st.sampled_from(["hbot", "corexy", "hybrid-corexy", "cartesian"]),
     st.sampled_from([125.0, 250.0, 1000.0]), st.booleans(),
 )  # fmt: skip
 def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: bool) -> None:

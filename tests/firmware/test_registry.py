@@ -38,7 +38,7 @@ def with_dialect(name: str) -> Printer:
 
 
 def test_unknown_firmware_is_an_error_in_the_library() -> None:
-    with pytest.raises(HframeError, match="one of klipper, marlin"):
+    with pytest.raises(HframeError, match="one of klipper, marlin, reprapfirmware"):
         player(with_dialect("other"), None)
     with pytest.raises(HframeError, match=r"paper: firmware\.dialect: must be one of"):
         played_by(load("paper"), "other")
