@@ -135,7 +135,8 @@ def prusaslicer() -> Slice:
         "; estimated printing time (normal mode) = 2m 5s",
         "; estimated printing time (silent mode) = 2m 9s",
         "; estimated first layer printing time (normal mode) = 30s", "",
-        "; prusaslicer_config = begin", "; layer_height = 0.2", "; layer_gcode = ;LAYER:[layer]",
+        "; prusaslicer_config = begin", "; printer_model = MK4", "; layer_height = 0.2",
+        "; layer_gcode = ;LAYER:[layer]",
         "; prusaslicer_config = end",
     ]  # fmt: skip
     return Slice(

@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--format", "asked_format", type=LazyChoice(formats),
-    help="G-code, steps of the motors (a row each, or a row a tick), or samples every "
-    "millisecond. Default: steps for .csv, samples for .npz and .parquet, else gcode.",
+    help="G-code (of Prusa's binary form: bgcode), steps of the motors (a row each, or a row a "
+    "tick), or samples every millisecond. Default: steps for .csv, samples for .npz and .parquet, "
+    "bgcode for .bgcode or a binary file in place, else gcode.",
 )  # fmt: skip
 @printer_option
 @click.option(
@@ -90,7 +91,7 @@ def convert(
     an error in the input or the profile (nothing is written then), 2 wrong usage.
     """
     from hframe_post.cli import slicer
-    from hframe_post.conversion.files import Target, chosen_format
+    from hframe_post.conversion.files import GCODE, Target, chosen_format
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.pipeline import TOLERANCE, Options
     from hframe_post.errors import HframeError
@@ -102,12 +103,14 @@ def convert(
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     try:
-        kind = chosen_format(None if to_stdout else output, asked_format)
+        kind = chosen_format(
+            None if to_stdout else output, asked_format, source if output is None else None
+        )
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:
         raise click.UsageError("only one of output, JSON and report can go to standard output")
-    if kind != "gcode":
+    if kind not in GCODE:
         if output is None and not (to_stdout or dry_run):
             raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
         if tolerance is not None or every_sample:
@@ -131,7 +134,7 @@ def convert(
         limits=limits,
         extrusion=extrusion,
         clamp=on_limit == "clamp",
-        tolerance=None if every_sample or kind != "gcode" else tolerance or TOLERANCE,
+        tolerance=None if every_sample or kind not in GCODE else tolerance or TOLERANCE,
     )
     found = None
     if max_error is not None:

@@ -21,6 +21,7 @@ from hframe_post.conversion.pipeline import (
 )
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
+from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.atomic_file import Outputs
 from hframe_post.writers.compression import compressing
@@ -83,17 +84,21 @@ def convert(
     return conversion.report()
 
 
-def chosen_format(output: Path | None, asked: str | None) -> str:
-    """The format for the file ``output``; None: another or no file. Raises HframeError."""
+def chosen_format(output: Path | None, asked: str | None, source: Path | None = None) -> str:
+    """The format for the file ``output``; None: another or no file. Raises HframeError.
+
+    source: the input, where that is to be replaced: binary G-code stays binary.
+    """
     if asked is not None and asked not in FORMATS:
         raise HframeError(f"no format is named {asked!r}; there are {', '.join(FORMATS)}")
     suffix, packing = _suffixes(output)
     own = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
-    kind = asked or own or "gcode"
+    replaced = "bgcode" if source is not None and is_binary(source) else None
+    kind = asked or replaced or own or "gcode"
     if suffix in TABLES and kind != "samples":
         raise HframeError(f"a {suffix} file holds samples, not {kind}")
     if packing and (not FORMATS[kind].packs or suffix in TABLES):
-        what = "G-code" if kind == "gcode" else suffix
+        what = "G-code" if kind in GCODE else suffix
         raise HframeError(f"{what} is not written as {packing}; CSV is")
     return kind
 
@@ -106,8 +111,17 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
 
 
 def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
+    _write_text(conversion, target.open())
+
+
+def _save_binary(conversion: GcodeConversion, target: Target, _: str) -> None:
+    with as_binary(target.open()) as text:
+        _write_text(conversion, text)
+
+
+def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
     write_output(
-        target.open(), conversion, lambda: conversion.commands.duration,
+        file, conversion, lambda: conversion.commands.duration,
         lambda: conversion.report().as_text(),
     )  # fmt: skip
 
@@ -142,9 +156,11 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
                 packed.write(piece)
 
 
+GCODE = ("gcode", "bgcode")  # what may replace the input
 TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix
 FORMATS = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False),
+    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
     "steps": Format(partial(StepConversion, kind="steps"), _save_steps, (".csv",)),
     "step-bits": Format(partial(StepConversion, kind="step-bits"), _save_steps),
     "samples": Format(SampleConversion, _save_samples, TABLES),

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import IO
 
 from hframe_post.errors import GcodeError
+from hframe_post.gcode.binary import MAGIC, as_text
 from hframe_post.gcode.lexer import Line
 
 LONGEST = 1 << 20  # bytes of a line; no slicer writes nearly as much, no firmware reads it
@@ -15,8 +16,14 @@ AHEAD_BYTES = 1 << 20
 
 
 def lines_of(file: IO[bytes]) -> Iterator[bytes]:
-    """The lines of a file; of one that is too long, only as much as shows it."""
-    return iter(lambda: file.readline(LONGEST + 2), b"")
+    """The lines of a file, text or binary; of one that is too long, only as much as shows it."""
+    first = file.readline(LONGEST + 2)
+    if first.startswith(MAGIC):
+        with as_text(first, file) as text:
+            yield from lines_of(text)
+    elif first:
+        yield first
+        yield from iter(lambda: file.readline(LONGEST + 2), b"")
 
 
 class Lines:
@@ -68,9 +75,6 @@ class Lines:
 
 
 def _first(text: bytes) -> bytes:
-    if text.startswith(b"GCDE"):
-        raise GcodeError(
-            "this is binary G-code; in PrusaSlicer or OrcaSlicer turn off "
-            "'Supports binary G-code' in the printer's settings and slice again"
-        )
+    if text.startswith(MAGIC):
+        raise GcodeError("this is binary G-code, not its text")
     return text.removeprefix(b"\xef\xbb\xbf")
