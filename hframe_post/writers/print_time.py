@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from collections.abc import Callable, Iterable
 from typing import IO
 
@@ -26,17 +27,23 @@ def write_output(
     summary: Callable[[], str] = str,
 ) -> None:  # fmt: skip
     """Writes it all. total (the print's time, s), summary: asked when the output is used up."""
-    deferred: list[tuple[int, int, DeferredLine]] = []
+    places, elapsed = array("q"), array("d")  # of lines: a file may tell of time a million times
     for piece in output:
-        if isinstance(piece, DeferredLine):
-            size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
-            deferred.append((file.tell(), size, piece))
-            file.write(b" " * size + b"\n")
-        else:
+        if not isinstance(piece, DeferredLine):
             file.write(piece)
-    for offset, size, line in deferred:
-        file.seek(offset)
-        told = commented(summary(), size) if line.summary else told_anew(line, total())
+            continue
+        size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
+        places.extend((file.tell(), size, piece.summary))
+        elapsed.append(piece.elapsed)
+        file.write(piece.line.ljust(size) + b"\n")
+    for k, after in enumerate(elapsed):
+        place, size, is_summary = places[3 * k : 3 * k + 3]
+        file.seek(place)
+        if is_summary:
+            told = commented(summary(), size)
+        else:
+            told = told_anew(DeferredLine(file.read(size - ROOM), after), total())
+        file.seek(place)
         file.write(told.ljust(size)[:size])
 
 
