@@ -124,7 +124,9 @@ def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:
     match = _EXTENDED.match(line.text)
     found = {}
     try:
-        for part in shlex.split(match[1].decode("latin-1")) if match else ():
+        text = match[1].decode("latin-1") if match else ""
+        quoted = any(mark in text for mark in "'\"\\")  # few are, and splitting those is slow
+        for part in shlex.split(text) if quoted else text.split():
             name, equals, value = part.partition("=")
             if not equals:
                 raise line.error(f"{part!r} is no NAME=value")

@@ -42,7 +42,8 @@ class Lines:
     def __iter__(self) -> Iterator[Line]:
         held = self._held
         for number, raw in self._source:
-            self._take(number, raw)
+            self.number = number
+            yield from self._parts(number, raw)
             while held:
                 line = held.popleft()
                 self.number = line.number
@@ -56,22 +57,21 @@ class Lines:
                 following = next(self._source, None)
                 if following is None:
                     return
-                self._take(*following)
+                self._held.extend(self._parts(*following))
             yield self._held[k]
             size += len(self._held[k].text)
             k += 1
 
-    def _take(self, number: int, raw: bytes) -> None:
+    def _parts(self, number: int, raw: bytes) -> Iterable[Line]:
+        """A line of the file: one, but for carriage returns."""
         text = raw.removesuffix(b"\n")
         if len(text) > LONGEST:
             raise GcodeError(f"a line of more than {LONGEST} characters", number, text[:80])
         if number == 1:
             text = _first(text)
-        if self._cr_ends_lines and b"\r" in text.removesuffix(b"\r"):
-            parts = text.removesuffix(b"\r").split(b"\r")
-            self._held.extend(Line(number, part) for part in parts)
-        else:
-            self._held.append(Line(number, text))
+        if self._cr_ends_lines and b"\r" in text[:-1]:
+            return [Line(number, part) for part in text.removesuffix(b"\r").split(b"\r")]
+        return (Line(number, text),)
 
 
 def _first(text: bytes) -> bytes:

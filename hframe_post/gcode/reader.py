@@ -24,6 +24,7 @@ from hframe_post.gcode.bed import Bed
 from hframe_post.gcode.commands import Effect, Words
 from hframe_post.gcode.coordinates import AXES, Coordinates, Word
 from hframe_post.gcode.extrusion import is_absolute
+from hframe_post.gcode.feed import Feed
 from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lexer import (
     PLAIN_MOVE,
@@ -43,10 +44,8 @@ from hframe_post.stream.types import Handling, Item, Passthrough, Position, Stan
 MOVES_PER_ITEM = 4096
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 MOST_FILAMENT = 1e4  # mm of one move
-SLOWEST = 1.0 / 60.0  # mm/s, F1; what is slower would never end
 LONGEST_DWELL = 24 * 3600.0  # s
 MOST_TURNS = 100  # of an arc
-DEFAULT_FEED = 25.0  # mm/s, what Klipper moves at before the first F
 AT_THE_START = "the start"  # why the first moves' place is unknown
 
 
@@ -80,7 +79,7 @@ class _Reader:
         self._bed = Bed(options.travel)
         self._place = Coordinates(options.dialect, options.extrusion)
         self._limits = RequestedLimits(options.dialect)
-        self._feed, self._factor, self._kept_factor = DEFAULT_FEED, 1.0, 1.0
+        self._feed = Feed(options.dialect)
         self._moved = self._ran_macro = self._in_object = False
         self._cause = AT_THE_START
         self.items = Gathering(self._limits)
@@ -92,7 +91,7 @@ class _Reader:
         _, f, x, y, z, e, f_last = words
         try:
             if f or f_last:
-                self._set_feed(line, float(f or f_last or 0))
+                self._feed.set(line, float(f or f_last or 0), self._place.scale)
             if x or y or z or e:
                 self._move(
                     line,
@@ -116,7 +115,7 @@ class _Reader:
             if new[2] != old[2]:
                 self._bed.check(line, 2, new[2])
             top = self._limits.axes.velocity[2 if new[2] != old[2] else 3]
-            self.items.stand(Standing(line.number, old, new, min(self._feed * self._factor, top)))
+            self.items.stand(Standing(line.number, old, new, min(self._feed.speed, top)))
             place.position = new
 
     def _target(self, line: Line, x: Word, y: Word, z: Word, e: Word) -> Position:
@@ -142,7 +141,7 @@ class _Reader:
         ):
             for axis in range(3):
                 self._bed.check(line, axis, new[axis])
-        self.items.travel(line.number, self._place.position, new, self._feed * self._factor)
+        self.items.travel(line.number, self._place.position, new, self._feed.speed)
         self._place.position = new
         if len(self.items) >= MOVES_PER_ITEM:
             self.items.flush()
@@ -161,16 +160,6 @@ class _Reader:
         filament = new[3] - place.position[3]
         self._passthrough(line, Handling.RELEASE, filament=filament, path=path, cause=self._cause)
         place.arrive(new, *words)
-
-    def _set_feed(self, line: Line, feed: float) -> None:
-        if feed == 0.0 and self._dialect.zero_feed:
-            return
-        speed = feed * self._place.scale / 60.0
-        if not 0.0 < speed < math.inf:
-            raise line.error("the feed rate must be positive")
-        if speed < SLOWEST:
-            raise line.error(f"a feed rate below {60.0 * SLOWEST:g} mm/min would never end")
-        self._feed = speed
 
     # ------------------------------------------------------------------ curves
 
@@ -239,7 +228,7 @@ class _Reader:
         elif coded.name in commands.LIMIT_WORDS:
             words = numbers_among(line, coded.arguments, commands.LIMIT_WORDS[coded.name])
             if coded.name == "M220":
-                self._scale_speed(line, coded, words)
+                self._feed.factor(line, coded.arguments, words)
             else:
                 self._limit(line, coded.name, words)
         elif coded.name in commands.MODAL:
@@ -255,7 +244,7 @@ class _Reader:
         """G0, G1, G2, G3, G5 and G92, written in any way."""
         words = numbers(line, coded.arguments, commands.MOTION_WORDS[coded.name])
         if "F" in words:
-            self._set_feed(line, words.pop("F"))
+            self._feed.set(line, words.pop("F"), self._place.scale)
         if coded.name == "G92":
             if not self._place.redefine(words):
                 raise line.error("G92 names known and unknown positions at once")
@@ -276,18 +265,6 @@ class _Reader:
             if name in ("M201", "M203") or "VELOCITY" in words:
                 self.items.flush()  # axis limits hold for all moves of an item
             self._limits.take(line, name, words)
-
-    def _scale_speed(self, line: Line, coded: Command, words: Words) -> None:
-        """M220: the feed-rate factor; B keeps it for R to bring back."""
-        given = coded.arguments.upper()
-        if self._dialect.keeps_factor and b"B" in given:
-            self._kept_factor = self._factor
-        if self._dialect.keeps_factor and b"R" in given:
-            self._factor = self._kept_factor
-        percent = words.get("S", 100.0 * self._factor)
-        if percent < 1.0:
-            raise line.error("the speed factor must be at least 1 %")
-        self._factor = percent / 100.0
 
     def _dwell(self, line: Line, coded: Command) -> None:
         seconds = self._dialect.dwell(numbers_among(line, coded.arguments, "PS"))
@@ -359,7 +336,7 @@ class _Reader:
         cause: str = "",
     ) -> None:
         """A line that passes as it stands, with what the file believes of the firmware."""
-        state = self._place.state(self._feed)
+        state = self._place.state(self._feed.rate)
         item = Passthrough(line.number, line.text, handling, state, seconds, filament, path, cause)
         self.items.pass_through(item)
 
