@@ -17,8 +17,9 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.gcode import arcs
 from hframe_post.gcode.commands import MODAL, MOTION_WORDS, STAMP, Dialect, Words
 from hframe_post.gcode.coordinates import AXES, Coordinates
+from hframe_post.gcode.feed import DEFAULT_FEED
 from hframe_post.gcode.lexer import PLAIN_MOVE, Command, Line, command, numbers
-from hframe_post.gcode.reader import DEFAULT_FEED, MOST_TURNS
+from hframe_post.gcode.reader import MOST_TURNS
 from hframe_post.stream.types import Position, frozen
 
 COLUMNS = 6  # of a vertex: source line, nominal time, x, y, z, e
