@@ -23,6 +23,10 @@ def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     print the file from SD, and take the time of each part: with a stop-watch, from the host's
     log ("begins" and "ends" are echoed), or from the print time that M31 tells after each. The
     table says which keys of [firmware.marlin] each pair of durations means.
+
+    \b
+    Example:
+      hframe-post calibrate-marlin -p my.toml -o calibrate.gcode
     """
     from hframe_post.firmware.marlin_calibration import calibration
     from hframe_post.printer.profile import load

@@ -89,6 +89,11 @@ def convert(
     The nozzle's motion is predicted with the printer's model, and the commands are changed
     so that the nozzle, not the motors, follows the slicer's path. Exit status 0 is success, 1
     an error in the input or the profile (nothing is written then), 2 wrong usage.
+
+    \b
+    Examples:
+      hframe-post in.gcode -o out.gcode -p my.toml
+      hframe-post in.gcode --report report.html
     """
     from hframe_post.cli import slicer
     from hframe_post.conversion.files import GCODE, Target, chosen_format

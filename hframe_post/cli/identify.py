@@ -99,6 +99,10 @@ def identify(
     One sensor on the nozzle is enough: runs of x at several places tell racking, too. Start
     from a profile (-p) that has your printer's travel and limits. Nothing is written if a
     recording cannot be trusted.
+
+    \b
+    Example:
+      hframe-post identify -p my.toml -n x.csv x.recording.csv -n y.csv y.recording.csv -o my.toml
     """
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError

@@ -24,6 +24,10 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     """Reproduce the paper's tables and figures with a printer's model.
 
     Prints the paper's numbers beside those computed here, and says which were calibrated.
+
+    \b
+    Example:
+      hframe-post paper
     """
     import numpy as np
 

@@ -62,6 +62,10 @@ def simulate(
 
     Contour error is the distance of the nozzle to the slicer's path; tracking error is how far
     it is from where it should be at that time. Nothing is written but the summary.
+
+    \b
+    Example:
+      hframe-post simulate in.gcode -p my.toml --model-error 5%
     """
     from hframe_post import library
     from hframe_post.writers.atomic_file import Outputs

@@ -64,6 +64,10 @@ def sweep(
     One run for each position: a sine whose frequency grows, between two short equal marks. The
     exact command of a run is written beside the G-code, as SWEEP.RUN.csv. The profile's table
     [sweep] says how fast and how hard. Home the printer first.
+
+    \b
+    Example:
+      hframe-post sweep --axis x -p my.toml -o sweep.gcode
     """
     from hframe_post.identification import command_file
     from hframe_post.identification.sweep import gcode, positions, runs, told

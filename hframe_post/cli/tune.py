@@ -78,6 +78,10 @@ def tune(
     More weight (λ) drives the motors less hard and leaves more error; finer knots (small L)
     can cancel faster ringing. Recommended is the gentlest of those whose error, under model
     error, is within a tenth of the best.
+
+    \b
+    Example:
+      hframe-post tune in.gcode -p my.toml -o my.toml
     """
     from hframe_post import library, plotting
     from hframe_post.errors import HframeError
