@@ -51,12 +51,16 @@ if TYPE_CHECKING:
 @click.option("--steps", is_flag=True, help="Put the motors' steps between command and plant.")
 @click.option("--layers", is_flag=True, help="Show every layer, not the worst.")
 @json_option
+@click.option(
+    "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.HTML", help="Write a page with a view of the layers by predicted error.",
+)  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def simulate(
     source: Path | None, path: str | None, printer: str, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, plant_file: str | None,
     shares: tuple[float, ...], draws: int, seed: int, steps: bool, layers: bool,
-    json_file: Path | None, quiet: bool,
+    json_file: Path | None, report_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate a print with no compensation, without and with racking compensation.
 
@@ -68,8 +72,12 @@ def simulate(
       hframe-post simulate in.gcode -p my.toml --model-error 5%
     """
     from hframe_post import library
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.page.build import page
     from hframe_post.writers.atomic_file import Outputs
 
+    if report_file is not None and (source is None or str(source) == "-"):
+        raise click.UsageError("a page needs a file to read twice")
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
     with (
@@ -82,6 +90,12 @@ def simulate(
             steps=steps, limits=limits, extrusion=extrusion, clamp=on_limit == "clamp",
         )  # fmt: skip
         write_json({**choice.taken().as_json(), **report.as_json()})
-    if not quiet:
         told = [choice.taken().as_text(), report.as_text(layers)]
+        if report_file is not None and source is not None:
+            options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
+            with source.open("rb") as again:
+                outputs.open(report_file).write(
+                    page(again, profile, options, source.name, told[:1], simulated)
+                )
+    if not quiet:
         click.echo("\n".join(told), err=str(json_file) == "-")

@@ -35,15 +35,22 @@ ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", 
 
 
 def page(
-    lines: Iterable[bytes], printer: Printer, options: Options, name: str, notes: list[str]
+    lines: Iterable[bytes],
+    printer: Printer,
+    options: Options,
+    name: str,
+    notes: list[str],
+    simulated: Printer | None = None,
 ) -> bytes:
     """The page for a file, simulated with all strategies. Raises HframeError.
 
-    name: of the file; notes: the summary in words, a line each.
+    name: of the file; notes: the summary in words, a line each. simulated: the printer whose
+    plant answers, where it is not the one compensated for.
     """
     source = _Kept(lines)
     view = LayerView(tuple(STRATEGIES))
-    study = Study(printer.plant, name=printer.name)
+    answers = simulated or printer
+    study = Study(answers.plant, name=answers.name)
     report = simulate(source, printer, replace(options, predict=tuple(STRATEGIES)), study, view)
     names = view.labels
     layers = view.layers()
@@ -69,7 +76,10 @@ def page(
         "byFeature": _by_feature(report),
         "worst": _worst(layers, options.strategy),
         "joined": view.joined,
-        "travel": {"x": printer.travel.x, "y": printer.travel.y},
+        "belts": {
+            "speed": printer.motors.belt_velocity,
+            "acceleration": printer.motors.belt_acceleration,
+        },
         "printer": _printer(printer, options),
     }
     return _filled(data, _packed(layers), source.packed)

@@ -143,7 +143,7 @@ function strip() {  // the error of each layer, above the slider
 function told() {
   const layer = data.layers[state.layer];
   $("where").replaceChildren("Layer ", make("b", layer ? layer.name : "–"), ` (${state.layer + 1} of ${data.layers.length})`,
-    ...(layer ? data.strategies.flatMap((each, s) => [" · ", each.label, " ", make("b", micrometres(layer.rms[s])), " µm"]) : []));
+    ...(layer ? data.strategies.flatMap((each, s) => [" · ", each.label, " ", make("b", micrometres(layer.rms[s]) + "\u00a0µm")]) : []));
   document.querySelectorAll("#strategies button").forEach((button, k) => button.setAttribute("aria-checked", String(k === state.strategy)));
   strip(); draw();
 }
@@ -244,11 +244,11 @@ function cards() {
   });
   const time = report.print_time_s, longer = 100 * (time.after / time.before - 1);
   card("Print time", clock(time.after), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
-  if (chosen) card("Belts at most", chosen.peak_belt_speed.toFixed(0), "mm/s", `${Math.round(chosen.peak_belt_acceleration).toLocaleString("en")} mm/s²`);
+  if (chosen) card("Belts at most", chosen.peak_belt_speed.toFixed(0), `of ${data.belts.speed} mm/s`, `${Math.round(chosen.peak_belt_acceleration)} of ${data.belts.acceleration} mm/s²`);
   if (before && chosen && data.chosen !== "none") {
     const was = before.contour_error_um.rms, is = chosen.contour_error_um.rms;
-    $("lead").replaceChildren("Without compensation the nozzle would be ", make("strong", `${micrometres(was)} µm`), " off the path (RMS), with it ",
-      make("strong", `${micrometres(is)} µm`), is < was ? `: ${(was / is).toFixed(was / is < 10 ? 1 : 0)} times closer.` : ".");
+    $("lead").replaceChildren("Without compensation the nozzle would be ", make("strong", `${micrometres(was)}\u00a0µm`), " off the path (RMS), with it ",
+      make("strong", `${micrometres(is)}\u00a0µm`), is < was ? `: ${(was / is).toFixed(was / is < 10 ? 1 : 0)} times closer.` : ".");
   } else $("lead").textContent = "Nothing is compensated in this file.";
 }
 function tables() {
@@ -275,7 +275,8 @@ function tables() {
 }
 function frame() {
   document.title = `${data.name} – hframe-post`;
-  $("name").textContent = data.name; $("version").textContent = data.version;
+  $("name").textContent = data.name.replace(/[_-]/g, "$&\u200b");  // where it may wrap
+  $("version").textContent = data.version;
   const ramp = $("ramp").getContext("2d");
   for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
   data.strategies.forEach((each, k) => {

@@ -72,6 +72,13 @@ def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:
     assert not (tmp_path / "no.html").exists()
 
 
+def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
+    part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
+    assert run("simulate", part, "--plant", "paper", "--report", report).returncode == 0
+    assert data_of(report.read_bytes())["name"] == "rectangle.gcode"
+    assert run("simulate", "--path", "rectangle", "--report", report).returncode == 2
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     if PROGRAM is None:
