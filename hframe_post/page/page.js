@@ -66,7 +66,9 @@ const canvas = $("canvas");
 function fit() {
   const box = canvas.getBoundingClientRect();
   let x0 = Infinity, x1 = -Infinity, y0 = Infinity, y1 = -Infinity;
-  for (let k = first[state.layer]; k < first[state.layer + 1]; k++) {
+  const shown = Array.from({ length: first[state.layer + 1] - first[state.layer] }, (_, k) => first[state.layer] + k);
+  const printed = shown.filter((k) => (path.feature[k] & 127) !== 0);
+  for (const k of printed.length ? printed : shown) {  // a journey from far away would make the part small
     const [x, y] = place(k);
     x0 = Math.min(x0, x); x1 = Math.max(x1, x); y0 = Math.min(y0, y); y1 = Math.max(y1, y);
   }
