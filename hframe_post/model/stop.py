@@ -49,7 +49,6 @@ TRAVELLING = 0.03  # weight of a sample that does not extrude; of one that does:
 STANDING = 0.04  # weight of a sample of the hold, of which every STRIDE-th counts
 ARRIVING = 1.0  # weight of the hold's last sample where an extrusion begins there
 ALONG = 0.01  # weight of a deviation along the path; of one across: 1
-DRIFT = 0.12  # weight of the hold's own place
 STRIDE, SWING = 4, 64  # samples between those of a hold, and how far into it
 SOON = 25  # samples after a hold in which an extrusion begins there
 EFFORT_SHARE = 0.1  # of the effort elsewhere: a stop is short and asks for more
@@ -57,6 +56,7 @@ LEAST_EFFORT = 1e-3
 WITHIN = 0.97  # share of the belts' acceleration that is used
 AT_HOLD = 0.5  # share of that next to the hold, where the firmware stops within one segment
 SEARCHES, TRIALS = 2, 8  # of the nearest points; of the weights of D
+MOST_MORE = 20.0  # times, in one trial
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
 CLEAR = 0.02  # mm to the ends of the bed, for a command that would leave it
 
@@ -261,6 +261,7 @@ class StopSolver:
         D, rates = np.diff(by_p, n=2, axis=0), np.diff(known, n=2, axis=0)
         limit = np.full(len(D), self._limit)
         limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
+        best, least = np.zeros(2 * k), np.inf
         for _ in range(TRIALS):
             full, right = H.copy(), g.copy()
             for axis, effort in enumerate(self._effort):
@@ -278,10 +279,13 @@ class StopSolver:
             share = np.abs((rates + D @ added) @ self._belts.T).max(axis=1) / limit
             place = known + by_p @ added
             beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
-            if (share <= 1.0).all() and (beyond <= 0.0).all():
+            excess = max(float(share.max()), 1.0) + float(beyond.max())
+            if excess < least:
+                best, least = p, excess
+            if excess <= 1.0:
                 break
             pressure = pressure.raised(share, beyond, place)
-        return p, pressure
+        return best, pressure
 
     def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
         """The command with what p adds."""
@@ -318,7 +322,8 @@ class _Pressure:
 
     def raised(self, share: Array, beyond: Array, place: Array) -> _Pressure:
         """More where belts are driven to more than a STEP of their limit, or the bed is left."""
-        effort = self.effort * np.where(share > STEP, 2.0 * np.square(share / STEP), 1.0)
+        more = np.minimum(2.0 * np.square(share / STEP), MOST_MORE)
+        effort = self.effort * np.where(share > STEP, more, 1.0)
         out = beyond > 0.0
         bed = np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed)
         inwards = np.clip(place, self.low + CLEAR, self.high - CLEAR)
