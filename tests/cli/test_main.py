@@ -66,7 +66,7 @@ def test_json_summary_has_its_keys(part: Path, tmp_path: Path) -> None:
     run(part, "-o", tmp_path / "out.gcode", "--predict", "all", "--json", tmp_path / "s.json")
     summary = json.loads((tmp_path / "s.json").read_text())
     assert set(summary["contour_error_um"]) == {"none", "fbs", "racking"}
-    assert set(summary["contour_error_um"]["fbs"]) == {"rms", "p95", "peak"}
+    assert set(summary["contour_error_um"]["fbs"]) == {"rms", "p95", "peak", "all"}
     assert set(summary["print_time_s"]) == set(summary["filament_mm"]) == {"before", "after"}
     assert set(summary["peak_axis_acceleration"]) == {"x", "y"}
     assert {"moves", "lines_written", "peak_belt_speed", "peak_belt_acceleration"} <= set(summary)
