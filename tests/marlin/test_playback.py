@@ -272,11 +272,11 @@ def test_cube_keeps_place_and_loses_only_standstill(marlin: Printer, planner: st
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
-    cube = played(layers_of_cube(8), with_own(marlin, planner=planner), planner=planner)
+    cube = played(layers_of_cube(9), with_own(marlin, planner=planner), planner=planner)
     first, late, off = replace(cube, command=cube.command[:240_000]).track()
     assert len(first) > 230
     assert abs(in_motion(late)) < 3.0
-    assert rms(without_gaps(late, off)) < 0.016
+    assert rms(without_gaps(late, off)) < 0.0165  # at 200 lines a second
 
 
 @pytest.mark.slow
