@@ -67,6 +67,11 @@ if TYPE_CHECKING:
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
 )  # fmt: skip
 @speed_options
+@click.option(
+    "--jobs", type=click.IntRange(1), metavar="N",
+    help="G-code: processes that compute it; the output is the same. Default: as many as there "
+    "are processors.",
+)  # fmt: skip
 @json_option
 @click.option(
     "--report", "report_file", metavar="FILE",
@@ -81,7 +86,7 @@ def convert(
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
     every_sample: bool, predict: str, max_error: dict[str, float] | None, error_measure: str,
-    speed_up: float, model_error: float, json_file: Path | None,
+    speed_up: float, model_error: float, jobs: int | None, json_file: Path | None,
     report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
@@ -96,6 +101,7 @@ def convert(
       hframe-post in.gcode --report report.html
     """
     from hframe_post.cli import slicer
+    from hframe_post.cli.process import processors
     from hframe_post.conversion.files import GCODE, Target, chosen_format
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.pipeline import TOLERANCE, Options
@@ -155,7 +161,9 @@ def convert(
         if str(source) != "-":
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
-        report = converted(lines, None if dry_run else target, profile, options, kind)
+        report = converted(
+            lines, None if dry_run else target, profile, options, kind, jobs or processors()
+        )
         write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
         text = "\n".join(
             [

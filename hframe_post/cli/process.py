@@ -37,6 +37,13 @@ def run(command: click.Command) -> NoReturn:
     sys.exit(_flushed(status))
 
 
+def processors() -> int:
+    """Those that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def _failed(message: str) -> int:
     with contextlib.suppress(OSError):
         click.echo(f"Error: {message}", err=True)

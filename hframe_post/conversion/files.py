@@ -54,13 +54,14 @@ class Format:
     """One kind of output: what converts to it, and what saves that.
 
     save: to a target; the text says what made it. suffixes: that choose this format; packs:
-    whether a further .gz or .zst compresses it.
+    whether a further .gz or .zst compresses it. divides: whether ``convert`` takes ``jobs``.
     """
 
-    convert: Callable[[Iterable[bytes], Printer, Options], Conversion]
+    convert: Callable[..., Conversion]
     save: Callable[[Any, Target, str], None]
     suffixes: tuple[str, ...] = ()
     packs: bool = True
+    divides: bool = False
 
 
 def convert(
@@ -69,13 +70,16 @@ def convert(
     printer: Printer,
     options: Options,
     kind: str = "gcode",
+    jobs: int = 1,
 ) -> Report:
     """Converts and writes, for the target's outputs to appear. Raises HframeError, OSError.
 
-    target None: nothing is written. kind: one of ``FORMATS``.
+    target None: nothing is written. kind: one of ``FORMATS``. jobs: processes that compute, for
+    a format that can be computed so.
     """
     chosen = FORMATS[kind]
-    conversion = chosen.convert(lines, printer, options)
+    convert = partial(chosen.convert, jobs=jobs) if chosen.divides else chosen.convert
+    conversion = convert(lines, printer, options)
     if target is None:
         for _ in conversion:
             pass
@@ -121,7 +125,7 @@ def _save_binary(conversion: GcodeConversion, target: Target, _: str) -> None:
 
 def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
     write_output(
-        file, conversion, lambda: conversion.commands.duration,
+        file, conversion, lambda: conversion.duration,
         lambda: conversion.report().as_text(),
     )  # fmt: skip
 
@@ -159,8 +163,8 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
 GCODE = ("gcode", "bgcode")  # what may replace the input
 TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix
 FORMATS = {
-    "gcode": Format(GcodeConversion, _save_gcode, packs=False),
-    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
+    "gcode": Format(GcodeConversion, _save_gcode, packs=False, divides=True),
+    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False, divides=True),
     "steps": Format(partial(StepConversion, kind="steps"), _save_steps, (".csv",)),
     "step-bits": Format(partial(StepConversion, kind="step-bits"), _save_steps),
     "samples": Format(SampleConversion, _save_samples, TABLES),

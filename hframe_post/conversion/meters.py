@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from hframe_post.arrays import TS, E
+from hframe_post.arrays import E
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
@@ -66,19 +66,14 @@ class Clock:
     """Measures how long the print takes."""
 
     def __init__(self) -> None:
-        self._end, self._resting = 0, 0  # samples
+        self.end, self.resting = 0, 0  # samples, of all and of rests
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         """The commands."""
         for chunk in chunks:
-            self._resting += sum(e.samples for e in chunk.events if isinstance(e, Rest))
-            self._end = chunk.end
+            self.resting += sum(e.samples for e in chunk.events if isinstance(e, Rest))
+            self.end = chunk.end
             yield chunk
-
-    @property
-    def time(self) -> PrintTime:
-        """Of what has passed."""
-        return PrintTime((self._end - self._resting) * TS, self._end * TS)
 
 
 class FilamentMeter:

@@ -8,60 +8,65 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hframe_post.arrays import Array
-from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.guard import Clamp, Guard
-from hframe_post.compensation.stops import rests, solvers, stand
-from hframe_post.conversion.meters import Clock, ErrorMeter, FilamentMeter, InputMeter
+from hframe_post.conversion.meters import FilamentMeter, InputMeter
+from hframe_post.conversion.options import TOLERANCE as TOLERANCE
+from hframe_post.conversion.options import Options as Options
 from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import Report, StepReport
+from hframe_post.conversion.span_writer import SpanWriter
+from hframe_post.conversion.spans import Spans
+from hframe_post.conversion.stages import SpanSummary, Stages
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
+from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.course import Compensator
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import Paces, pace
-from hframe_post.planner.sampling import sample
+from hframe_post.planner.pacing import pace
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.prefetch import prefetch
+from hframe_post.stream.chunks import shifted
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
-from hframe_post.writers.deferred import SUMMARY, Output
-from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.deferred import SUMMARY, Output, later
+from hframe_post.writers.gcode import GcodeSummary
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps import Stepper
 
-TOLERANCE = 0.014  # mm by which G-code may be off the computed command; the nozzle is by 1 µm RMS
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What a user chooses beside the printer.
+class _Source:
+    """The file as spans of planned items, and what was seen of it."""
 
-    strategy: what is written; predict: strategies whose contour error is reported;
-    limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
-    beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
-    for every sample; paces: by what is printed, in place of the file's own.
-    """
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._lines, self._printer, self._options = lines, printer, options
+        self._input, self._path = InputMeter(), PathMeter(printer.limits)
 
-    strategy: str
-    predict: tuple[str, ...] = ()
-    limits: FileLimits = "file"
-    clamp: bool = False
-    tolerance: float | None = TOLERANCE
-    extrusion: Extrusion | None = None
-    paces: Paces | None = None
+    def spans(self) -> Spans:
+        """To be computed one after the other. Raises HframeError."""
+        reading = ReadOptions.of(self._printer, self._options.limits, self._options.extrusion)
+        items = self._input.items(read(self._input.lines(self._lines), reading))
+        if self._options.paces is not None:
+            items = pace(items, self._options.paces)
+        return Spans(plan(self._path.items(items), self._printer.limits))
 
-    @property
-    def strategies(self) -> tuple[str, ...]:
-        """Every strategy that must be computed."""
-        return tuple(dict.fromkeys((self.strategy, *self.predict)))
+    def report(self, seen: SpanSummary) -> Report:
+        """What the stages saw."""
+        return Report(
+            self._options.strategy, self._input.summary, self._path.summary, seen.time, seen.peaks,
+            seen.clamped, seen.contour,
+        )  # fmt: skip
+
+    def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:
+        """Raises HframeError unless as much filament was written as was read, mm."""
+        lost = self._input.summary.filament - filament
+        if abs(lost) > tolerance:
+            raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
 class Commands:
@@ -79,79 +84,70 @@ class Commands:
         strategies: tuple[str, ...] = (),
         compensator: Compensator | None = None,
     ) -> None:
-        self._lines, self._printer, self._options = lines, printer, options
-        self._strategies = strategies or options.strategies
-        self._compensator = compensator or prepared(printer)
-        checked = (printer.travel, printer.motors, printer.kinematics)
-        self._input, self._path = InputMeter(), PathMeter(printer.limits)
-        self._clock = Clock()
-        self._clamp, self._guard = Clamp(*checked), Guard(*checked)
-        self._errors = ErrorMeter(printer.plant)
+        self._source = _Source(lines, printer, options)
+        compensator = compensator or prepared(printer)
+        self._stages = Stages(printer, options, compensator, strategies or options.strategies)
+        self.conserved = self._source.conserved
 
     def __iter__(self) -> Iterator[Samples]:
         """Computed ahead in threads of their own: one up to the guard, one for the prediction."""
-        commands = prefetch(self.computed())
-        if self._options.predict:
-            commands = prefetch(self._errors.samples(commands))
-        return self._clock.samples(commands)
+        return self._stages.judged(self.computed(), threads=True)
 
     def computed(self) -> Iterator[Samples]:
         """The commands as they are computed: no thread, no prediction, no clock."""
-        printer, options = self._printer, self._options
-        limits = printer.limits
-        lines = self._input.lines(self._lines)
-        reading = ReadOptions.of(printer, options.limits, options.extrusion)
-        items = self._input.items(read(lines, reading))
-        if options.paces is not None:
-            items = pace(items, options.paces)
-        items = self._path.items(items)
-        waits = rests(printer.compensation.stops, options.strategy)
-        samples = sample(plan(items, limits), limits, waits)
-        commands = compensate(samples, self._compensator, self._strategies)
-        commands = stand(commands, solvers(self._compensator, self._strategies, printer))
-        if options.clamp:
-            commands = self._clamp.limit(commands, options.strategy)
-        return self._guard.check(commands, options.strategy)
+        first = end = 0
+        for span in self._source.spans():
+            for chunk in self._stages.computed(span.items):
+                yield shifted(chunk, first)
+                end = first + chunk.end
+            first = end
 
     @property
     def duration(self) -> float:
         """Of what has been taken, s."""
-        return self._clock.time.after
+        return self._stages.summary.time.after
 
     def report(self) -> Report:
         """What the stages saw."""
-        return Report(
-            self._options.strategy, self._input.summary, self._path.summary, self._clock.time,
-            self._guard.peaks, self._clamp.clamped, self._errors.contour,
-        )  # fmt: skip
-
-    def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:
-        """Raises HframeError unless as much filament was written as was read, mm."""
-        lost = self._input.summary.filament - filament
-        if abs(lost) > tolerance:
-            raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
+        return self._source.report(self._stages.summary)
 
 
 class GcodeConversion:
-    """A print as G-code for the printer's firmware."""
+    """A print as G-code for the printer's firmware.
 
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
-        self._printer, self._options = printer, options
+    jobs: processes that compute it; the output does not depend on them.
+    """
+
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options, jobs: int = 1
+    ) -> None:
+        self._printer, self._options, self._jobs = printer, options, jobs
         self._player = player(printer, options.tolerance)
-        self.commands = Commands(lines, printer, options)
-        self._writer = GcodeWriter(options.strategy, self._player)
+        self._source = _Source(lines, printer, options)
+        self._seen, self._written = SpanSummary(), GcodeSummary(0, 0, 0.0)
 
     def __iter__(self) -> Iterator[Output]:
         yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
         yield SUMMARY
-        yield from self._writer.write(self.commands)
-        self.commands.conserved(self._writer.summary.filament)
+        writer = SpanWriter(self._printer, self._options, prepared(self._printer))
+        for span in writer.in_order(self._source.spans(), self._jobs):
+            begun = self.duration
+            for piece in span.output:
+                yield later(piece, begun)
+            self._seen.join(span.seen)
+            self._written = self._written.joined(span.written)
+        self._source.conserved(self._written.filament)
+
+    @property
+    def duration(self) -> float:
+        """Of what has been written, s."""
+        return self._seen.time.after
 
     def report(self) -> Report:
         """Complete once the output has been used up."""
-        written = self._writer.summary
+        written = self._written
         report = replace(
-            self.commands.report(), lines_written=written.lines + 1,  # and the stamp
+            self._source.report(self._seen), lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._player.lines_per_second,
         )  # fmt: skip

@@ -19,6 +19,7 @@ from hframe_post.planner.jerk_profile import Phases, Profiler, before_each, inte
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,
+    Halt,
     Handling,
     Mark,
     Passthrough,
@@ -44,6 +45,8 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
             yield from sampler.run(item)
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY:
             sampler.mark(item.text)
+        elif isinstance(item, Halt):
+            yield from sampler.halt()
         else:
             yield from sampler.pause(item)
     yield from sampler.flush()
@@ -166,6 +169,10 @@ class _Sampler:
         if released:
             yield from self.flush(ends_stretch=True)
             self._last = None
+
+    def halt(self) -> Iterator[Samples]:
+        """The command comes to rest on the path."""
+        yield from self._come_to_rest(aside=True)
 
     def _come_to_rest(self, aside: bool) -> Iterator[Samples]:
         if not self._rested and self._last is not None:

@@ -39,6 +39,13 @@ class ErrorStatistics:
             top = len(self.histogram) - 1
             self.histogram += np.bincount(np.minimum(bins.astype(np.int64), top), minlength=top + 1)
 
+    def join(self, other: ErrorStatistics) -> None:
+        """Takes what another part of the stream has counted."""
+        self.count += other.count
+        self.squares += other.squares
+        self.peak = max(self.peak, other.peak)
+        self.histogram += other.histogram
+
     @property
     def rms(self) -> float:
         """Root mean square, mm."""
@@ -71,6 +78,11 @@ class ContourErrors:
         """Takes the next errors of motion, (n,), of which some count as extruding, (n,)."""
         self.extruding.add(errors[extruding])
         self.all.add(errors)
+
+    def join(self, other: ContourErrors) -> None:
+        """Takes what another part of the stream has counted."""
+        self.extruding.join(other.extruding)
+        self.all.join(other.all)
 
     @property
     def shown(self) -> ErrorStatistics:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -91,6 +92,14 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
     commands = {name: xy[start:stop] for name, xy in chunk.commands.items()}
     ends = chunk.ends_stretch and high >= chunk.end
     return Samples(low, chunk.xyze[start:stop], chunk.line[start:stop], events, commands, ends)
+
+
+def shifted(chunk: Samples, samples: int) -> Samples:
+    """The chunk so much later."""
+    if not samples:
+        return chunk
+    events = tuple(replace(event, index=event.index + samples) for event in chunk.events)
+    return replace(chunk, first=chunk.first + samples, events=events)
 
 
 def branches(chunks: Iterable[Samples], count: int) -> list[Iterator[Samples]]:

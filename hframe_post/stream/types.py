@@ -118,7 +118,12 @@ class Plan:
     marks: tuple[Mark, ...]
 
 
-Planned = Plan | Standing | Passthrough
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """The command comes to rest on the path here: what follows is computed on its own."""
+
+
+Planned = Plan | Standing | Passthrough | Halt
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
 DURATION = re.compile(  # as slicers name it: of the whole print, or what is left of it
@@ -33,9 +33,17 @@ SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
 
 
 def carried(line: bytes, elapsed: float) -> Output:
-    """A line of the file as it passes after so many s of print: what it tells of time is new."""
-    if ELAPSED.match(line):
-        return b";TIME_ELAPSED:%.6f\n" % elapsed
-    if DURATION.match(line) or PROGRESS.match(line):
+    """A line of the file as it passes after so many s: what it tells of time waits to be known."""
+    if ELAPSED.match(line) or DURATION.match(line) or PROGRESS.match(line):
         return DeferredLine(line, elapsed)
     return line + b"\n"
+
+
+def later(output: Output, seconds: float) -> Output:
+    """Output of a part of the print that begins so much later than the print."""
+    if not isinstance(output, DeferredLine):
+        return output
+    elapsed = output.elapsed + seconds
+    if ELAPSED.match(output.line):
+        return b";TIME_ELAPSED:%.6f\n" % elapsed
+    return replace(output, elapsed=elapsed)

@@ -21,7 +21,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.player import Dwelling, Player
 from hframe_post.gcode.lexer import Line, command
-from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples, Standing
+from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Position, Samples, Standing
 from hframe_post.writers.deferred import DeferredLine, Output, carried
 from hframe_post.writers.held import SAMPLES_AT_ONCE, Batch, Held
 from hframe_post.writers.ledger import Ledger
@@ -37,17 +37,36 @@ class GcodeSummary:
     busiest_second: int
     filament: float
 
+    def joined(self, later: GcodeSummary) -> GcodeSummary:
+        """Of both together."""
+        return GcodeSummary(
+            self.lines + later.lines,
+            max(self.busiest_second, later.busiest_second),
+            self.filament + later.filament,
+        )
+
 
 class GcodeWriter:
     """Commands as text for a firmware.
 
     strategy: whose command is written; finer: digits that coordinates and F are given beyond
-    those that a print needs.
+    those that a print needs. place, offset: where the stream goes on that another has begun: x,
+    y, z, e, and the user's G92; a new stream finds the machine in the user's hands.
     """
 
-    def __init__(self, strategy: str, player: Player, finer: int = 0) -> None:
-        self._strategy, self._ledger, self._lines = strategy, Ledger(), 0
-        self._machine = _Machine(player, self._ledger, Units.of(finer))
+    def __init__(
+        self,
+        strategy: str,
+        player: Player,
+        finer: int = 0,
+        place: Position | None = None,
+        offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        units = Units.of(finer)
+        at = units.rounded(np.array(place)) if place is not None else None
+        self._strategy, self._lines = strategy, 0
+        self._ledger = Ledger(int(at[E]) if at is not None else 0)
+        self._machine = _Machine(player, self._ledger, units, at, offset)
         self._held = Held()
         self._skip = 0  # samples of a pause that lie in the next chunks
 
@@ -60,9 +79,10 @@ class GcodeWriter:
     @property
     def summary(self) -> GcodeSummary:
         """Of everything, once it has been written."""
-        return GcodeSummary(self._lines, self._ledger.busiest, self._ledger.filament)
+        return GcodeSummary(self._lines, self._ledger.busiest, self._ledger.written)
 
     def _outputs(self, chunks: Iterable[Samples]) -> Iterator[Output]:
+        yield from self._machine.go_on()
         for chunk in chunks:
             yield from self._chunk(chunk)
         yield from self._stop()
@@ -111,14 +131,26 @@ class GcodeWriter:
 class _Machine:
     """Where the machine stands, as it was told, and what to tell it next."""
 
-    def __init__(self, player: Player, ledger: Ledger, units: Units) -> None:
+    def __init__(
+        self,
+        player: Player,
+        ledger: Ledger,
+        units: Units,
+        at: Integers | None,
+        offset: tuple[float, float, float],
+    ) -> None:
         self._player, self._ledger, self._units = player, ledger, units
         self._pace = Pace(player, units.per_feed)
-        self._at: Integers | None = None  # x, y, z, e, output units; None: only firmware knows
+        self._at = at  # x, y, z, e, output units; None: only firmware knows
         self._feed = 0  # last F, output units; 0: to be told
         self._still = 0  # samples of standstill since the last segment
-        self._inside = False  # the stream's limits and modes are in force
-        self._offset = (0.0, 0.0, 0.0)  # of G92, while the machine is released
+        self._inside = at is not None  # the stream's limits and modes are in force
+        self._offset = offset  # of G92, while the machine is released
+
+    def go_on(self) -> Iterator[Output]:
+        """Where another stream ended, counting of filament begins anew."""
+        if self._inside:
+            yield self._player.reset_extruder()
 
     def stand(self, here: Array) -> Array:
         """Where the machine is, (4,), mm: ``here`` if only firmware knew.

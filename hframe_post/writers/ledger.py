@@ -14,9 +14,9 @@ COUNTED = 5_000_000  # steps after which some firmware must count anew
 class Ledger:
     """Filament in steps of 0.00001 mm, and mm in lines passed on; lines of motion a second."""
 
-    def __init__(self) -> None:
-        self._steps, self._passed, self.busiest = 0, 0.0, 0
-        self._counted = 0  # steps, when the firmware last began to count
+    def __init__(self, steps: int = 0) -> None:
+        self._begun, self._steps, self._passed, self.busiest = steps, steps, 0.0, 0
+        self._counted = steps  # when the firmware last began to count
         self._second, self._lines = 0, 0  # lines in that second, so far
 
     def moved(self, samples: Integers, steps: int) -> None:
@@ -41,5 +41,10 @@ class Ledger:
 
     @property
     def filament(self) -> float:
-        """All of it, mm."""
+        """All of it since the print began, mm."""
         return self._steps / PER_MM + self._passed
+
+    @property
+    def written(self) -> float:
+        """What has been counted here, mm."""
+        return (self._steps - self._begun) / PER_MM + self._passed

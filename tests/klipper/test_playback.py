@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
+from hframe_post.conversion import spans
 from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.gcode.options import FileLimits
@@ -106,6 +107,12 @@ def test_cube_is_played_as_intended(tmp_path: Path, limits: FileLimits) -> None:
 def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     options = Options("racking", limits="printer", tolerance=None)
     check(played("rectangle.gcode", tmp_path, options))
+
+
+@pytest.mark.klipper
+def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spans, "SECONDS", 4.0)
+    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
 
 
 @pytest.mark.klipper

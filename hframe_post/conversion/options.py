@@ -1,0 +1,34 @@
+"""What a user chooses of a conversion beside the printer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hframe_post.gcode.options import Extrusion, FileLimits
+from hframe_post.planner.pacing import Paces
+
+TOLERANCE = 0.014  # mm by which G-code may be off the computed command; the nozzle is by 1 µm RMS
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a user chooses beside the printer.
+
+    strategy: what is written; predict: strategies whose contour error is reported;
+    limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
+    beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
+    for every sample; paces: by what is printed, in place of the file's own.
+    """
+
+    strategy: str
+    predict: tuple[str, ...] = ()
+    limits: FileLimits = "file"
+    clamp: bool = False
+    tolerance: float | None = TOLERANCE
+    extrusion: Extrusion | None = None
+    paces: Paces | None = None
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        """Every strategy that must be computed."""
+        return tuple(dict.fromkeys((self.strategy, *self.predict)))

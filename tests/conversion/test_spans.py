@@ -1,0 +1,137 @@
+"""Spans: cut by the input alone, the same bytes whoever computes them, nothing lost between."""
+
+from __future__ import annotations
+
+import os
+import signal
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion import span_writer, spans
+from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
+from hframe_post.conversion.spans import Span, Spans
+from hframe_post.errors import GcodeError, HframeError, LimitError
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.planner.lookahead import plan
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Halt, Planned, Standing
+from hframe_post.writers.deferred import DeferredLine
+from tests.conftest import SAMPLES
+from tests.gcode_tools import follow
+
+OPTIONS = Options("racking", ("none", "racking"))
+
+
+def cube(last: int = 3) -> list[bytes]:
+    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+    return lines[: lines.index(b";LAYER:%d\n" % last)]
+
+
+def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, GcodeConversion]:
+    conversion = GcodeConversion(iter(lines), printer, OPTIONS, jobs)
+    pieces = [
+        b"%s %.6f\n" % (o.line, o.elapsed) if isinstance(o, DeferredLine) else o for o in conversion
+    ]
+    return b"".join(pieces), conversion
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spans of a few seconds: many in a short file."""
+    monkeypatch.setattr(spans, "SECONDS", 4.0)
+
+
+def planned(lines: list[bytes], printer: Printer) -> list[Planned]:
+    return list(plan(read(iter(lines), ReadOptions.of(printer)), printer.limits))
+
+
+@pytest.mark.usefixtures("short")
+def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer) -> None:
+    items = planned(cube(), paper)
+    cut = [(span.beginning, list(span.items)) for span in Spans(items)]
+    assert len(cut) > 5
+    assert [part.pop() for _, part in cut[:-1]] == [Halt()] * (len(cut) - 1)
+    assert [id(item) for _, part in cut for item in part] == [id(item) for item in items]
+    assert cut[0][0].place is None
+    for beginning, part in cut[1:]:
+        assert isinstance(part[0], Standing)
+        assert beginning.place == part[0].start
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("profile", ["paper", "paper-marlin"])
+def test_bytes_and_figures_do_not_depend_on_the_processes(
+    profile: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    printer, lines = load(profile), cube(2)
+    text, conversion = converted(lines, printer, 1)
+    for jobs in (2, 4):
+        other, again = converted(lines, printer, jobs)
+        assert other == text
+        assert again.report().as_json() == conversion.report().as_json()
+    monkeypatch.setattr(spans, "MOST_ITEMS", 30)  # some are too long to be held
+    assert converted(lines, printer, 2)[0] == text
+
+
+@pytest.mark.usefixtures("short")
+def test_nothing_is_lost_between_spans(paper: Printer) -> None:
+    lines = cube()
+    text, conversion = converted(lines, paper, 1)
+    before, after = follow(b"".join(lines)), follow(text)
+    np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)
+    assert conversion.report().filament_after == pytest.approx(before.filament, abs=1e-5)
+    assert after.filament == pytest.approx(before.filament, abs=1e-5)
+    told = [line for line in text.splitlines() if line.startswith(b";TIME_ELAPSED:")]
+    elapsed = [float(line.split(b":")[1]) for line in told]
+    assert all(a < b for a, b in pairwise(elapsed))
+    assert elapsed[-1] <= conversion.duration
+    assert text.count(b"SET_VELOCITY_LIMIT VELOCITY=770") == 1  # the stream goes on
+
+
+@pytest.mark.usefixtures("short")
+def test_commands_of_spans_are_one_stream(paper: Printer) -> None:
+    chunks = list(Commands(iter(cube()), paper, OPTIONS).computed())
+    assert all(a.end == b.first for a, b in pairwise(chunks))
+    command = np.concatenate([chunk.commands["racking"] for chunk in chunks])
+    path = np.concatenate([chunk.xyze[:, :2] for chunk in chunks])
+    step = np.abs(np.diff(command, axis=0)).max()
+    assert step <= 2.0 * np.abs(np.diff(path, axis=0)).max()  # no jump where two meet
+
+
+@pytest.mark.usefixtures("short")
+def test_a_print_takes_hardly_longer_for_being_cut(
+    paper: Printer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines, cuts = cube(), len(list(Spans(planned(cube(), paper)))) - 1
+    cut = converted(lines, paper, 1)[1].duration
+    monkeypatch.setattr(spans, "SECONDS", 1e9)
+    assert 0.0 <= cut - converted(lines, paper, 1)[1].duration <= 0.17 * cuts
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_the_first_mistake_of_a_file_is_told_whoever_finds_it(paper: Printer, jobs: int) -> None:
+    """Reading runs ahead of computing, but not in what it says."""
+    lines = cube()
+    middle = lines.index(b";LAYER:1\n")
+    outside = [*lines[:middle], b"G1 X500 F6000\n", *lines[middle:], b"G5 X1\n"]
+    with pytest.raises(LimitError, match=f"line {middle + 1}:"):
+        converted(outside, paper, jobs)
+    with pytest.raises(GcodeError):
+        converted([*lines, b"G93\n"], paper, jobs)
+
+
+@pytest.mark.usefixtures("short")
+def test_a_process_that_is_killed_is_told_of(
+    paper: Printer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(self: span_writer.SpanWriter, span: Span) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(span_writer.SpanWriter, "whole", killed)
+    with pytest.raises(HframeError, match="jobs 1"):
+        converted(cube(), paper, 2)
