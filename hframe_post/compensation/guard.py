@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Z
-from hframe_post.errors import LimitError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import stretches, with_neighbours
@@ -22,6 +22,7 @@ REACH = 80  # samples over which a clamp sets in and fades out
 TAKE_MORE = 0.9  # share of the excess-free compensation that a clamp leaves
 LEEWAY = 1.0 + 1e-9  # limits met exactly are met
 SLACK = 1e-9  # mm, to the same end
+FAULT = "line {line}: the command computed here {what}; nothing was written. Please report this"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +48,19 @@ class Guard:
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
         self.peaks = Peaks()
+        self._end: int | None = None  # of the last chunk
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
-        """The stream as it is. Raises LimitError for a command of ``strategy`` that is not safe."""
+        """The stream as it is. Raises LimitError for a command of ``strategy`` that is not safe.
+
+        HframeError for a stream that is not sound: the last look at it before it is written.
+        """
         for stretch in stretches(chunks):
             differences = Differences(self._kinematics)
             for chunk in stretch:
                 command = chunk.commands[strategy]
+                _check_sound(chunk, command, self._end)
+                self._end = chunk.end
                 if len(chunk):
                     _check_travel(chunk, command, self._travel)
                     rates = differences.of(command)
@@ -127,7 +134,26 @@ def _allowed(path: Array, command: Array, low: float, high: float, margin: float
     return np.where(over, np.clip(margin * share, 0.0, 1.0), 1.0)
 
 
+def _check_sound(chunk: Samples, command: Array, first: int | None) -> None:
+    """Raises HframeError unless time goes on and all numbers are numbers."""
+    line = int(chunk.line[0]) if len(chunk) else 0
+    places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
+    if (first is not None and chunk.first != first) or places != sorted(places):
+        raise HframeError(FAULT.format(line=line, what="goes back in time"))
+    finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
+    if not finite.all():
+        line = int(chunk.line[np.argmin(finite)])
+        raise HframeError(FAULT.format(line=line, what="is not a number"))
+
+
 def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
+    z = chunk.xyze[:, Z]
+    if z.min() < travel.z[0] - SLACK or z.max() > travel.z[1] + SLACK:
+        k = int(np.argmax((z < travel.z[0] - SLACK) | (z > travel.z[1] + SLACK)))
+        low, high = travel.z
+        bound = low if z[k] < low else high
+        advice = "see travel.z of the profile"
+        raise LimitError("z (mm)", float(z[k]), bound, int(chunk.line[k]), advice)
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         position = command[:, axis]
         for k, bound in ((int(position.argmin()), low), (int(position.argmax()), high)):

@@ -1,0 +1,159 @@
+"""Streams that are closed or full, disks that are full, names that are hostile: exit status,
+one line of error, and whatever was there is still there."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT, SAMPLES
+
+RECTANGLE = SAMPLES / "rectangle.gcode"
+ME = f"{sys.executable} -m hframe_post"
+
+
+def shell(command: str, folder: Path, **more: Callable[[], None]) -> tuple[int, str]:
+    """Exit status and what was said on errors."""
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=folder, capture_output=True, check=False, timeout=300,
+        env={**os.environ, "ME": ME, "PYTHONPATH": str(ROOT)}, **more,  # type: ignore[call-overload]
+    )  # fmt: skip
+    return done.returncode, done.stderr.decode()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    shutil.copy(RECTANGLE, tmp_path / "in.gcode")
+    (tmp_path / "my.toml").write_text('extends = "paper"\n')
+    return tmp_path
+
+
+def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
+    """Exit 1 with one line; the input is as it was and nothing is beside it."""
+    status, told = done
+    assert (status, told.count("\n")) == (1, 1), told
+    assert cause in told
+    assert (folder / "in.gcode").read_bytes() == RECTANGLE.read_bytes()
+    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml"}
+
+
+@pytest.mark.parametrize(
+    ("command", "cause"),
+    [
+        ("$ME - <in.gcode >&-", "Bad file descriptor"),
+        ("$ME - -o out.gcode <&-", "Bad file descriptor"),
+        ("$ME printers >&-", "Bad file descriptor"),
+        ("$ME - <in.gcode >/dev/full", "No space left"),
+        ("$ME in.gcode -q --json - >/dev/full", "No space left"),
+        ("$ME --help >/dev/full", "No space left"),
+        ("$ME printers >/dev/full", "No space left"),
+        ("$ME in.gcode -q -o /dev/full", "No space left"),
+        ("$ME in.gcode -q --json no/summary.json", "no/summary.json: No such file"),
+        ("$ME in.gcode -q --json in.gcode", "is read, or written, by the same command"),
+        ("$ME in.gcode -n -q --json ./in.gcode", "is read, or written, by the same command"),
+        ("$ME in.gcode -q -p my.toml -o my.toml", "is read, or written, by the same command"),
+        ("$ME in.gcode -q -p my.toml --json my.toml", "is read, or written, by the same command"),
+        ("$ME in.gcode -q -o new --json new", "is read, or written, by the same command"),
+        ("$ME sweep -p my.toml -q -o my.toml", "is read, or written, by the same command"),
+    ],
+)
+def test_what_cannot_be_done_is_told_and_nothing_is_touched(
+    folder: Path, command: str, cause: str
+) -> None:
+    refused(shell(command, folder), folder, cause)
+    assert (folder / "my.toml").read_text() == 'extends = "paper"\n'
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["$ME in.gcode 2>&-", "$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full",
+     "$ME in.gcode -q -o /dev/null && $ME in.gcode -q", "$ME sweep -q -o /dev/null; $ME in.gcode"],
+)  # fmt: skip
+def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
+    assert shell(command, folder)[0] == 0
+    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
+
+
+def test_standard_output_by_its_name(folder: Path) -> None:
+    script = "{ echo before; $ME in.gcode -q -o /dev/stdout; echo after; } >all"
+    assert shell(script, folder) == (0, "")
+    lines = (folder / "all").read_text().splitlines()
+    assert (lines[0], lines[-1]) == ("before", "after")
+    assert lines[1].startswith("; processed by hframe-post")
+
+
+def test_a_reader_that_leaves_is_no_error_to_tell(folder: Path) -> None:
+    status, told = shell("$ME in.gcode -q -o - | head -c 10 >/dev/null", folder)
+    assert (status, told) == (0, "")
+
+
+def limited() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+@pytest.mark.parametrize("to", ["", "-o out.gcode", "-o out.csv", "-o out.npz", "-o out.csv.gz"])
+def test_a_full_disk_is_one_line_and_no_file(folder: Path, to: str) -> None:
+    done = shell(f"$ME in.gcode -q {to}", folder, preexec_fn=limited)
+    refused(done, folder, "File too large")
+
+
+def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
+    """The stages that run ahead are stopped, and leave nothing to be complained about."""
+    shutil.copy(SAMPLES / "cube.gcode", folder / "in.gcode")
+
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
+
+    status, told = shell("$ME in.gcode", folder, preexec_fn=small)
+    assert (status, told) == (1, f"Error: {told[7:]}")
+    assert told.count("\n") == 1
+    assert (folder / "in.gcode").read_bytes() == (SAMPLES / "cube.gcode").read_bytes()
+    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml"}
+
+
+@pytest.mark.parametrize("name", [b"\xe9", b"two\nlines", b"esc\x1b[2J", b"-dash", "µ".encode()])
+def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes) -> None:
+    profile = os.path.join(os.fsencode(folder), name + b".toml")
+    Path(os.fsdecode(profile)).write_text('extends = "paper"\n')
+    target = os.path.join(os.fsencode(folder), name + b".gcode")
+    arguments: list[str | bytes] = [
+        sys.executable,
+        "-m",
+        "hframe_post",
+        "in.gcode",
+        "-p",
+        profile,
+        "-o",
+        target,
+    ]
+    done = subprocess.run(
+        arguments,
+        cwd=folder,
+        capture_output=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    with open(target, "rb") as file:
+        lines = file.read().splitlines()
+    assert lines[0].startswith(b"; processed by hframe-post")
+    known = RECTANGLE.read_bytes().splitlines()
+    for line in lines:
+        assert line.decode().isprintable()
+        assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
+
+
+def test_two_processes_on_one_file(folder: Path) -> None:
+    """Each finds its input whole; who comes second finds it converted, or sees it change."""
+    status, told = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
+    assert status == 0
+    assert "Traceback" not in told
+    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
