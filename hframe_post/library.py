@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hframe_post.arrays import Array
+from hframe_post.blas import one_thread
 from hframe_post.compensation.compensate import settling
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
@@ -43,6 +44,7 @@ def load_printer(name_or_path: str | Path) -> Printer:
     return profile.load(str(name_or_path))
 
 
+@one_thread()
 def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Array:
     """The command for the motors under which the nozzle follows a path: eq. 12, 13 and 19.
 
@@ -63,6 +65,7 @@ def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Ar
     return np.concatenate([done, course.finish()])
 
 
+@one_thread()
 def predict(command: ArrayLike, printer: Printer) -> Array:
     """Where the nozzle goes under a command (m, 2): x and y, (m, 2), eq. 1 and 2.
 
@@ -134,6 +137,7 @@ def convert(
         return files.convert(lines, files.Target(outputs, output, own), printer, options, kind)
 
 
+@one_thread()
 def simulate(
     source: Source,
     printer: Printer,
@@ -176,6 +180,7 @@ class Tuning:
     best: Trial | None
 
 
+@one_thread()
 def tune(
     source: Source,
     printer: Printer,

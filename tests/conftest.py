@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import tempfile
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 # no choice of whoever runs the tests
 os.environ["XDG_CONFIG_HOME"] = os.path.join(tempfile.gettempdir(), "hframe-post-tests")
 os.environ["HFRAME_PRINTER"] = ""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.model.course import Compensator
 from hframe_post.printer.profile import load
@@ -33,6 +33,13 @@ GOLDEN = Path(__file__).parent / "golden"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def blas_in_one_thread() -> Iterator[None]:
+    """As wherever the package promises equal bytes."""
+    with one_thread():
+        yield
 
 
 @pytest.fixture(scope="session")

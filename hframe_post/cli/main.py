@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import click
@@ -21,10 +20,6 @@ from hframe_post.cli.sweep import sweep
 from hframe_post.cli.tune import tune
 from hframe_post.cli.use import use
 from hframe_post.version import __version__
-
-# One thread of linear algebra, wherever it runs: equal bytes need equal sums. It must be said
-# before numpy is imported, and the matrices are too small to gain from more.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 class _Commands(click.Group):

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
+from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import (
     Conversion,
     GcodeConversion,
@@ -64,6 +65,7 @@ class Format:
     divides: bool = False
 
 
+@one_thread()
 def convert(
     lines: Iterable[bytes],
     target: Target | None,

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
+from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.accelerometer import Recording
 from hframe_post.identification.alignment import acceleration, aligned, heading, turned
@@ -138,6 +139,7 @@ class _Together:
     late: tuple[float, float]
 
 
+@one_thread()
 def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     """Transfer functions and x_c from runs of both axes. Raises IdentificationError."""
     x_runs, y_runs = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
@@ -52,6 +53,7 @@ class Recommendation:
         ]
 
 
+@one_thread()
 def recommend(plant: Plant, profile: Printer) -> Recommendation | None:
     """The best windows for the plant on that machine; None if its motors can follow none."""
     own = replace(profile, plant=plant, name="the printer that was found")

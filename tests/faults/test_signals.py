@@ -62,7 +62,9 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
     assert temporary(tmp_path)
     part = tmp_path / "part.gcode"
     part.write_bytes(RECTANGLE)
-    assert started(part, "-q").wait(60.0) == 0
+    finished = started(part, "-q")
+    finished.communicate(timeout=60.0)
+    assert finished.returncode == 0
     assert [path.name for path in tmp_path.iterdir()] == ["part.gcode"]
 
 
@@ -71,7 +73,9 @@ def at_random(folder: Path, count: int, seed: int) -> None:
     rng, part = random.Random(seed), folder / "part.gcode"
     part.write_bytes(RECTANGLE)
     begun = time.monotonic()
-    assert started(part, "-q").wait() == 0
+    process = started(part, "-q")
+    process.communicate()
+    assert process.returncode == 0
     whole, converted = time.monotonic() - begun, part.read_bytes()
     for _ in range(count):
         for stale in temporary(folder):
