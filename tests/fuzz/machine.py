@@ -16,10 +16,14 @@ INCH = 25.4
 
 
 class Stand(NamedTuple):
-    """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e."""
+    """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
+
+    place: of the machine; told: as the firmware would tell it, after G92.
+    """
 
     number: int
     place: tuple[float | None, ...]
+    told: tuple[float | None, ...]
     filament: float
     modes: tuple[bool, bool]
     e: float
@@ -52,10 +56,11 @@ class Machine:
         if mark := MARK.match(raw):
             e = self.e if self._e_absolute else 0.0
             modes = (self.absolute, self.absolute_e)
-            place = tuple(
+            told = tuple(
                 None if p is None else p - o for p, o in zip(self.place, self.offset, strict=True)
             )
-            self.stands.append(Stand(int(mark[1]), place, self.filament, modes, e))
+            stand = Stand(int(mark[1]), tuple(self.place), told, self.filament, modes, e)
+            self.stands.append(stand)
             return
         code = re.sub(rb"\([^)]*\)", b"", raw.split(b";")[0]).split(b"*")[0].strip()
         code = re.sub(rb"^[Nn]\s*\d+\s*", b"", code)

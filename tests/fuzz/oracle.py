@@ -111,10 +111,9 @@ def check_same_print(text: bytes, output: bytes, marlin: bool) -> None:
         if before.number in at_rest:
             assert after.modes == before.modes, f"modes at mark {before.number}"
             assert abs(after.e - before.e) < FILAMENT, f"e at mark {before.number}"
+            _check_places(before.number, before.told, after.told, BEYOND)
         close = BEYOND if before.number in at_rest else OFF
-        for b, a in zip(before.place, after.place, strict=True):
-            if a is not None and b is not None:
-                assert abs(a - b) < close, f"place at mark {before.number}: {b} became {a}"
+        _check_places(before.number, before.place, after.place, close)
     now, then = (written.absolute, written.absolute_e), (asked.absolute, asked.absolute_e)
     assert now == then, "modes at the end"
     total = written.filament - asked.filament
@@ -126,6 +125,14 @@ def check_same_print(text: bytes, output: bytes, marlin: bool) -> None:
     for line in output.splitlines():
         if line.startswith(b"G1 ") and line not in text:
             assert WRITTEN.fullmatch(line), line
+
+
+def _check_places(
+    number: int, asked: tuple[float | None, ...], written: tuple[float | None, ...], close: float
+) -> None:
+    for before, after in zip(asked, written, strict=True):
+        if before is not None and after is not None:
+            assert abs(after - before) < close, f"place at mark {number}: {before} became {after}"
 
 
 def check_arcs(seed: int) -> str:
