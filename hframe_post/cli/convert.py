@@ -169,6 +169,7 @@ def convert(
             [
                 *slicer.output(os.environ),
                 choice.taken().as_text(),
+                choice.proof(profile),
                 report.as_text(),
                 *told(found),
                 *slicer.warnings(os.environ, profile.limits),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,16 +11,21 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, open_json, printer_option
+from hframe_post.cli.options import files_read, json_option, open_json, position, printer_option
 
 if TYPE_CHECKING:
     from hframe_post.identification.accelerometer import Recording
     from hframe_post.identification.identify import Identified, Run
+    from hframe_post.printer.settings import Printer
     from hframe_post.writers.atomic_file import Outputs
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 QUIET = 0.5  # s at the start of a recording in which only gravity is felt
-NO_WINDOW = "no window and weight compensate this plant within the motors' limits; see tune --help"
+NO_WINDOW = (
+    "no window and weight compensate this plant within the motors' limits, on every printer as "
+    "like it as it is known; see tune --help"
+)
+PLACE = re.compile(r"(?<![A-Za-z0-9])([xy]-at-m?\d+(?:_\d+)?(?:-m?\d+(?:_\d+)?)?)(?![0-9_])")
 
 
 def _columns(text: str) -> tuple[str, ...]:
@@ -78,6 +84,11 @@ def _order(text: str) -> tuple[str, int]:
 @click.option("--x-c", type=float, metavar="MM",
               help="Where racking does not move the nozzle, if no run tells.")  # fmt: skip
 @click.option(
+    "--sensor-offset", "offset", type=position, default="0,0", show_default=True, metavar="X,Y",
+    help="From the nozzle to its sensor, mm: a sensor beside the nozzle feels racking by another "
+    "lever arm.",
+)  # fmt: skip
+@click.option(
     "--figures", "folder", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
     help="Draw what was measured and what the model makes of it (PNG and SVG); needs matplotlib.",
 )  # fmt: skip
@@ -91,7 +102,7 @@ def identify(
     bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: str, bridge_axes: str,
     columns: tuple[str, ...] | None, unit: str, band: tuple[float, float],
     estimator: Literal["H1", "H2", "Hv"], orders: tuple[tuple[str, int], ...],
-    x_c: float | None, folder: Path | None, json_file: Path | None,
+    x_c: float | None, offset: tuple[float, float], folder: Path | None, json_file: Path | None,
     output: Path | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from sweeps recorded by accelerometers.
@@ -126,11 +137,14 @@ def identify(
             reading = _Reading(axes, bridge_axes, columns, unit)
             runs = [reading.nozzle(*files) for files in nozzle]
             runs += [reading.bridge(*files) for files in bridge]
-            found = identified(runs, Settings(band, estimator, L_G, dict(orders)))
+            _check_bed(runs, profile)
+            racks = profile.kinematics.racks
+            found = identified(runs, Settings(band, estimator, L_G, dict(orders), racks, offset))
             if folder is not None:
                 _draw(found, folder, findings)
-            plant = found.plant(sum(profile.travel.x) / 2.0 if x_c is None else x_c)
-            compensation = None if found.useless else recommend(plant, profile)
+            middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
+            plant, elsewhere = found.plant(middle), found.elsewhere(middle)
+            compensation = None if found.useless else recommend(plant, profile, elsewhere)
             report = IdentificationReport(
                 found, plant, compensation, reading.setup, reading.findings
             )
@@ -152,6 +166,33 @@ def _check_usage(
         raise click.UsageError("--bridge needs --bridge-length")
     if not 0.0 < band[0] < band[1] < 500.0:
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
+
+
+def _check_bed(runs: Sequence[Run], profile: Printer) -> None:
+    """Raises IdentificationError for a sweep that this profile's bed has no room for."""
+    from hframe_post.errors import IdentificationError
+
+    for run in runs:
+        ranges = zip("xy", run.command.T, (profile.travel.x, profile.travel.y), strict=True)
+        for axis, at, (low, high) in ranges:
+            if at.min() < low or at.max() > high:
+                raise IdentificationError(
+                    f"{run.name}: its sweep goes from {at.min():.1f} to {at.max():.1f} mm in "
+                    f"{axis}, the profile's travel from {low:g} to {high:g} mm: is it another "
+                    "printer's?"
+                )
+
+
+def _check_names(command: Path, recording: Path) -> None:
+    """Raises IdentificationError where both names tell a place, and not the same."""
+    from hframe_post.errors import IdentificationError
+
+    told = [PLACE.findall(path.stem) for path in (command, recording)]
+    if all(told) and told[0][-1] != told[1][-1]:
+        raise IdentificationError(
+            f"{recording.name} is named as the recording of {told[1][-1]}, but given with the "
+            f"command of {told[0][-1]}. Are the files of two places exchanged?"
+        )
 
 
 def _draw(found: Identified, folder: Path, outputs: Outputs) -> None:
@@ -181,6 +222,7 @@ class _Reading:
         from hframe_post.identification import command_file
         from hframe_post.identification.identify import Run
 
+        _check_names(command, recording)
         heard = self._recording(recording, self.axes)
         return Run(recording.name, command_file.read(command), heard)
 

@@ -19,6 +19,7 @@ from hframe_post.cli.simulate import simulate
 from hframe_post.cli.sweep import sweep
 from hframe_post.cli.tune import tune
 from hframe_post.cli.use import use
+from hframe_post.cli.verify import verify
 from hframe_post.version import __version__
 
 
@@ -71,6 +72,7 @@ main.add_command(sweep)
 main.add_command(tune)
 main.add_command(calibrate_marlin)
 main.add_command(identify)
+main.add_command(verify)
 main.add_command(use)
 main.add_command(cura_script)
 main.add_command(doctor)

@@ -158,6 +158,17 @@ def share(text: str) -> float:
     return value
 
 
+def position(text: str) -> tuple[float, float]:
+    """``X,Y`` in mm."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
+    if not (abs(x) < 1e4 and abs(y) < 1e4):
+        raise click.BadParameter(f"{text!r} is not on any bed")
+    return round(x, 3), round(y, 3)
+
+
 def weight(text: str) -> float:
     """A number from 0 to below ``LARGEST``."""
     from hframe_post.printer.schema import LARGEST

@@ -6,21 +6,10 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, printer_option, say
+from hframe_post.cli.options import files_read, position, printer_option, say
 
 
-def _position(text: str) -> tuple[float, float]:
-    """``X,Y`` in mm."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
-    if not (abs(x) < 1e4 and abs(y) < 1e4):
-        raise click.BadParameter(f"{text!r} is not on any bed")
-    return round(x, 3), round(y, 3)
-
-
-def _chip(text: str) -> str:
+def chip(text: str) -> str:
     """A name as Klipper takes it in CHIP=."""
     from hframe_post.identification.sweep import NAME
 
@@ -42,12 +31,12 @@ def _chip(text: str) -> str:
     help="The axis that moves.",
 )  # fmt: skip
 @click.option(
-    "--position", "places", type=_position, multiple=True, metavar="X,Y",
+    "--position", "places", type=position, multiple=True, metavar="X,Y",
     help="Where to measure (mm); may be repeated. Default: 60 and 30 mm to either side of x_c "
     "and at x_c, as far as the travel goes, in the middle of y.",
 )  # fmt: skip
 @click.option(
-    "--chip", "chips", type=_chip, multiple=True, default=("adxl345",), show_default=True,
+    "--chip", "chips", type=chip, multiple=True, default=("adxl345",), show_default=True,
     metavar="NAME", help="An accelerometer to record, as Klipper calls it; may be repeated.",
 )  # fmt: skip
 @click.option(

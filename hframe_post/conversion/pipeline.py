@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from hframe_post.arrays import Array
+from hframe_post.compensation.plausibility import check_model, check_prediction
 from hframe_post.conversion.meters import FilamentMeter, InputMeter
 from hframe_post.conversion.options import TOLERANCE as TOLERANCE
 from hframe_post.conversion.options import Options as Options
@@ -56,7 +57,9 @@ class _Source:
         return Spans(plan(self._path.items(items), self._printer.limits))
 
     def report(self, seen: SpanSummary) -> Report:
-        """What the stages saw."""
+        """What the stages saw. Raises HframeError where the prediction cannot be right."""
+        if "none" in seen.contour:
+            check_prediction(seen.contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary, seen.time, seen.peaks,
             seen.clamped, seen.contour,
@@ -225,6 +228,7 @@ Conversion = GcodeConversion | StepConversion | SampleConversion
 
 def prepared(printer: Printer) -> Compensator:
     """The printer's compensator, certified. Raises PrinterError."""
+    check_model(printer)
     try:
         return Compensator(printer.plant, printer.compensation.windows)
     except ValueError as error:

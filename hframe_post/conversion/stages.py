@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from hframe_post.arrays import TS
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Clamp, Clamped, Guard, Peaks
+from hframe_post.compensation.plausibility import reach, within_reach
 from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
@@ -84,6 +85,8 @@ class Stages:
         samples = sample(items, limits, waits)
         commands = compensate(samples, self._compensator, self._strategies)
         commands = stand(commands, self._solvers)
+        furthest = reach(self._printer.plant, limits)
+        commands = within_reach(commands, options.strategy, furthest)
         if options.clamp:
             commands = self._clamp.limit(commands, options.strategy)
         return self._guard.check(commands, options.strategy)

@@ -176,6 +176,11 @@ def _csv(path: Path, text: bytes, columns: Sequence[str] | None) -> _Table:
     head = first.decode("utf-8-sig", "replace").strip()
     delimiter = max(DELIMITERS, key=head.count)
     names = [name.strip().strip("\"'") for name in head.split(delimiter)]
+    if "psd_xyz" in names:
+        raise IdentificationError(
+            f"{path}: line 1: this is a spectrum that Klipper has computed, not a recording: take "
+            "the file that ACCELEROMETER_MEASURE wrote, which begins with #time"
+        )
     if columns is None and tuple(names) != KLIPPER:
         raise IdentificationError(
             f"{path}: line 1: this is no accelerometer file of Klipper's; "

@@ -22,7 +22,7 @@ from hframe_post.arrays import TS, Array, Complex, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.resampling import RATE, Resampler
 
-MOST_DRIFT = 0.012  # a little more than clocks of the worst kind
+MOST_DRIFT = 0.022  # a little more than clocks of the worst kind
 QUIETEST = 1e-3  # of the greatest acceleration, below which a command stands,
 PAUSE = 60  # if for so many samples
 MARK_LEAD, MARK_TAIL = 10, 480  # samples before and after a mark in which its answer is sought

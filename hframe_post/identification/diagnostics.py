@@ -5,32 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS
-from hframe_post.identification.frequency_response import FrequencyResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 RINGING = 0.3  # damping below which a pair of poles is called a resonance
-CANCELS = 0.02  # share by which a pole and a zero that cancel change |G| near them
-UNEXPLAINED = 2.0  # residual over noise from which an order is too low
-COHERENT = 0.8
+UNEXPLAINED = 4.0  # residual over noise from which an order is too low
 SETTLED = 0.01  # of a command's lead over a zero, below which it may be cut off
 EARLIER = 0.1  # s of that lead that any window has to spare
 AT_BOUND = 0.01  # of the bounds' distance
-
-
-def of_data(response: FrequencyResponse) -> list[str]:
-    """Where the coherence is low: below, above or inside the frequencies that can be trusted."""
-    hz, poor = response.hz, response.coherence < COHERENT
-    if not poor.any():
-        return []
-    if poor.all():
-        return [f"the coherence is below {COHERENT:g} at every frequency"]
-    good = hz[~poor]
-    inside = hz[poor & (hz > good[0]) & (hz < good[-1])]
-    texts = [f"under {good[0]:.3g} Hz"] if poor[0] else []
-    texts += [f"over {good[-1]:.3g} Hz"] if poor[-1] else []
-    if len(inside):
-        texts.append(f"at {len(inside)} frequencies from {inside[0]:.3g} to {inside[-1]:.3g} Hz")
-    return [f"the coherence is below {COHERENT:g} {', '.join(texts)}: the fit is a guess there"]
 
 
 def of_roots(G: TransferFunction, band_hz: tuple[float, float]) -> list[str]:
@@ -76,21 +57,14 @@ def of_delay(delay: float, bounds: tuple[float, float]) -> list[str]:
     return []
 
 
-def of_order(G: TransferFunction, over: float) -> list[str]:
-    """An order too low (residual ``over`` times the noise) or too high (roots that cancel)."""
-    texts = []
-    if over > UNEXPLAINED:
-        texts.append(
-            f"order {G.order} is too low, or the printer is not linear: the residual is "
-            f"{over:.1f} times what the noise explains"
-        )
-    for p in G.poles[G.poles.imag >= 0.0]:
-        distance = np.abs(G.zeros - p).min(initial=np.inf)
-        if distance < CANCELS * (1.0 - abs(p)):
-            texts.append(
-                f"order {G.order} is too high: a pole and a zero at {natural(p)[0]:.3g} Hz cancel"
-            )
-    return texts
+def of_order(order: int, over: float) -> list[str]:
+    """An order too low: a residual ``over`` times the noise."""
+    if over <= UNEXPLAINED:
+        return []
+    return [
+        f"order {order} is too low, or the printer is not linear: the residual is "
+        f"{over:.1f} times what the noise explains"
+    ]
 
 
 def natural(pole: complex) -> tuple[float, float]:

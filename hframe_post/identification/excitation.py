@@ -1,6 +1,8 @@
 """A motion along one axis from which its transfer function can be measured.
 
-    quiet, mark, quiet, sweep, quiet, mark, quiet
+    quiet, mark, quiet, own mark, sweep, quiet, mark, quiet
+
+The own mark is a rest that tells the run's place (`place_mark`).
 
 The sweep is a sine of acceleration whose frequency grows at a constant rate. The two marks are
 one short chirp, equal bit by bit: the response to the second is that to the first, later, so
@@ -23,6 +25,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.printer.settings import Sweep
 
+LONGEST_REST = 300  # samples of an own mark: what is less comes after the sweep
 MARK_HZ = (10.0, 100.0)
 MARK_SAMPLES = 401  # 0.4 s
 RAMP = 500  # samples over which the sweep fades in and out, or a quarter of a short one
@@ -47,20 +50,27 @@ def _swayed(sweep: Sweep, room: float) -> float:
     return min(sweep.sway, SWAY_SHARE * room)
 
 
-def trajectory(sweep: Sweep, speed: float, room: float) -> Array:
+def trajectory(sweep: Sweep, speed: float, room: float, rest: int = 0) -> Array:
     """Displacement (n,), mm, every 1 ms, from rest at 0 to rest at 0.
 
     Never beyond the sweep's amplitude and its stroke and sway, nor beyond ``speed`` (mm/s) and
-    ``room`` (mm), as differences of the samples tell.
+    ``room`` (mm), as differences of the samples tell. rest: samples of its own mark.
     """
     bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
     quiet = np.zeros(round(sweep.quiet / TS))
-    mark = _bounded(_chirp(sweep, *MARK_HZ, MARK_SAMPLES, speed, room), bounds)
+    mark = alignment_mark(sweep, speed, room)
     samples = round(sweep.seconds / TS) + 1
     sine = _chirp(sweep, sweep.start_hz, sweep.end_hz, samples, speed, room)
     slow = 2.0 * np.pi * min(SWAY_HZ, sweep.start_hz / 4.0) * np.arange(samples) * TS
     sine = _bounded(sine + _swayed(sweep, room) * _window(samples) * np.sin(slow), bounds)
-    return np.concatenate([quiet, mark, quiet, sine, quiet, mark, quiet])
+    before, after = np.zeros(rest), np.zeros(LONGEST_REST - rest)
+    return np.concatenate([quiet, mark, quiet, before, sine, after, quiet, mark, quiet])
+
+
+def alignment_mark(sweep: Sweep, speed: float, room: float) -> Array:
+    """The short chirp, (n,) mm every 1 ms, by two of which a recording is aligned."""
+    bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
+    return _bounded(_chirp(sweep, *MARK_HZ, MARK_SAMPLES, speed, room), bounds)
 
 
 def peaks(displacement: Array) -> tuple[float, float, float]:

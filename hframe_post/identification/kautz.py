@@ -40,9 +40,19 @@ class Denominator:
     @property
     def poles(self) -> Complex:
         """All poles, (order,), in the sections' order."""
-        roots = [_quadratic(a1, a2) for a1, a2 in self.pairs]
+        roots = [self.section_poles(a1, a2) for a1, a2 in self.pairs]
         single = [] if self.single is None else [np.array([self.single], complex)]
         return np.concatenate([*roots, *single, np.zeros(0, complex)])
+
+    @staticmethod
+    def section_poles(a1: float, a2: float) -> Complex:
+        """Both roots of z² + a₁z + a₂ without cancellation."""
+        square = a1 * a1 / 4.0 - a2
+        if square < 0.0:
+            root = complex(-a1 / 2.0, np.sqrt(-square))
+            return np.array([root, root.conjugate()])
+        large = -a1 / 2.0 - np.copysign(np.sqrt(square), a1)
+        return np.array([large, a2 / large if large else 0.0], complex)
 
     def basis(self, z: Complex, direct: bool = False) -> Complex:
         """B at ``z`` (k,): (k, order), with ``direct`` and a last column of ones."""
@@ -117,16 +127,6 @@ def transfer_function(den: Denominator, c: Array, at_rest: float, z: Complex) ->
     wanted = den.basis(z, direct) @ c
     gain = np.vdot(unscaled, wanted).real / np.vdot(unscaled, unscaled).real
     return TransferFunction(zeros, poles, float(gain))
-
-
-def _quadratic(a1: float, a2: float) -> Complex:
-    """Both roots of z² + a₁z + a₂ without cancellation."""
-    square = a1 * a1 / 4.0 - a2
-    if square < 0.0:
-        root = complex(-a1 / 2.0, np.sqrt(-square))
-        return np.array([root, root.conjugate()])
-    large = -a1 / 2.0 - np.copysign(np.sqrt(square), a1)
-    return np.array([large, a2 / large if large else 0.0], complex)
 
 
 def _conjugate(roots: Complex) -> Complex:

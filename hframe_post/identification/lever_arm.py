@@ -26,7 +26,9 @@ class Line:
     """The straight line over places, (k,) frequencies each.
 
     slope: Gxθ (rad/mm). middle: the mean place, mm. at_middle (k,): H_y there.
-    off: RMS of what the places are off the line, of the part that depends on the place.
+    off: RMS of what the places are off the line, of the part that depends on the place;
+    beyond_noise: the same without what noise explains. over_noise: power of the slope over that
+    of its noise.
     by_place: each place (mm) and the slope as it alone tells it, from the line's middle.
     """
 
@@ -34,6 +36,8 @@ class Line:
     middle: float
     at_middle: Complex
     off: float
+    beyond_noise: float
+    over_noise: float
     by_place: list[tuple[float, FrequencyResponse]]
 
 
@@ -51,6 +55,10 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
     power = np.mean([r.power for r in responses], axis=0)
     off = H - at_middle - np.outer(arm, slope)
     by_arm = np.outer(arm, slope)
+    size = (power * np.abs(by_arm) ** 2).sum()
+    off_line = (power * np.abs(off) ** 2).sum() / size
+    by_noise = (power * noise).sum() * (1.0 - 2.0 / len(p)) / size
+    slope_noise = (power * (weights**2 @ noise)).sum()
 
     def response(value: Complex, noise: Array) -> FrequencyResponse:
         signal = np.abs(value) ** 2
@@ -61,7 +69,9 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
         response(slope, weights**2 @ noise),
         middle,
         at_middle,
-        float(np.sqrt((power * np.abs(off) ** 2).sum() / (power * np.abs(by_arm) ** 2).sum())),
+        float(np.sqrt(off_line)),
+        float(np.sqrt(max(off_line - by_noise, 0.0))),
+        float((power * np.abs(slope) ** 2).sum() / max(slope_noise, np.finfo(float).tiny)),
         [
             (place, response((h - at_middle) / a, n / a**2))
             for place, a, h, n in zip(p.tolist(), arm.tolist(), H, noise, strict=True)

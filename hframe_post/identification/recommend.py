@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,10 +24,18 @@ DRAWS = 10
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The windows of x and y for the plant that was found, and what they are predicted to do."""
+    """The windows of x and y for the plant that was found, and what they are predicted to do.
+
+    elsewhere: µm RMS that stay at other places of a printer that changes along x.
+    """
 
     windows: tuple[Window, Window]
     predicted: SimulationReport
+    elsewhere: list[float]
+
+    def rms(self, strategy: str) -> float:
+        """Predicted contour error of the rectangle, µm."""
+        return 1e3 * self.predicted.parts.whole[strategy].contour.rms
 
     def as_json(self) -> dict[str, Any]:
         """Ready for ``json.dumps``."""
@@ -38,9 +47,7 @@ class Recommendation:
 
     def gain(self) -> str:
         """What compensation is predicted to do for the paper's rectangle."""
-        whole = self.predicted.parts.whole
-        rms = {name: 1e3 * figures.contour.rms for name, figures in whole.items()}
-        told = ", ".join(f"{name} {rms[name]:.1f}" for name in self.predicted.strategies)
+        told = ", ".join(f"{name} {self.rms(name):.1f}" for name in self.predicted.strategies)
         return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
 
     def as_text(self) -> list[str]:
@@ -54,18 +61,30 @@ class Recommendation:
 
 
 @one_thread()
-def recommend(plant: Plant, profile: Printer) -> Recommendation | None:
-    """The best windows for the plant on that machine; None if its motors can follow none."""
+def recommend(
+    plant: Plant, profile: Printer, elsewhere: Sequence[Plant] = ()
+) -> Recommendation | None:
+    """The best windows for the plant on that machine, and for the same printer ``elsewhere``.
+
+    None if the motors can follow none, or if a printer as near to the plant as it is known would
+    be worse off than without compensation.
+    """
     own = replace(profile, plant=plant, name="the printer that was found")
-    printers = draws(plant, MODEL_ERROR, DRAWS, seed=0)
-    best = recommended(
-        tune(rectangle(own), own, candidates(own.compensation), printers), own.motors
-    )
+    printers = [*draws(plant, MODEL_ERROR, DRAWS, seed=0), *elsewhere]
+    trials = tune(rectangle(own), own, candidates(own.compensation), printers)
+    best = recommended(trials, own.motors)
     if best is None:
         return None
     x, y = best.windows
     chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
     own = replace(own, compensation=chosen)
     options = Options("racking", tuple(STRATEGIES), clamp=True)
-    predicted = simulate(rectangle(own), own, options, Study(plant, name=own.name))
-    return Recommendation(best.windows, predicted)
+    study = Study(plant, {MODEL_ERROR: printers}, name=own.name)
+    predicted = simulate(rectangle(own), own, options, study)
+    (like,) = predicted.model_error
+    if like.better("racking", "none") < len(printers):
+        return None
+    rms = [1e3 * one for one in like.rms("racking")]
+    return Recommendation(
+        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(elsewhere) :]
+    )

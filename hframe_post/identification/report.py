@@ -5,22 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hframe_post.identification.diagnostics import natural
-from hframe_post.identification.fit import Fit
 from hframe_post.identification.identify import Identified
 from hframe_post.identification.recommend import Recommendation
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 
-POOR_FIT = 0.05  # weighted relative residual that deserves a word
 SPREAD = 0.2  # of a transfer function over places, that deserves a word
-LIGHTLY_DAMPED = 0.3  # damping ratio below which a pole rings
-
-
-def modes(G: TransferFunction) -> list[tuple[float, float]]:
-    """(Hz, damping ratio) of the poles that ring, lowest first."""
-    upper = G.poles[G.poles.imag > 0.0]
-    return sorted(natural(pole) for pole in upper)
+OFF = 0.005  # of a sensor's gain, that deserves a word
 
 
 def functions_table(identified: Identified) -> list[str]:
@@ -28,12 +18,12 @@ def functions_table(identified: Identified) -> list[str]:
     lines = [f"{'':10s}{'order':>6s}{'off by':>9s}{'places differ':>15s}{'delay':>10s}   modes"]
     for name, found in identified.fits.items():
         measured = identified.measured[name]
-        ringing = [f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in modes(found.G)]
+        ringing = [f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in found.modes]
         several = len(measured.places) > 1
         differ = f"{100 * measured.spread:.1f} %" if several else "one place"
         lines.append(
             f"{name:10s}{found.order:6d}{100 * found.residual:7.2f} %{differ:>15s}"
-            f"{found.delay * 1e3:7.2f} ms   {', '.join(ringing) or 'none rings'}"
+            f"{found.lag * 1e3:7.2f} ms   {', '.join(ringing) or 'none rings'}"
         )
     return lines
 
@@ -53,46 +43,52 @@ class IdentificationReport:
     findings: list[str]
 
     def warnings(self) -> list[str]:
-        """In words, what the user should not rely on."""
-        told = [*self.findings, *self.identified.warnings]
-        for name, measured in self.identified.measured.items():
-            if measured.spread > SPREAD:
-                told.append(
-                    f"{name}: differs by {100 * measured.spread:.0f} % over the gantry's "
-                    "positions; one model cannot hold for all of them"
-                )
-        for name, found in self.identified.fits.items():
-            told += [f"{name}: {text}" for text in found.warnings]
-            if found.residual > POOR_FIT:
-                told.append(
-                    f"{name}: the model is off by {100 * found.residual:.0f} % of what was measured"
-                )
-            told += [f"{name}: {text}" for text in self._beyond_knots(found)]
-        if "Gxtheta" not in self.identified.fits:
+        """In words, what the user should not rely on, and what it costs."""
+        identified = self.identified
+        told = [*self.findings, *identified.warnings]
+        if identified.nonlinear is not None:
+            told.append(identified.nonlinear.told() + self._stays(identified.nonlinear.share))
+        if identified.moving is not None:
+            told.append(identified.moving.told + self._elsewhere())
+        elif identified.measured["Gxx"].spread > SPREAD:
+            told.append(
+                f"Gxx differs by {100 * identified.measured['Gxx'].spread:.0f} % over the gantry's "
+                "positions; one model cannot hold for all of them"
+                + self._stays(identified.measured["Gxx"].spread)
+            )
+        for name, found in identified.fits.items():
+            if identified.nonlinear is None and identified.moving is None:
+                told += [f"{name}: {text}" + self._stays(found.residual) for text in found.warnings]
+        racking = "Gxtheta" in identified.fits
+        if not racking and identified.racks and not identified.silent:
             told.append(
                 "racking was not measured: the profile cancels ringing only. Sweep x at several "
                 "places, or put sensors on both ends of the bridge"
             )
-        elif self.identified.x_c is None:
+        elif racking and identified.x_c is None:
             told.append(f"x_c was not measured: {self.plant.x_c:g} mm is taken")
         return told
 
-    def _beyond_knots(self, found: Fit) -> list[str]:
+    def _stays(self, share: float) -> str:
+        """What a share of the motion that no model explains may cost."""
         if self.compensation is None:
-            return []
-        L = self.compensation.windows[0].L
-        nyquist = 500.0 / L
-        return [
-            f"rings at {hz:.1f} Hz, above the {nyquist:g} Hz that knots every {L} ms can follow"
-            for hz, damping in modes(found.G)
-            if hz > nyquist and damping < LIGHTLY_DAMPED
-        ]
+            return ""
+        none = self.compensation.rms("none")
+        return f". Of {none:.0f} µm without compensation up to {share * none:.0f} µm may stay"
+
+    def _elsewhere(self) -> str:
+        if self.compensation is None or not self.compensation.elsewhere:
+            return ""
+        worst = max(self.compensation.elsewhere)
+        return f". At the ends the rectangle would be {worst:.0f} µm off"
 
     def as_json(self) -> dict[str, Any]:
         """Everything, ready for ``json.dumps``."""
+        gains = self.identified.gains.items()
         return {
             "functions": {name: self._function(name) for name in self.identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": self.identified.x_c is not None},
+            "sensor_gain": {axis: round(gain, 5) for axis, gain in gains},
             **(self.compensation.as_json() if self.compensation else {}),
             "setup": self.setup,
             "warnings": self.warnings(),
@@ -104,31 +100,44 @@ class IdentificationReport:
         return {
             "order": found.order,
             "residual": round(found.residual, 6),
-            "delay_ms": round(found.delay * 1e3, 4),
+            "delay_ms": round(found.lag * 1e3, 4),
+            "recording_late_ms": round(found.delay * 1e3, 4),
             "spread": round(measured.spread, 6),
             "runs": len(measured.places),
             "modes": [
-                {"hz": round(hz, 3), "damping": round(damping, 4)} for hz, damping in modes(found.G)
+                {"hz": round(hz, 3), "damping": round(damping, 4)} for hz, damping in found.modes
             ],
         }
 
     def as_text(self) -> str:
         """A table for a person."""
-        lines = functions_table(self.identified)
-        measured = "" if self.identified.x_c is not None else " (not measured)"
+        lines = [*functions_table(self.identified), ""]
+        if "Gxtheta" in self.identified.fits:
+            measured = "" if self.identified.x_c is not None else " (not measured)"
+            lines.append(f"x_c         {self.plant.x_c:.2f} mm{measured}")
         lines += [
-            "",
-            f"x_c         {self.plant.x_c:.2f} mm{measured}",
+            f"sensor      {self._sensor()}",
             *(self.compensation.as_text() if self.compensation else []),
             *(f"note        {text}" for text in self.notes()),
             *(f"WARNING     {text}" for text in self.warnings()),
         ]
         return "\n".join(lines)
 
+    def _sensor(self) -> str:
+        reads = []
+        for axis, gain in self.identified.gains.items():
+            off = gain - 1.0
+            how = f"{100 * abs(off):.1f} % {'high' if off > 0.0 else 'low'}"
+            reads.append(f"{how if abs(off) > OFF else 'right'} in {axis}")
+        return f"reads {', '.join(reads)}; taken out of the model"
+
     def notes(self) -> list[str]:
         """In words, what is as usual but good to know."""
+        told = []
+        if self.identified.silent:
+            told.append("racking is less than its own uncertainty: the profile has none")
         fits = self.identified.fits.items()
-        return [f"{name}: {text}" for name, found in fits for text in found.notes]
+        return told + [f"{name}: {text}" for name, found in fits for text in found.notes]
 
     def origin(self) -> list[str]:
         """What stands in the profile, above the plant."""

@@ -26,6 +26,8 @@ from hframe_post.errors import HframeError, LimitError
 from hframe_post.firmware.klipper import Klipper
 from hframe_post.firmware.player import plain
 from hframe_post.gcode.commands import STAMP
+from hframe_post.identification import place_mark
+from hframe_post.identification.accelerometer import FULL_SCALE
 from hframe_post.identification.excitation import amplitude, peaks, trajectory
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import (
@@ -43,6 +45,7 @@ from hframe_post.writers.gcode import GcodeWriter
 
 AROUND = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
 APPROACH = 100.0  # mm/s, to the place of a run
+LIKELY = 20.0  # times, up to which a resonance of a printer may amplify
 LIFT = 5.0  # mm/s
 FINER = 2  # digits more than a print's: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration
 SETTLED = 2000  # samples of standstill before a recording, while which sensors are set up
@@ -124,7 +127,9 @@ def _travel(printer: Printer) -> tuple[tuple[float, float], tuple[float, float]]
 
 def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) -> Run:
     left = room(printer, axis, position)
-    displacement = trajectory(printer.sweep, printer.limits.velocity, left)
+    displacement = trajectory(
+        printer.sweep, printer.limits.velocity, left, place_mark.rest(position[0])
+    )
     command = np.tile(np.array(position), (len(displacement), 1))
     command[:, axis] += displacement
     for belt in printer.kinematics.belts(*(command - command[0]).T):
@@ -153,6 +158,12 @@ def told(printer: Printer, run: Run) -> str:
         line += (
             f"; LESS than the amplitude of {sweep.amplitude:g} mm/s² below {until:.1f} Hz, where "
             f"stroke, travel or speed limit it ({given[0]:.0f} mm/s² at {hz[0]:g} Hz)"
+        )
+    clips = FULL_SCALE / float(given.max())
+    if clips < LIKELY:
+        line += (
+            f"; a resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
+            "takes a sensor of 16 g to its end: lower sweep.amplitude if it clips"
         )
     return line
 

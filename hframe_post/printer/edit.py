@@ -15,7 +15,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.profile import parse, shipped, text_of
+from hframe_post.printer.profile import model_digest, parse, shipped, text_of
 
 Windows = tuple[Window, Window]
 
@@ -34,6 +34,30 @@ def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequenc
     A shipped one is extended. Raises PrinterError where the text cannot be changed safely.
     """
     return _changed(name_or_path, windows, _plant(plant, notes))
+
+
+def with_verification(name_or_path: str, date: str, reduction: float) -> str:
+    """The text of that profile with the mark that `verify` gives it.
+
+    Raises PrinterError where the text cannot be changed safely.
+    """
+    text, newline = _own(name_or_path)
+    firmware = parse(text, name_or_path).firmware.dialect
+    mark = {"date": date, "reduction": round(reduction, 4), "firmware": firmware,
+            "model": model_digest(text)}  # fmt: skip
+    try:
+        document = tomlkit.parse(text)
+        document.pop("verified", None)
+        table = tomlkit.dumps({"verified": mark})
+        changed = f"{document.as_string().rstrip()}\n\n{table}"
+        if tomllib.loads(changed) != {**tomllib.loads(text), "verified": mark}:
+            raise ValueError("more was changed than meant")
+    except (TOMLKitError, ValueError, RecursionError):
+        advice = "this file cannot be changed: extend a shipped profile"
+        raise PrinterError(advice, "verified", name_or_path) from None
+    if parse(changed, name_or_path).verified is None:
+        raise PrinterError("the mark is not that of this model", "verified", name_or_path)
+    return changed.replace("\n", newline)
 
 
 def _changed(name_or_path: str, windows: Windows, plant: str) -> str:
@@ -84,12 +108,15 @@ def _edited(text: str, settings: dict[str, Any], plant: str) -> str:
     if not plant:
         return document.as_string()
     document.pop("plant", None)
+    document.pop("verified", None)  # it was of another plant
     return f"{document.as_string().rstrip()}\n\n{plant}"
 
 
 def _merged(text: str, settings: dict[str, Any], plant: str) -> dict[str, Any]:
     """What the changed text must say."""
     before = tomllib.loads(text)
+    if plant:
+        before.pop("verified", None)
     compensation = {**before.get("compensation", {}), **settings}
     return {**before, "compensation": compensation, **tomllib.loads(plant)}
 

@@ -30,6 +30,7 @@ from hframe_post.printer.settings import (
     Steps,
     Sweep,
     Travel,
+    Verified,
 )
 
 LARGEST_FILE = 1 << 20  # bytes of a profile
@@ -69,7 +70,8 @@ def parse(text: str, name: str, source: str = "") -> Printer:
     """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
     try:
         document = _extended(_loaded(text))
-        digest = hashlib.sha256(repr(document).encode()).hexdigest()[:12]
+        known = {key: value for key, value in document.items() if key != "verified"}
+        digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
         return _printer(document, name, digest)
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
@@ -108,7 +110,7 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps", "sweep")
+    optional = ("kinematics", "steps", "sweep", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -134,9 +136,29 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         plant,
         checked(Sweep, document.get("sweep", {}), "sweep"),
         digest,
+        _verified(document),
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
+
+
+def _verified(document: dict[str, Any]) -> Verified | None:
+    """The mark of `verify`, if it is of this plant and window."""
+    if "verified" not in document:
+        return None
+    mark = checked(Verified, document["verified"], "verified")
+    return mark if mark.model == _model_digest(document) else None
+
+
+def _model_digest(document: dict[str, Any]) -> str:
+    """Identifies plant and window."""
+    deciding = repr((document["plant"], document["compensation"]))
+    return hashlib.sha256(deciding.encode()).hexdigest()[:12]
+
+
+def model_digest(text: str) -> str:
+    """Identifies plant and window of a profile's text."""
+    return _model_digest(_extended(tomllib.loads(text)))
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:

@@ -166,10 +166,22 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True)
+class Verified:
+    """What `verify` found on the machine. date: of the recording, ISO; reduction: share of the
+    contour error that compensation took away; model: digest of the plant and window it was of."""
+
+    date: str
+    reduction: float = field(metadata={"least": -1e3, "below": 1.001})
+    firmware: str
+    model: str
+
+
+@dataclass(frozen=True, slots=True)
 class Printer:
     """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out.
 
-    sweep: the motion by which its plant is identified, of no part in a conversion.
+    sweep: the motion by which its plant is identified, of no part in a conversion. verified:
+    None unless this very plant and window were; ``digest`` does not tell it.
     """
 
     name: str
@@ -184,3 +196,4 @@ class Printer:
     plant: Plant
     sweep: Sweep
     digest: str
+    verified: Verified | None = None

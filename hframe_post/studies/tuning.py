@@ -13,8 +13,9 @@ from statistics import median
 
 import numpy as np
 
-from hframe_post.arrays import X, Y
+from hframe_post.arrays import X, Y, Z
 from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.plausibility import check_model, reach
 from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.gcode.options import ReadOptions
@@ -39,7 +40,8 @@ ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them
 
 @dataclass
 class Trial:
-    """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²."""
+    """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²;
+    furthest: mm that its commands leave the path."""
 
     windows: tuple[Window, Window]
     refused: str = ""
@@ -47,6 +49,7 @@ class Trial:
     drawn: list[ContourErrors] = field(default_factory=list)
     velocity: float = 0.0
     acceleration: float = 0.0
+    furthest: float = 0.0
 
     @property
     def robust(self) -> float:
@@ -91,6 +94,7 @@ def tune(
     reading: ReadOptions | None = None,
 ) -> list[Trial]:
     """A trial of every candidate, in one pass over the print. Raises HframeError."""
+    check_model(printer)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
     for trial in trials:
@@ -109,6 +113,13 @@ def tune(
     ]
     for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
         pass
+    furthest = reach(printer.plant, printer.limits)
+    for trial in trials:
+        if trial.furthest > furthest:
+            trial.refused = (
+                f"its commands leave the path by {trial.furthest:.1f} mm, and the plant's own lag "
+                f"explains {furthest:.1f} mm"
+            )
     return trials
 
 
@@ -153,6 +164,8 @@ def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> I
             trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))
             acceleration = float(np.abs(rates.belt_acceleration).max())
             trial.acceleration = max(trial.acceleration, acceleration)
+            off = np.hypot(*(chunk.commands["racking"] - chunk.xyze[:, :Z]).T)
+            trial.furthest = max(trial.furthest, float(off.max()))
         if chunk.ends_stretch:
             differences = Differences(kinematics)
         yield chunk

@@ -132,6 +132,7 @@ def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array, suffix: st
         (NAMES + b"1,2,3,4\n" * 50, "50 samples are too few"),
         (b"t,x,y,z\n1,2,3,4\n", "line 1: this is no accelerometer file"),
         (b"G28\nG1 X1\n", "line 1: this is no accelerometer file"),
+        (b"freq,psd_x,psd_y,psd_z,psd_xyz,mzv\n1,2,3,4,5,6\n", "line 1: this is a spectrum"),
         (b"\x00\xff\xfe" * 90, "line 1: this is no accelerometer file"),
         (b"#time,accel_x,accel_y\n1,2,3\n", "line 1: this is no accelerometer file"),
     ],

@@ -87,6 +87,8 @@ def test_what_is_less_than_asked_is_told(paper: Printer) -> None:
         for r in (middle, edge)
     ]
     assert until[1] > until[0]
+    hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 9000.0\n', "hard")
+    assert "16 g" in told(hard, runs(hard, 0, [(140.0, 150.0)])[0])
     gentle = profiles.parse('extends = "paper"\n[sweep]\namplitude = 500.0\n', "gentle")
     assert "LESS" not in told(gentle, runs(gentle, 0, [(140.0, 150.0)])[0])
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.fit import RADIUS, Fit, fit
 from hframe_post.identification.frequency_response import FrequencyResponse, estimate
 from hframe_post.identification.kautz import denominator, transfer_function
+from hframe_post.identification.rational import RADIUS, Rational, fit
 from hframe_post.model.plant import LiftedFilter
 from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import all_of_them, at, at_rest, resonant, sweep
@@ -29,7 +29,7 @@ def measured(G: TransferFunction, noise: float = 0.0, delay: float = 0.0) -> Fre
     return FrequencyResponse(HZ, H, np.full(len(HZ), 1.0 / (1.0 + noise**2)), np.ones(len(HZ)))
 
 
-def error(found: Fit, G: TransferFunction, delay: float = 0.0) -> float:
+def error(found: Rational, G: TransferFunction, delay: float = 0.0) -> float:
     hz = np.arange(5.0, 80.0, 0.1)
     true = at(G, hz, delay)
     return float(np.linalg.norm(found.response(hz) - true) / np.linalg.norm(true))
@@ -45,8 +45,7 @@ def test_exact_responses_give_the_function(
     found = fit(measured(G), None, at_rest(G), BAND, bounds)
     assert error(found, G) < 1e-4
     assert abs(found.delay) < 5e-5
-    assert found.order == G.order
-    assert not [text for text in found.warnings if "order" in text or "bound" in text]
+    assert found.G.order == G.order
 
 
 @pytest.mark.slow
@@ -54,7 +53,6 @@ def test_exact_responses_give_the_function(
 def test_noisy_responses_give_it_nearly(G: TransferFunction) -> None:
     found = fit(measured(G, 0.01), None, at_rest(G), BAND, NARROW)
     assert error(found, G) < 0.003
-    assert 0.7e-2 < found.residual < 1.3e-2
 
 
 @ALL
@@ -75,7 +73,6 @@ def test_a_noisy_sweep_gives_it(G: TransferFunction) -> None:
     response = estimate(u, LiftedFilter(G).run(u) + noise)
     found = fit(response, None, at_rest(G), (3.0, 115.0), NARROW)
     assert error(found, G) < 0.003
-    assert not [text for text in found.warnings if "order" in text]
 
 
 @pytest.mark.parametrize("delay", [-1.3e-4, 1e-4, 1.8e-3])

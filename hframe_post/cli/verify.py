@@ -1,0 +1,117 @@
+"""``hframe-post verify``: proof on the machine that a profile helps it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from hframe_post.cli.options import files_read, json_option, open_json, printer_option
+from hframe_post.cli.sweep import chip
+
+FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+QUIET = 0.5  # s at the start of a recording in which only gravity is felt
+
+
+@click.command()
+@printer_option
+@click.option(
+    "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="VERIFY.GCODE",
+    help="Write the test motion, plain and compensated; both commands go beside it, as CSV.",
+)  # fmt: skip
+@click.option(
+    "--plain", type=(FILE, FILE), metavar="COMMAND RECORDING",
+    help="What the sensor on the nozzle recorded of the plain motion.",
+)  # fmt: skip
+@click.option(
+    "--compensated", type=(FILE, FILE), metavar="COMMAND RECORDING",
+    help="The same of the compensated motion.",
+)  # fmt: skip
+@click.option(
+    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
+    help="The printer's axes as the sensor names them, such as x=-y,y=x,z=z.",
+)  # fmt: skip
+@click.option(
+    "--chip", "chips", type=chip, multiple=True, default=("adxl345",), show_default=True,
+    metavar="NAME", help="An accelerometer to record, as Klipper calls it; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--z", type=click.FloatRange(0.0, 1e4), default=10.0, show_default=True, metavar="MM",
+    help="Height at which to move.",
+)  # fmt: skip
+@json_option
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
+    help="Write the profile with a mark of what was measured, if it is good.",
+)  # fmt: skip
+def verify(
+    printer: str, gcode: Path | None, plain: tuple[Path, Path] | None,
+    compensated: tuple[Path, Path] | None, axes: str, chips: tuple[str, ...], z: float,
+    json_file: Path | None, output: Path | None,
+) -> None:  # fmt: skip
+    """Check on the machine what a profile does: first --gcode, then both recordings.
+
+    Status 1 if compensation does not help as the profile's model promises.
+    """
+    if gcode is not None:
+        _write(printer, gcode, chips, z)
+        return
+    if plain is None or compensated is None:
+        raise click.UsageError("give --gcode, or both --plain and --compensated")
+    _judge(printer, plain, compensated, axes, json_file, output)
+
+
+def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
+    from hframe_post.identification import command_file
+    from hframe_post.identification.sweep import gcode
+    from hframe_post.identification.verification import runs
+    from hframe_post.printer.profile import load
+    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.print_time import write_output
+
+    profile = load(printer)
+    planned = runs(profile)
+    with Outputs(files_read(printer)) as outputs:
+        motion = outputs.open(target)
+        commands = [
+            outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
+        ]
+        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), z)
+        write_output(motion, lines, lambda: 0.0)
+        for file, run in zip(commands, planned, strict=True):
+            file.writelines(command_file.written(run.command))
+    click.echo("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned), err=True)
+
+
+def _judge(
+    printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
+    json_file: Path | None, output: Path | None,
+) -> None:  # fmt: skip
+    from hframe_post.errors import IdentificationError
+    from hframe_post.identification import command_file
+    from hframe_post.identification.accelerometer import oriented, read
+    from hframe_post.identification.verification import judge
+    from hframe_post.printer.edit import with_verification
+    from hframe_post.printer.profile import load
+    from hframe_post.writers.atomic_file import Outputs
+
+    profile = load(printer)
+    given = [*files_read(printer), *plain, *compensated]
+    with Outputs(given) as marked:
+        file = marked.open(output, Path(printer)) if output is not None else None
+        with Outputs([*given, *([output] if output else [])]) as findings:
+            write_json = open_json(findings, json_file)
+            first, second = (
+                (command_file.read(command), oriented(read(recording), axes, QUIET))
+                for command, recording in (plain, compensated)
+            )
+            verdict = judge(profile, first, second)
+            write_json(verdict.as_json())
+        click.echo(verdict.as_text(), err=str(json_file) == "-")
+        if verdict.fault is not None:
+            raise IdentificationError(f"the profile is not verified: {verdict.fault}")
+        if file is not None:
+            recorded = datetime.fromtimestamp(compensated[1].stat().st_mtime, UTC)
+            date = recorded.date().isoformat()
+            file.write(with_verification(printer, date, verdict.reduction).encode())

@@ -1,0 +1,26 @@
+"""What every fit of a frequency response takes for granted: noise, sensors, where modes lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.frequency_response import FrequencyResponse
+
+FLOOR = 0.003  # relative noise of H below which no measurement is believed
+SMALL = 0.002  # the same, of the largest |H|
+QUIET = 1e-3  # input power, of the median, below which a frequency counts nothing
+GAIN_PRIOR = 0.03  # of a sensor, relative: one standard deviation
+INSIDE = 0.5  # of the band's low end, below which no pole lies
+
+
+def weights(part: FrequencyResponse) -> Array:
+    """One over the standard deviation of H, (k,). Raises IdentificationError without a signal."""
+    if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
+        raise IdentificationError("the frequency response has values that are not finite")
+    largest = float(np.abs(part.H).max(initial=0.0))
+    if largest == 0.0 or not (part.power * part.coherence).any():
+        raise IdentificationError("the frequency response or its coherence is zero in the band")
+    sd = np.hypot(np.hypot(part.noise, FLOOR) * np.abs(part.H), SMALL * largest)
+    return np.asarray((part.power > QUIET * np.median(part.power)) / sd)

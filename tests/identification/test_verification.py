@@ -1,0 +1,111 @@
+"""`verify`: what it measures is what happens, and a wrong profile fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from hframe_post.cli.main import main
+from hframe_post.identification.accelerometer import oriented
+from hframe_post.identification.verification import Verdict, judge, runs
+from hframe_post.printer.edit import with_plant, with_verification
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from tests.recordings import write_klipper
+from tests.simulator import Axis, Chip, Machine, Mode
+from tests.strangers import printer, traced
+
+STRANGER = Machine(
+    Axis((Mode(30.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)), delay=0.0013),
+    Axis((Mode(38.0, 0.08),), delay=0.0013),
+    racking=2e-8,
+)
+CHIP = Chip(gains=(1.03, 0.97, 1.0))
+
+
+def verdict(machine: Machine, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
+    """What `verify` says, and the true reduction."""
+    both = runs(profile)
+    heard = [oriented(chip.heard(machine, run.command, 5 + k), quiet=0.5)
+             for k, run in enumerate(both)]  # fmt: skip
+    found = judge(profile, (both[0].command, heard[0]), (both[1].command, heard[1]))
+    plain, compensated = (traced(machine, both[0].command, run.command) for run in both)
+    return found, 1.0 - compensated / plain
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"friction": 250.0}, {"play": 0.01}], ids=["linear", "friction", "play"]
+)
+def test_the_reduction_is_measured(changed: dict[str, float]) -> None:
+    right = replace(printer(STRANGER), plant=STRANGER.exact())
+    x, y = (replace(axis, **changed) for axis in (STRANGER.x, STRANGER.y))  # type: ignore[arg-type]
+    found, true = verdict(replace(STRANGER, x=x, y=y), right)
+    assert found.fault is None
+    assert found.reduction == pytest.approx(true, rel=0.2)
+
+
+@pytest.mark.parametrize("scale", [0.8, 0.9, 1.1, 1.25])
+def test_a_wrong_profile_fails(scale: float) -> None:
+    def off(axis: Axis) -> Axis:
+        return replace(axis, modes=tuple(replace(m, hz=scale * m.hz) for m in axis.modes))
+
+    other = replace(STRANGER, x=off(STRANGER.x), y=off(STRANGER.y))
+    found, _ = verdict(STRANGER, replace(printer(STRANGER), plant=other.exact()))
+    assert found.fault is not None
+
+
+def test_another_printers_profile_fails() -> None:
+    found, true = verdict(STRANGER, printer(STRANGER))
+    assert true < 0.0
+    assert found.fault is not None
+
+
+# ---------------------------------------------------------------------- the command line
+
+
+def invoked(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["verify", *map(str, arguments)])
+
+
+def test_a_good_profile_is_marked(tmp_path: Path) -> None:
+    mine, marked = tmp_path / "mine.toml", tmp_path / "marked.toml"
+    windows = load("paper").compensation.windows
+    mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
+    done = invoked("-p", mine, "--gcode", tmp_path / "v.gcode")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "v.gcode").read_text().count("NAME=verify-") == 2
+    arguments: list[str | Path] = []
+    for k, name in enumerate(("plain", "compensated")):
+        command = tmp_path / f"v.verify-{name}.csv"
+        rows = np.loadtxt(command, delimiter=",", skiprows=1)
+        recording = write_klipper(tmp_path / f"{k}.csv", CHIP.heard(STRANGER, rows[:, 1:], k))
+        arguments += [f"--{name}", command, recording]
+    done = invoked("-p", mine, *arguments, "-o", marked)
+    assert done.exit_code == 0, done.output
+    assert "VERDICT     good" in done.output
+    mark = load(str(marked)).verified
+    assert mark is not None
+    assert 0.5 < mark.reduction <= 1.0
+    assert mark.firmware == "klipper"
+    done = invoked("-p", "paper", *arguments, "-o", tmp_path / "wrong.toml")
+    assert done.exit_code == 1
+    assert not (tmp_path / "wrong.toml").exists()
+
+
+def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
+    text = with_verification("paper", "2026-01-02", 0.9)
+    (tmp_path / "mine.toml").write_text(text)
+    mine = load(str(tmp_path / "mine.toml"))
+    assert mine.verified is not None
+    assert mine.digest == load("paper").digest
+    (tmp_path / "other.toml").write_text(text + "\n[compensation]\nL = 8\nn_C = 55\nn_up = 27\n")
+    assert load(str(tmp_path / "other.toml")).verified is None
+
+
+def test_usage(tmp_path: Path) -> None:
+    assert invoked().exit_code == 2
+    assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1

@@ -1,0 +1,299 @@
+"""A printer and its accelerometer in continuous time, independent of the package's own model.
+
+Motors move along straight lines between the samples of a command. Each axis is a sum of modes,
+stepped at 20 kHz, behind a delay and belt play, with Coulomb friction on its first mode and
+belts that stiffen. On an H-bot the force along x turns the gantry, which has a mode of its own:
+
+    q_i″ = ω_i²(u − q_i) − 2ζ_iω_i q_i′,   x = Σ s_i q_i,   θ″ = ω²(κx″ − θ) − 2ζωθ′
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import signal
+from scipy.spatial.transform import Rotation
+
+from hframe_post.arrays import TS, Array
+from hframe_post.identification.accelerometer import GRAVITY, Recording
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+
+RATE = 20000
+STEPS = 20  # a millisecond
+ADXL345 = 76.5  # mm/s², its least step at 16 g
+USUAL = 5000.0  # mm/s² at which the share of harmonics is that given
+
+SOURCE = r"""
+#include <math.h>
+#include <string.h>
+#define MODES 4
+typedef struct { double w[MODES], z[MODES], share[MODES], friction, play, second, third, along;
+                 int modes, delay; } axis;
+static void step(const axis *g, double u, double scale, double *q, double *v, double *x,
+                 double *a, double dt) {
+  *x = *a = 0;
+  for (int i = 0; i < g->modes; i++) {
+    double w = g->w[i] * scale, e = u - q[i], size = 50000.0 / (w * w);
+    double pull = e * (1.0 + 2.0 * g->second * e / size + 4.0 * g->third * e * e / (size * size));
+    double force = w * w * pull - 2.0 * g->z[i] * w * v[i], before = v[i];
+    double after = v[i] + force * dt;
+    if (i == 0 && g->friction > 0) {
+      double most = g->friction * dt;
+      after = fabs(after) <= most ? 0.0 : after - copysign(most, after);
+    }
+    double acceleration = (after - before) / dt;
+    v[i] = after; q[i] += after * dt;
+    *x += g->share[i] * q[i]; *a += g->share[i] * acceleration;
+  }
+}
+/* u (m, 2) every `per` steps; out (n, 6): x, y of the nozzle, their accelerations, theta,
+   theta'' */
+void simulate(const double *u, long m, int per, double dt, const axis *g, double wt, double zt,
+              double kappa, double x_c, double x0, double at, double *out, long keep) {
+  double q[2][MODES] = {{0}}, v[2][MODES] = {{0}}, slack[2] = {0, 0}, th = 0, dth = 0;
+  long n = (m - 1) * per, row = 0;
+  for (long k = 0; k < n; k++) {
+    double x[2], a[2];
+    for (int c = 0; c < 2; c++) {
+      double t = (double)(k - g[c].delay) / per;
+      double value = 0;
+      if (t > 0) { long j = (long)t; if (j > m - 2) j = m - 2; double f = t - j;
+        value = u[2 * j + c] * (1 - f) + u[2 * j + 2 + c] * f; }
+      double half = g[c].play / 2;
+      if (value - slack[c] > half) slack[c] = value - half;
+      if (value - slack[c] < -half) slack[c] = value + half;
+      double scale = 1.0 + g[c].along * (x0 + u[2 * (k / per)] - at);
+      step(&g[c], half > 0 ? slack[c] : value, scale, q[c], v[c], &x[c], &a[c], dt);
+    }
+    double scale = 1.0 + g[0].along * (x0 + u[2 * (k / per)] - at), w = wt * scale;
+    double ddth = w * w * (kappa * a[0] - th) - 2 * zt * w * dth;
+    dth += ddth * dt; th += dth * dt;
+    if ((k + 1) % keep == 0) {
+      double arm = x0 + x[0] - x_c, *o = out + 6 * row++;
+      o[0] = x[0]; o[1] = x[1] + arm * th; o[2] = a[0]; o[3] = a[1] + arm * ddth;
+      o[4] = th; o[5] = ddth;
+    }
+  }
+}
+"""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A resonance; ``share`` of the motion at rest that it carries."""
+
+    hz: float
+    damping: float
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What lies between the motors and the nozzle along one axis.
+
+    delay: s; friction: mm/s²; play: mm; second, third: share of harmonics where a resonance makes
+    5000 mm/s² tenfold.
+    """
+
+    modes: tuple[Mode, ...]
+    delay: float = 0.0
+    friction: float = 0.0
+    play: float = 0.0
+    second: float = 0.0
+    third: float = 0.0
+
+    @property
+    def linear(self) -> bool:
+        return not any((self.friction, self.play, self.second, self.third))
+
+    def response(self) -> signal.StateSpace:
+        """Without delay, continuous."""
+        total = None
+        for mode in self.modes:
+            w = 2.0 * np.pi * mode.hz
+            one = signal.TransferFunction(
+                [mode.share * w * w], [1.0, 2.0 * mode.damping * w, w * w]
+            )
+            total = one if total is None else _sum(total, one)
+        return total
+
+
+@dataclass(frozen=True)
+class Machine:
+    """x, y, racking (rad per mm/s², 0: none) with its mode. along: relative change of all
+    frequencies per mm of x, from ``middle``."""
+
+    x: Axis
+    y: Axis
+    racking: float = 0.0
+    racking_mode: Mode = Mode(55.0, 0.1)
+    x_c: float = 140.0
+    along: float = 0.0
+    middle: float = 140.0
+    kinematics: str = "hbot"
+
+    @property
+    def linear(self) -> bool:
+        return self.x.linear and self.y.linear and self.along == 0.0
+
+    def exact(self) -> Plant:
+        """The plant of a linear machine, exactly discretised for straight lines of 1 ms."""
+        Gxx, Gyy = (_discrete(axis.response(), axis.delay) for axis in (self.x, self.y))
+        if not self.racking:
+            return Plant(Gxx, Gyy, None, self.x_c)
+        w, x = 2.0 * np.pi * self.racking_mode.hz, self.x.response()
+        mode = [1.0, 2.0 * self.racking_mode.damping * w, w * w]
+        num = np.polymul(x.num, [self.racking * w * w, 0.0, 0.0])
+        both = signal.TransferFunction(num, np.polymul(x.den, mode))
+        return Plant(Gxx, Gyy, _discrete(both, self.x.delay, True), self.x_c)
+
+    def played(self, command: Array, keep: int = STEPS) -> Array:
+        """x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.
+
+        command (m, 2): mm every 1 ms, from rest. The first row is at one step after the start.
+        """
+        start = command[0]
+        u = np.ascontiguousarray(command - start)
+        m = len(u)
+        out = np.zeros(((m - 1) * STEPS // keep, 6))
+        both = (_Axis * 2)(*(_packed(axis, self.along) for axis in (self.x, self.y)))
+        number = ctypes.c_double
+        _library().simulate(
+            _pointer(u), ctypes.c_long(m), STEPS, number(1.0 / RATE), both,
+            number(2.0 * np.pi * self.racking_mode.hz), number(self.racking_mode.damping),
+            number(self.racking), number(self.x_c), number(start[0]), number(self.middle),
+            _pointer(out), ctypes.c_long(keep),
+        )  # fmt: skip
+        out[:, :2] += start
+        return out
+
+
+@dataclass(frozen=True)
+class Chip:
+    """An accelerometer: gains by axis, cross-axis terms, tilt, steps, noise, uneven times.
+
+    rate_error: of its sampling, which its times tell; drift: of its times; offset: mm of the
+    nozzle's place to the sensor's (x, y).
+    """
+
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    cross: float = 0.0
+    turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bias: tuple[float, float, float] = (120.0, -80.0, 250.0)
+    step: float = ADXL345
+    noise: float = 4.0  # mm/s²/√Hz
+    jitter: float = 2e-6
+    rate: float = 3200.0
+    rate_error: float = 0.0
+    drift: float = 0.0
+    lead: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
+
+    def heard(self, machine: Machine, command: Array, seed: int) -> Recording:
+        """What it records while the machine plays the command."""
+        rng = np.random.default_rng(seed)
+        motion = machine.played(command, 1)
+        seconds = len(motion) / RATE
+        t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.rate_error)))
+        t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
+        grid = np.arange(len(motion)) / RATE
+        ax = motion[:, 2] - self.offset[1] * motion[:, 5]
+        ay = motion[:, 3] + self.offset[0] * motion[:, 5]
+        a = np.column_stack([np.interp(t, grid, one, 0.0, 0.0) for one in (ax, ay)] + [0.0 * t])
+        a[:, 2] += GRAVITY
+        a = Rotation.from_euler("ZYX", self.turned, degrees=True).inv().apply(a)
+        mixing = np.diag(self.gains) + self.cross * (np.ones((3, 3)) - np.eye(3))
+        a = a @ mixing.T + self.bias
+        a += rng.normal(0.0, 1.0, a.shape) * self.noise * np.sqrt(self.rate / 2.0)
+        a = np.round(a / self.step) * self.step
+        return Recording(1234.5 + t * (1.0 + self.drift), a, self.lead == 0.0)
+
+
+# ---------------------------------------------------------------------- the C part
+
+
+class _Axis(ctypes.Structure):
+    _fields_ = [
+        ("w", ctypes.c_double * 4), ("z", ctypes.c_double * 4), ("share", ctypes.c_double * 4),
+        ("friction", ctypes.c_double), ("play", ctypes.c_double), ("second", ctypes.c_double),
+        ("third", ctypes.c_double), ("along", ctypes.c_double), ("modes", ctypes.c_int),
+        ("delay", ctypes.c_int),
+    ]  # fmt: skip
+
+
+def _packed(axis: Axis, along: float) -> _Axis:
+    def four(values: list[float]) -> ctypes.Array[ctypes.c_double]:
+        return (ctypes.c_double * 4)(*values)
+
+    return _Axis(
+        four([2.0 * np.pi * mode.hz for mode in axis.modes]),
+        four([mode.damping for mode in axis.modes]),
+        four([mode.share for mode in axis.modes]),
+        axis.friction, axis.play, axis.second, axis.third, along, len(axis.modes),
+        round(axis.delay * RATE),
+    )  # fmt: skip
+
+
+def _pointer(values: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(values.ctypes.data)
+
+
+@functools.cache
+def _library() -> ctypes.CDLL:
+    folder = Path(tempfile.mkdtemp(prefix="simulator"))
+    (folder / "simulator.c").write_text(SOURCE)
+    target = folder / "simulator.so"
+    command = ["gcc", "-O2", "-shared", "-fPIC", "-o", str(target), str(folder / "simulator.c")]
+    subprocess.run([*command, "-lm"], check=True)
+    return ctypes.CDLL(str(target))
+
+
+def _sum(one: signal.TransferFunction, other: signal.TransferFunction) -> signal.TransferFunction:
+    num = np.polyadd(np.polymul(one.num, other.den), np.polymul(other.num, one.den))
+    return signal.TransferFunction(num, np.polymul(one.den, other.den))
+
+
+def _discrete(G: signal.TransferFunction, delay: float, racks: bool = False) -> TransferFunction:
+    """First-order hold of G, and its delay: whole samples, and an all-pass for the rest."""
+    A, B, C, D, _ = _foh(G)
+    zeros, poles, _ = signal.ss2zpk(A, B, C, D)
+    zeros = zeros[np.abs(zeros) < 1e4]
+    if racks:
+        near = np.argsort(np.abs(zeros - 1.0))[:2]
+        zeros = np.append(np.delete(zeros, near), [1.0, 1.0])
+    samples = delay / TS
+    if samples > 1e-6:
+        whole = int(max(np.floor(samples - 0.5), 0.0))
+        rest = samples - whole  # 0.5 … 1.5, or less below half a sample
+        a = (1.0 - rest) / (1.0 + rest)
+        poles = np.concatenate([poles, [-a], np.zeros(whole)])
+        zeros = np.append(zeros, -1.0 / a) if abs(a) > 1e-9 else zeros
+    z0 = np.exp(1j * 2.0 * np.pi * 10.0 * TS)
+    wanted = np.polyval(G.num, 2j * np.pi * 10.0) / np.polyval(G.den, 2j * np.pi * 10.0)
+    wanted *= np.sinc(10.0 * TS) ** 2
+    if racks:
+        size = abs(wanted) / abs(np.prod(z0 - zeros) / np.prod(z0 - poles))
+        sign = np.sign(
+            (
+                wanted
+                * np.exp(-2j * np.pi * 10.0 * delay)
+                / (np.prod(z0 - zeros) / np.prod(z0 - poles))
+            ).real
+        )
+        return TransferFunction(zeros, poles, float(size * sign))
+    return TransferFunction(zeros, poles, float((np.prod(1.0 - poles) / np.prod(1.0 - zeros)).real))
+
+
+def _foh(G: signal.TransferFunction) -> tuple[Array, Array, Array, Array, float]:
+    s = G.to_ss()
+    held: tuple[Array, Array, Array, Array, float] = signal.cont2discrete(
+        (s.A, s.B, s.C, s.D), TS, method="foh"
+    )
+    return held

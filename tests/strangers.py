@@ -1,0 +1,156 @@
+"""Printers that the tests do not know beforehand: swept, identified and judged from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hframe_post.arrays import Array, Z
+from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.identification.accelerometer import oriented
+from hframe_post.identification.identify import Identified, Run, Settings, identify
+from hframe_post.identification.sweep import runs as planned
+from hframe_post.identification.verification import motion_of
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.plant import Plant
+from hframe_post.prediction.contour import contour_error
+from hframe_post.prediction.predict import in_motion
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.reference_path import rectangle
+from tests.simulator import Axis, Chip, Machine, Mode
+
+BAND = (3.0, 100.0)
+CUBE = Path(__file__).parent.parent / "sample_gcode" / "cube.gcode"
+CUBE_LINES = 1200  # of its G-code: two layers
+
+
+def printer(machine: Machine, rate: float = 4.0) -> Printer:
+    """The paper's bed and limits with that machine's kinematics, and a quick sweep."""
+    paper = load("paper")
+    racks = machine.kinematics == "hbot"
+    plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
+    return replace(
+        paper,
+        plant=plant,
+        kinematics=Kinematics(machine.kinematics),
+        sweep=replace(paper.sweep, rate_hz_per_s=rate),
+    )
+
+
+def swept(
+    machine: Machine,
+    chip: Chip,
+    x: tuple[float, ...],
+    y: tuple[float, ...],
+    seed: int,
+    rate: float = 4.0,
+) -> list[Run]:
+    """The runs of a sweep, as a sensor on the nozzle recorded them."""  # fmt: skip
+    profile = printer(machine, rate)
+    runs = []
+    for axis, places in ((0, x), (1, y)):
+        for k, run in enumerate(planned(profile, axis, [(place, 147.5) for place in places])):
+            recording = chip.heard(machine, run.command, 1000 * seed + 10 * axis + k)
+            runs.append(Run(run.name, run.command, oriented(recording, quiet=0.5)))
+    return runs
+
+
+def identified(machine: Machine, runs: list[Run]) -> Identified:
+    """What the tool makes of them."""
+    return identify(runs, Settings(BAND, racks=printer(machine).kinematics.racks))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """RMS contour errors, µm, of the true machine."""
+
+    none: float
+    compensated: float
+
+
+def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Errors:
+    """What the machine makes of a path, plain and compensated by the profile."""
+    lines = rectangle(profile) if path == "rectangle" else cube()
+    options = Options("racking", clamp=True)
+    computed = Commands(lines, profile, options, ("racking", "none")).computed()
+    held = [chunk for chunk in computed if len(chunk)]
+    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in held])
+    moving = np.concatenate([in_motion(chunk)[1] for chunk in held])
+    errors = {}
+    for name in ("none", "racking"):
+        command = np.concatenate([chunk.commands[name] for chunk in held])
+        nozzle = np.vstack([command[:1], machine.played(command)[:, :2]])
+        at = np.arange(len(wanted))
+        errors[name] = float(np.sqrt((contour_error(wanted, nozzle, at)[moving] ** 2).mean()))
+    return Errors(1e3 * errors["none"], 1e3 * errors["racking"])
+
+
+def traced(machine: Machine, path: Array, command: Array) -> float:
+    """RMS contour error, µm, of a command (n, 2) of `verify` that was made for the path."""
+    nozzle = np.vstack([command[:1], machine.played(command)[:, :Z]])
+    part = motion_of(path)
+    moving = np.zeros(len(path), dtype=bool)
+    moving[part] = (np.diff(path[part], axis=0, append=path[-1:]) != 0.0).any(axis=1)
+    error = contour_error(path, nozzle, np.arange(len(path)))[moving]
+    return 1e3 * float(np.sqrt((error**2).mean()))
+
+
+def cube() -> list[bytes]:
+    """The first layers of the cube."""
+    return CUBE.read_bytes().splitlines(keepends=True)[:CUBE_LINES]
+
+
+def with_plant(profile: Printer, plant: Plant) -> Printer:
+    """The profile with another plant."""
+    return replace(profile, plant=plant)
+
+
+def relative(found: Array, true: Array) -> float:
+    """How far responses (k,) differ."""
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+# ---------------------------------------------------------------------- drawn printers
+
+FAULTS = ("friction", "play", "second", "third", "along")
+
+
+def drawn(seed: int) -> tuple[Machine, Chip, str]:
+    """A printer, its sensor, and the fault that it has; every second one is linear."""
+    rng = np.random.default_rng(seed)
+    fault = "linear" if seed % 2 == 0 else FAULTS[(seed // 2) % len(FAULTS)]
+    kinematics = ("hbot", "hbot", "corexy", "cartesian")[int(rng.integers(4))]
+    delay = float(rng.uniform(0.0, 3e-3))
+    most = {"friction": 900.0, "play": 0.02, "second": 0.05, "third": 0.05}
+    size = float(rng.uniform(0.2, 1.0))
+    flaw = {fault: size * most[fault]} if fault in most else {}
+
+    def axis() -> Axis:
+        main = Mode(float(rng.uniform(18.0, 55.0)), float(rng.uniform(0.03, 0.15)))
+        if rng.random() < 0.5:
+            return Axis((main,), delay, **flaw)
+        share = float(rng.uniform(0.05, 0.25))
+        other = Mode(float(rng.uniform(60.0, 90.0)), float(rng.uniform(0.03, 0.1)), share)
+        return Axis((replace(main, share=1.0 - share), other), delay, **flaw)
+
+    x, y = axis(), axis()
+    racks = float(rng.uniform(0.5e-8, 3e-8)) if kinematics == "hbot" else 0.0
+    mode = Mode(float(rng.uniform(40.0, 80.0)), float(rng.uniform(0.05, 0.15)))
+    along = float(rng.uniform(-0.1, 0.1)) / 120.0 if fault == "along" else 0.0
+    machine = Machine(
+        x, y, racks, mode, float(rng.uniform(130.0, 150.0)), along, kinematics=kinematics
+    )
+    tilt = rng.uniform(-5.0, 5.0, 3)
+    gains = rng.uniform(0.95, 1.05, 3)
+    chip = Chip(
+        (float(gains[0]), float(gains[1]), float(gains[2])),
+        float(rng.uniform(-0.02, 0.02)),
+        (float(tilt[0]), float(tilt[1]), float(tilt[2])),
+        noise=float(np.exp(rng.uniform(0.0, np.log(20.0)))),
+        jitter=1e-5,
+        rate_error=float(rng.uniform(-0.02, 0.02)),
+    )
+    return machine, chip, fault
