@@ -1,0 +1,52 @@
+"""Printers drawn at random, with their faults and their sensors': never a worse print."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hframe_post.errors import IdentificationError
+from tests.strangers import drawn, identified, judged, printer, swept
+
+PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)
+FEW = [0, 7, 11]  # linear; a belt that hardens; friction
+LINEAR = 1.3  # times the error of the exact model that a linear printer may have,
+SMALL = 3.0  # or µm
+
+
+def check(seed: int) -> None:
+    machine, chip, fault = drawn(seed)
+    try:
+        found = identified(machine, swept(machine, chip, PLACES, PLACES[:3:2], seed))
+    except IdentificationError:
+        assert fault != "linear"
+        return
+    if found.useless is not None:
+        assert fault != "linear"
+        return
+    profile = printer(machine)
+    own = replace(profile, plant=found.plant(machine.x_c))
+    exact = replace(profile, plant=machine.exact())
+    for path in ("rectangle", "cube"):
+        error = judged(machine, own, path)
+        assert error.compensated < error.none
+        if fault == "linear":
+            best = judged(machine, exact, path).compensated
+            assert error.compensated <= max(LINEAR * best, SMALL)
+    if fault == "linear":
+        assert not [text for fit in found.fits.values() for text in fit.warnings]
+        assert found.nonlinear is None
+        for axis, gain in zip("xy", chip.gains, strict=False):
+            assert found.gains[axis] == pytest.approx(gain, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", FEW)
+def test_never_worse(seed: int) -> None:
+    check(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [seed for seed in range(100) if seed not in FEW])
+def test_a_hundred_printers(seed: int) -> None:
+    check(seed)
