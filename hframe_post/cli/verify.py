@@ -53,6 +53,10 @@ def verify(
     """Check on the machine what a profile does: first --gcode, then both recordings.
 
     Status 1 if compensation does not help as the profile's model promises.
+
+    \b
+    Example:
+      hframe-post verify -p my.toml --gcode verify.gcode
     """
     if gcode is not None:
         _write(printer, gcode, chips, z)

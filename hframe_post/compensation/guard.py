@@ -48,19 +48,19 @@ class Guard:
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
         self.peaks = Peaks()
-        self._end: int | None = None  # of the last chunk
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
         """The stream as it is. Raises LimitError for a command of ``strategy`` that is not safe.
 
         HframeError for a stream that is not sound: the last look at it before it is written.
         """
+        end: int | None = None  # of the last chunk; every span begins at 0
         for stretch in stretches(chunks):
             differences = Differences(self._kinematics)
             for chunk in stretch:
                 command = chunk.commands[strategy]
-                _check_sound(chunk, command, self._end)
-                self._end = chunk.end
+                _check_sound(chunk, command, end)
+                end = chunk.end
                 if len(chunk):
                     _check_travel(chunk, command, self._travel)
                     rates = differences.of(command)

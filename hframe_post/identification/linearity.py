@@ -34,6 +34,7 @@ SWAY_HZ = 1.5  # below it lies the sway, which is no part of the sweep
 HIGHEST_HZ = 240.0  # to which recordings are flat
 CLEAR = 3.0  # times the noise, from which a harmonic is one
 TOLD = 0.01  # of the answer, from which harmonics are worth a word
+CLEAN = 0.04  # up to which any model may be fitted: whole motor steps alone make 0.026
 CAUSES = {
     "friction": "Coulomb friction of at least {size:.0f} mm/s²: clean and grease the rails, and "
     "see that no belt is too tight",
@@ -141,7 +142,7 @@ def clean(runs: Sequence[Harmonics]) -> bool:
         for part in ("hz", "amplitude", "noise")
     )
     second, third = (_share(hz, amplitude, noise, order) for order in (2, 3))
-    return bool(np.hypot(second, third) < TOLD / 2.0)
+    return bool(np.hypot(second, third) < CLEAN)
 
 
 def _share(hz: Array, amplitude: Complex, noise: Array, order: int) -> float:

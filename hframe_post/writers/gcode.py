@@ -258,7 +258,8 @@ class _Machine:
             end = self._player.end(action.state, self._at / self._units.per_mm)
             yield b"".join(line + b"\n" for line in end)
         self._offset = action.state.offset
-        self._inside, self._at, self._feed, self._pace.lag = False, None, 0, 0.0
+        self._inside, self._at, self._feed = False, None, 0
+        self._pace.begin()
         self._ledger.passed(action.filament)
 
     def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Output]:

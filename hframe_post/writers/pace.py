@@ -21,6 +21,11 @@ class Pace:
         self._player, self._per_feed = player, per_feed
         self._before = 0.0  # speed asked of the last segment, mm/s; 0: it stands
         self.lag = 0.0
+        self._fresh = True  # nothing has moved since the machine was taken over
+
+    def begin(self) -> None:
+        """The machine is taken over: what it is late by does not matter any more."""
+        self.lag, self._fresh = 0.0, True
 
     def feeds(self, at: Array, T: Array, rest: Flags) -> Integers:
         """F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
@@ -34,7 +39,10 @@ class Pace:
         v = self._player.feed_rates(at, hurried, rest, self._before)
         feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         taken = self._player.durations(at, feeds / self._per_feed, rest, self._before)
-        self.lag += float((taken - T).sum())
+        late = taken - T
+        if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
+            late[0], self._fresh = 0.0, False
+        self.lag += float(late.sum())
         self._before = float(v[-1])
         return feeds
 

@@ -317,6 +317,7 @@ def test_paper_prints_its_tables(papered: tuple[CompletedProcess[bytes], Path]) 
 def test_paper_draws_its_figures(papered: tuple[CompletedProcess[bytes], Path]) -> None:
     done, folder = papered
     names = {f"fig{n}.{kind}" for n in ("04", "05", "08", "09") for kind in ("png", "svg")}
+    names |= {"corner.png", "corner.svg"}
     assert {path.name for path in folder.iterdir()} == names | {"tables.md"}
     assert (folder / "tables.md").read_bytes() == done.stdout
     for name in names:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hframe_post.arrays import Array
 from hframe_post.identification.accelerometer import Recording
@@ -55,6 +56,7 @@ def test_exchanged_files_are_told(taken: Recorded, tmp_path: Path) -> None:
     check_refused(tmp_path, "P1\\s+must be the one", *MAP, *taken.all, *ends)
 
 
+@pytest.mark.slow
 def test_racking_that_two_ways_tell_differently_is_doubted(taken: Recorded) -> None:
     done = invoked(*MAP, *taken.all, *taken.bridge[:-1], "180")
     assert done.exit_code == 0, done.output
@@ -106,6 +108,7 @@ def test_noise_alone_costs_no_warning(taken: Recorded, tmp_path: Path, paper: Pr
     assert [line for line in told if "racking was not measured" not in line] == []
 
 
+@pytest.mark.slow
 def test_orders_that_do_not_fit_are_told(taken: Recorded, tmp_path: Path) -> None:
     """What is measured is shown all the same, to be looked at."""
     told, drawn = tmp_path / "told.json", tmp_path / "f"
@@ -118,6 +121,7 @@ def test_orders_that_do_not_fit_are_told(taken: Recorded, tmp_path: Path) -> Non
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.slow
 def test_a_plant_that_no_window_compensates_is_told(taken: Recorded, tmp_path: Path) -> None:
     weak = tmp_path / "weak.toml"
     weak.write_text('extends = "paper"\n[motors]\nbelt_acceleration = 600.0\n')

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import Result
 
 from hframe_post.printer import profile as profiles
@@ -40,6 +41,7 @@ def test_two_sensors_on_the_bridge_tell_racking(
     assert "x_c was not measured" in done.output
 
 
+@pytest.mark.slow
 def test_one_sensor_moved_along_the_bridge_tells_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:
@@ -68,6 +70,7 @@ def test_without_places_or_bridge_the_profile_cancels_ringing_only(
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_other_files_in_other_units_are_read(taken: Recorded, tmp_path: Path) -> None:
     """Recordings whose start is not known: the answer is usable, and the doubt is told."""
     arguments: list[str | Path] = []
