@@ -42,8 +42,7 @@ def drawn(seed: int) -> Plant:
     return Plant(Gxx, Gyy, Gxtheta, float(rng.uniform(120.0, 160.0)))
 
 
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_other_printers_are_recovered(tmp_path: Path, quick: Path, seed: int) -> None:
     check_recovered(Bench(tmp_path, drawn(seed), quick, klipper=False), (90.0, 140.0, 190.0))

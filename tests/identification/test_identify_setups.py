@@ -57,6 +57,7 @@ def test_one_sensor_moved_along_the_bridge_tells_racking(
     check_racking(invoked(*MAP, *taken.all, *ends, "-o", mine), mine, taken, paper, 0.05)
 
 
+@pytest.mark.slow
 def test_without_places_or_bridge_the_profile_cancels_ringing_only(
     taken: Recorded, tmp_path: Path
 ) -> None:
