@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hframe_post as hp
+from hframe_post.conversion.options import TOLERANCE
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.printer.settings import Printer
@@ -148,13 +149,13 @@ def test_decimation_is_within_its_tolerance_and_strategies_differ(
     converted: dict[str, Path],
 ) -> None:
     usual, dense, fbs = converted["usual"], converted["dense"], converted["fbs"]
-    same = hp.testing.assert_same_motion(usual, dense, tolerance=0.02)
+    same = hp.testing.assert_same_motion(usual, dense, tolerance=1.5 * TOLERANCE)
     assert same.moves[1] > 3 * same.moves[0]
     with pytest.raises(AssertionError, match="different: b is ") as failure:
         hp.testing.assert_same_motion(usual, fbs)
     assert re.search(r"a, line \d+: X[\d.]+ Y[\d.]+", str(failure.value))
     with pytest.raises(AssertionError):
-        hp.testing.assert_same_motion(usual, dense, tolerance=0.001)
+        hp.testing.assert_same_motion(usual, dense, tolerance=TOLERANCE / 10.0)
 
 
 def test_contents_do_as_well_as_paths(converted: dict[str, Path]) -> None:

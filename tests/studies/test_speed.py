@@ -87,7 +87,7 @@ def test_the_promise_is_kept_on_most_printers_that_are_a_little_off(tight: Faste
         kept += all(
             errors[name].percentile(0.95) <= tight.bound.of(name) for name in tight.trial.errors
         )
-    assert kept >= 6
+    assert kept >= 7
 
 
 def test_speed_up_pays_and_no_layer_is_too_short(paper: Printer, loose: Fastest) -> None:
