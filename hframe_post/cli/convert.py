@@ -21,10 +21,10 @@ from hframe_post.cli.options import (
     on_limit_option,
     open_json,
     printer_option,
-    progress,
     say,
     strategies,
 )
+from hframe_post.cli.progress import progress
 from hframe_post.cli.speed import hastened, speed_options, told, told_as_json
 
 if TYPE_CHECKING:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from hframe_post.cli.process import itself
+
 NAME = "HframePost"  # of the file and of the class in it: Cura finds one by the other
 _VERSION = re.compile(r"\d+\.\d+")
 
@@ -77,7 +79,8 @@ def program() -> str:
     for name in ("hframe-post", "hframe-post.exe"):
         if (own := Path(sys.executable).parent / name).is_file():
             return str(own)
-    return f'"{sys.executable}" -m hframe_post'
+    python, *rest = itself()
+    return " ".join((f'"{python}"', *rest)) if rest else python
 
 
 def script(program: str, printer: str) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from hframe_post.cli.batch import batch
+from hframe_post.cli.batch.command import batch
 from hframe_post.cli.calibrate import calibrate_marlin
 from hframe_post.cli.compare import compare
 from hframe_post.cli.convert import convert

@@ -1,24 +1,21 @@
-"""What commands share: options, the progress bar, JSON."""
+"""What commands share: options, files, JSON."""
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hframe_post.cli import choice
+from hframe_post.cli.progress import progress
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.writers.atomic_file import Outputs
-
-BAR_FROM = 2_000_000  # bytes of input that deserve a progress bar
-BAR_EVERY = 500  # lines between its steps
 
 
 class LazyChoice(click.Choice[str]):
@@ -121,30 +118,6 @@ def files_read(*given: str | Path | None) -> list[Path]:
 def dashed(path: Path | None) -> Path | None:
     """A path as it was given; None for '-', standard output."""
     return None if str(path) == "-" else path
-
-
-@contextmanager
-def progress(file: IO[bytes], source: Path, quiet: bool) -> Iterator[Iterable[bytes]]:
-    """The file's lines, with a bar on a terminal if there are many."""
-    from hframe_post.gcode.lines import lines_of
-
-    size = source.stat().st_size if source.is_file() else 0
-    if quiet or size < BAR_FROM or not sys.stderr.isatty():
-        yield lines_of(file)
-        return
-    with click.progressbar(length=size, label=source.name, file=sys.stderr) as bar:
-
-        def lines() -> Iterator[bytes]:
-            read = 0
-            for number, line in enumerate(lines_of(file)):
-                read += len(line)
-                if number % BAR_EVERY == 0:
-                    bar.update(read)
-                    read = 0
-                yield line
-            bar.update(read)
-
-        yield lines()
 
 
 def share(text: str) -> float:

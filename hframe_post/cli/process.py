@@ -44,6 +44,13 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
+def itself() -> list[str]:
+    """The beginning of a command that runs this tool in another process."""
+    if getattr(sys, "frozen", False):  # one file, that needs no Python
+        return [sys.executable]
+    return [sys.executable, "-m", "hframe_post"]
+
+
 def _failed(message: str) -> int:
     with contextlib.suppress(OSError):
         click.echo(f"Error: {message}", err=True)
