@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hframe_post.cli.batch.conversion import Conversion, Ended
 from hframe_post.cli.batch.job import Job, begins_with
+from hframe_post.cli.batch.one_file import Conversion, Ended
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hframe_post.cli.batch.conversion import Conversion
 from hframe_post.cli.batch.job import Job
+from hframe_post.cli.batch.one_file import Conversion
 from hframe_post.cli.process import processors
 
 
