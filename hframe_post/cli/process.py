@@ -13,7 +13,8 @@ from typing import NoReturn, TextIO
 
 import click
 
-from hframe_post.writers.atomic_file import give_up
+from hframe_post.cli.leash import end_with_parent
+from hframe_post.writers.temporary import give_up
 
 DEADLY = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
 SHOW_CURSOR = b"\x1b[?25h\n"  # that the progress bar has hidden
@@ -23,6 +24,7 @@ def run(command: click.Command) -> NoReturn:
     """Runs a command and ends the process: 0 only if all went well, and all could be said."""
     _open_closed_streams()
     _clean_up_when_killed()
+    end_with_parent()
     try:
         command()
         status = 0

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,16 +22,20 @@ RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
 TIDY = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
-def started(*arguments: str | Path) -> subprocess.Popen[bytes]:
+SIGNALS = (*TIDY, signal.SIGKILL, signal.SIGPIPE)
+
+
+def started(*arguments: str | Path, folder: Path | None = None) -> subprocess.Popen[bytes]:
+    """In a process group of its own."""
     command = [sys.executable, "-m", "hframe_post", *map(str, arguments)]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
+        start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
 
 
 def temporary(folder: Path) -> list[Path]:
-    return list(folder.glob(".hframe-post-*.tmp"))
+    return list(folder.rglob(".hframe-post-*.tmp"))
 
 
 @pytest.mark.parametrize("number", TIDY, ids=lambda s: s.name)
@@ -68,38 +76,110 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["part.gcode"]
 
 
-def at_random(folder: Path, count: int, seed: int) -> None:
-    """So many signals, at random times of a conversion in place."""
-    rng, part = random.Random(seed), folder / "part.gcode"
-    part.write_bytes(RECTANGLE)
-    begun = time.monotonic()
-    process = started(part, "-q")
-    process.communicate()
-    assert process.returncode == 0
-    whole, converted = time.monotonic() - begun, part.read_bytes()
+# ---------------------------------------------------------------------- at random times
+
+SPANS = b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\n" + b"".join(
+    b"G1 X260 Y%d E4\nG4 P250000\nG1 E-1 F2400\nG1 X140 E1\n" % y for y in (100, 120, 140)
+)  # what two processes compute, since it stands for so long
+PARTS = {"part": RECTANGLE, "spans": SPANS}
+WAYS = {  # arguments, and what they make of which part
+    "in place": (["part.gcode", "--jobs", "1"], {"part.gcode": "part"}),
+    "two processes": (["spans.gcode", "--jobs", "2"], {"spans.gcode": "spans"}),
+    "batch": (
+        ["batch", "part.gcode", "spans.gcode", "-d", "out", "-j", "2"],
+        {"out/part.gcode": "part", "out/spans.gcode": "spans"},
+    ),
+}
+TOLD = (b"Traceback", b"Exception", b"leaked", b"Error")
+END = 30.0  # s after which no process may be left
+
+
+def at_random(folder: Path, count: int, seed: int) -> Counter[str]:
+    """So many signals, each at a random time of a random conversion; what came of them."""
+    rng, whole, seen = random.Random(seed), dict[str, float](), Counter[str]()
+    converted: dict[str, bytes] = {}
+    for way, (arguments, made) in WAYS.items():
+        begun = time.monotonic()
+        _renew(folder)
+        process = started(*arguments, folder=folder)
+        process.communicate()
+        assert process.returncode == 0
+        whole[way] = time.monotonic() - begun
+        for name, part in made.items():
+            text = (folder / name).read_bytes()
+            assert converted.setdefault(part, text) == text
     for _ in range(count):
-        for stale in temporary(folder):
-            stale.unlink()
-        number = rng.choice((*TIDY, signal.SIGKILL))
-        part.write_bytes(RECTANGLE)
-        process = started(part)
-        time.sleep(rng.uniform(0.15, 1.3) * whole)  # before, it is Python that starts
-        process.send_signal(number)
+        before = temporary(folder)
+        _renew(folder)
+        way = rng.choice(("in place", "in place", "two processes", "batch"))
+        number, group = rng.choice(SIGNALS), rng.random() < 0.3
+        process = started(*WAYS[way][0], folder=folder)
+        if number == signal.SIGINT:  # before, it is Python that starts
+            until(lambda process=process: _catches(process.pid, signal.SIGTERM))  # type: ignore[misc]
+        time.sleep(rng.uniform(0.0, 1.3) * whole[way])
+        (os.killpg if group else os.kill)(process.pid, number)
         _, told = process.communicate()
-        assert part.read_bytes() in (RECTANGLE, converted)
-        assert process.returncode in (0, -number)
-        if process.returncode == 0:
-            assert part.read_bytes() == converted
-        if number != signal.SIGKILL:
-            assert not temporary(folder)
-        for word in (b"Traceback", b"Exception", b"leaked", b"Error"):
-            assert word not in told, told.decode()
+        outcome = process.returncode
+        assert outcome in (0, -number), (way, number, group, outcome, told)
+        until(lambda: not _alive(folder))
+        for name, part in WAYS[way][1].items():
+            old = {b"" if way == "batch" else PARTS[part], converted[part]}
+            file = folder / name
+            text = file.read_bytes() if file.exists() else b""
+            assert text in ({converted[part]} if outcome == 0 else old), (way, number, name)
+        if way == "batch":
+            for part, text in PARTS.items():
+                assert (folder / f"{part}.gcode").read_bytes() == text
+        if not (number == signal.SIGKILL and (way != "batch" or group)):
+            assert set(temporary(folder)) <= set(before), (way, number, group)
+        assert not any(word in told for word in TOLD), told.decode()
+        seen[f"{way}, {number.name}, {'finished' if outcome == 0 else 'ended'}"] += 1
+    if temporary(folder):  # of SIGKILL
+        _renew(folder)
+        for way in ("in place", "batch"):
+            started(*WAYS[way][0], folder=folder).communicate()
+            _renew(folder)
+    assert not temporary(folder)
+    return seen
+
+
+def _renew(folder: Path) -> None:
+    for part, text in PARTS.items():
+        (folder / f"{part}.gcode").write_bytes(text)
+    for file in (folder / "out").glob("*.gcode"):
+        file.unlink()
+
+
+def _catches(pid: int, number: signal.Signals) -> bool:
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
+    [caught] = re.findall(r"SigCgt:\s*(\w+)", status)
+    return bool(int(caught, 16) >> (number - 1) & 1)
+
+
+def _alive(folder: Path) -> list[int]:
+    """Processes that work in this folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if entry.name.isdigit() and (entry / "cwd").readlink() == folder:
+                found.append(int(entry.name))
+    return found
+
+
+def until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + END
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_signals_at_random_times(tmp_path: Path) -> None:
-    at_random(tmp_path, 6, seed=1)
+    at_random(tmp_path.resolve(), 4, seed=1)
 
 
 @pytest.mark.slow
-def test_many_signals_at_random_times(tmp_path: Path) -> None:
-    at_random(tmp_path, 200, seed=2)
+def test_a_thousand_signals_at_random_times(tmp_path: Path) -> None:
+    print(at_random(tmp_path.resolve(), 1000, seed=2))

@@ -1,20 +1,19 @@
 """One file converted by a process of its own.
 
 So nothing that happens to one file (not enough memory, a crash) can happen to another, and the
-bytes are those of a single conversion. The summary comes over a pipe, and a conversion that
-cannot tell its summary writes nothing: one whose parent is gone leaves no file.
+bytes are those of a single conversion. The process ends with the one that started it.
 """
 
 from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hframe_post.cli.batch.job import Job
+from hframe_post.cli.leash import Leashed
 from hframe_post.cli.process import itself
 
 
@@ -49,15 +48,12 @@ class Conversion:
     def __init__(self, source: str, target: str, options: Sequence[str]) -> None:
         command = [*itself(), "convert", source, "-o", target, "-q", "--json", "-", *options]
         self._began = time.monotonic()
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
+        self._process = Leashed(command)
 
     def ended(self) -> Ended:
         """Waits for its end."""
-        told, error = self._process.communicate()
-        return Ended(self._process.returncode, told, error, time.monotonic() - self._began)
+        return Ended(*self._process.ended(), time.monotonic() - self._began)
 
     def stop(self) -> None:
         """Asks it to end; it leaves nothing behind."""
-        self._process.terminate()
+        self._process.stop()
