@@ -78,7 +78,7 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
     computed = Commands(lines, profile, options, ("racking", "none")).computed()
     held = [chunk for chunk in computed if len(chunk)]
     wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in held])
-    moving = np.concatenate([in_motion(chunk)[1] for chunk in held])
+    moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in held])
     errors = {}
     for name in ("none", "racking"):
         command = np.concatenate([chunk.commands[name] for chunk in held])

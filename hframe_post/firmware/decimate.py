@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z
+from hframe_post.compiled.kernels import kernel
 
 SHORT = 8  # samples; what takes longer is answered by the nozzle, and is therefore held closer
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
@@ -27,6 +28,18 @@ def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
     together, of z, and of e within a share 1/E_WEIGHT of it. A segment of n > SHORT samples is
     within √(SHORT/n) of that.
     """
+    n = len(points)
+    if (compiled := kernel("breakpoints")) is None:
+        return _breakpoints(points, forced, tolerance)
+    kept, room, flags = np.empty(n, np.int64), np.empty((3, n)), np.empty(n, np.uint8)
+    count = compiled(
+        np.ascontiguousarray(points), forced.view(np.uint8), n, tolerance, SHORT, E_WEIGHT**2,
+        ALIKE, kept, room, flags,
+    )  # fmt: skip
+    return kept[1:count]
+
+
+def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
     kept = np.arange(len(points))
     off = np.zeros(len(points) - 1)  # greatest distance of samples from each chord, or more
     while len(kept) > 2:
@@ -72,6 +85,15 @@ def fitted(points: Array, ends: Integers) -> Array:
     points (n + 1, 4) as for ``breakpoints``, of which the first and the last are met. No vertex
     goes beyond the samples' least and greatest x and y; z and e are those of its sample.
     """
+    n, k = len(points), len(ends)
+    if (compiled := kernel("fitted")) is None:
+        return _fitted(points, ends)
+    vertices = np.empty((k, 4))
+    compiled(np.ascontiguousarray(points), n, ends, k, ROUNDS, vertices, np.empty((6, k)))
+    return vertices
+
+
+def _fitted(points: Array, ends: Integers) -> Array:
     xy = points[:, :Z]
     start = np.append(0, ends[:-1])
     length = ends - start
@@ -79,8 +101,8 @@ def fitted(points: Array, ends: Integers) -> Array:
     share = (np.arange(1, len(xy)) - start[which]) / length[which]
     chord = xy[ends] - xy[start]
     missed = xy[1:] - xy[start][which] - share[:, None] * chord[which]
-    later = np.add.reduceat(share[:, None] * missed, start)
-    earlier = np.add.reduceat(missed, start) - later
+    later: Array = np.column_stack([np.bincount(which, share * off) for off in missed.T])
+    earlier: Array = np.column_stack([np.bincount(which, off) for off in missed.T]) - later
     last, first, both = _weights(length)
     diagonal = last + np.append(first[1:], 1.0)
     wanted = later + np.vstack([earlier[1:], np.zeros(2)])

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
-from hframe_post.arrays import Array, Flags
+from hframe_post.arrays import TS, Array, Flags
+from hframe_post.compiled.kernels import kernel
 from hframe_post.errors import HframeError
 from hframe_post.stream.types import Plan
 
@@ -17,21 +18,31 @@ DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
 
 @dataclass(frozen=True, slots=True)
 class Phases:
-    """Constant jerk each: start time, duration, and path length, speed, acceleration, jerk."""
+    """Constant jerk each.
 
-    time: Array
-    duration: Array
-    s: Array
-    v: Array
-    a: Array
-    j: Array
+    table (6, p): start time, duration, and path length, speed, acceleration, jerk at the start.
+    """
 
-    def path(self, t: Array) -> Array:
-        """Path length at times ``t``, ascending; between phases the last one's end holds."""
-        phase = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, None)
-        dt = np.minimum(t - self.time[phase], self.duration[phase])
-        cubic = self.a[phase] / 2.0 + dt * self.j[phase] / 6.0
-        return self.s[phase] + dt * (self.v[phase] + dt * cubic)
+    table: Array
+
+    def path(self, first: int, n: int, end: float) -> Array:
+        """Path length (n,) at samples first, first + 1, …; between phases the last one's end holds.
+
+        Rounding leads neither before 0 nor beyond ``end``.
+        """
+        if (compiled := kernel("path_lengths")) is None:
+            return self._path(TS * np.arange(first, first + n).astype(float), end)
+        s = np.empty(n)
+        compiled(self.table, self.table.shape[1], first, n, TS, end, s)
+        return s
+
+    def _path(self, t: Array, end: float) -> Array:
+        time, duration, *_ = self.table
+        phase = np.clip(np.searchsorted(time, t, side="right") - 1, 0, None)
+        _, _, s, v, a, j = self.table[:, phase]
+        dt = np.minimum(t - time[phase], duration[phase])
+        length = s + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
+        return np.asarray(np.clip(length, 0.0, end))
 
 
 class Profiler:

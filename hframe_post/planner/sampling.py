@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.compiled.kernels import kernel
 from hframe_post.planner.jerk_profile import Phases, Profiler, before_each, integrated
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -89,16 +90,16 @@ class _Sampler:
         )
         marks = list(plan.marks)
         for first in range(self._index, stop + 1, SAMPLES_PER_CHUNK):
-            index = np.arange(first, min(first + SAMPLES_PER_CHUNK, stop + 1))
-            t = TS * (index - self._section).astype(float)
-            s = np.clip(phases.path(t), 0.0, plan.s[-1])
-            if stops and index[-1] == stop:
+            n = min(SAMPLES_PER_CHUNK, stop + 1 - first)
+            arrives = stops and first + n > stop
+            s = phases.path(first - self._section, n, float(plan.s[-1]))
+            if arrives:
                 s[-1] = plan.s[-1]
             xyze, move = _follow(plan, s)
             if self._pinned is not None:
                 xyze[0, E], self._pinned = self._pinned, None
             marks = self._pin(plan, marks, s, xyze)
-            if stops and index[-1] == stop:
+            if arrives:
                 xyze[-1] = plan.points[-1]
             self._emit(xyze, plan.line[move])
             yield from self.flush()
@@ -121,8 +122,8 @@ class _Sampler:
         s = plan.s[plan.ends[:-1], None] + before_each(np.cumsum(steps, axis=1))
         time = start[:-1, None] + before_each(np.cumsum(t, axis=1))
         keep = t.ravel() > 0.0
-        table = (column.ravel()[keep] for column in (time, t, s, v, a, j))
-        return Phases(*table), float(start[-1])
+        table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
+        return Phases(table), float(start[-1])
 
     def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> list[Mark]:
         """Marks go to the first sample at or after their vertex, with the vertex's filament.
@@ -264,6 +265,15 @@ class StandingProfile:
 
 def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:
     """x, y, z, e at path lengths ``s`` (n,), and the move that each lies on."""
+    n, moves = len(s), len(plan.line)
+    if (compiled := kernel("follow")) is None:
+        return _followed(plan, s)
+    xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
+    compiled(plan.s, np.ascontiguousarray(plan.points), moves, s, n, xyze, move)
+    return xyze, move
+
+
+def _followed(plan: Plan, s: Array) -> tuple[Array, Integers]:
     move = np.clip(np.searchsorted(plan.s, s, side="right") - 1, 0, len(plan.line) - 1)
     start = plan.points[move]
     share = (s - plan.s[move]) / (plan.s[move + 1] - plan.s[move])

@@ -5,17 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
+from hframe_post.compiled.kernels import kernel
 from hframe_post.model.stop import NEAREST
 
 COARSE = 3  # samples from one candidate to the next in the first search
-
-
 STRAIGHT = 1e-6  # sine of an angle that is none
-
-
 SEARCHED = 128  # successive samples searched together
-
-
 ROWS_IN_CACHE = 32
 
 
@@ -27,11 +22,20 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
     line, it is taken as such; elsewhere the nearest sample is found first, then the nearer
     of the two segments that meet there.
     """
-    n, p = len(actual), len(path)
-    if not n:
-        return np.zeros(0)
     px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
     ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
+    if (compiled := kernel("contour_error")) is None:
+        return _contour_error(px, py, ax, ay, at)
+    n, p = len(ax), len(px)
+    error = np.empty(n)
+    compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, error, np.empty(p + 1, np.int64))
+    return error
+
+
+def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> Array:
+    n, p = len(ax), len(px)
+    if not n:
+        return np.zeros(0)
     low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
     turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
     straight = turns[high] == turns[low + 1]  # none strictly between
@@ -44,10 +48,11 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
         k = _nearest(px, py, ax, ay, at[which], every)
         x, y = px[k], py[k]
         before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
-        error[which] = np.minimum(
+        nearer = np.minimum(
             _to_segment(ax, ay, x, y, px[before], py[before]),
             _to_segment(ax, ay, x, y, px[after], py[after]),
         )
+        error[which] = np.where(straight[which], error[which], nearer)
     return np.sqrt(error)
 
 
@@ -71,14 +76,13 @@ def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: in
     width = span + 2 * NEAREST
     rows = -(-q // SEARCHED)
     window = np.clip(at[::SEARCHED, None] - NEAREST + np.arange(width), 0, len(px) - 1)
-    middle_x, middle_y = px[at[0]], py[at[0]]  # small numbers for single precision
-    wx, wy = (px - middle_x).astype(np.float32)[window], (py - middle_y).astype(np.float32)[window]
-    here = np.zeros((2, rows, SEARCHED), dtype=np.float32)
-    here[0].ravel()[:q], here[1].ravel()[:q] = ax - middle_x, ay - middle_y
+    wx, wy = px[window], py[window]
+    here = np.zeros((2, rows, SEARCHED))
+    here[0].ravel()[:q], here[1].ravel()[:q] = ax, ay
     nearest = np.zeros((rows, SEARCHED), dtype=np.int8)
     for r in range(0, rows, ROWS_IN_CACHE):
         some = slice(r, r + ROWS_IN_CACHE)
-        x, y, best = here[0, some], here[1, some], np.full(here[0, some].shape, np.inf, np.float32)
+        x, y, best = here[0, some], here[1, some], np.full(here[0, some].shape, np.inf)
         dx, dy = np.empty_like(x), np.empty_like(y)
         for shift in range(0, 2 * NEAREST + 1, COARSE):
             np.subtract(x, wx[some, shift : shift + span : every], out=dx)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.arrays import Array, Flags, Integers, Z
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop import NEAREST
 from hframe_post.prediction.contour import contour_error
 from hframe_post.stream.chunks import stretches, with_neighbours
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.types import Samples
 
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
@@ -35,15 +35,18 @@ class Judgement:
     """How well each strategy follows one chunk; k of its samples count.
 
     at (k,): which samples of the chunk; extruding (k,): which of these. contour: strategy →
-    (k,), distance to the path. tracking: strategy → (k, 2), off the desired place at the same
-    time. All mm.
+    (k,), distance to the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
     """
 
     chunk: Samples
     at: Integers
     extruding: Flags
     contour: dict[str, Array]
-    tracking: dict[str, Array]
+    motion: dict[str, Array]
+
+    def tracking(self, strategy: str) -> Array:
+        """How far off the desired place at the same time, (k, 2), mm."""
+        return np.asarray(self.motion[strategy][self.at] - self.chunk.xyze[self.at, :Z])
 
 
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
@@ -53,32 +56,34 @@ def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[J
     out: nothing of it is traced there.
     """
     for stretch in stretches(chunks):
-        originals: deque[Samples] = deque()
-        predicted = _predicted(stretch, plant, originals)
-        for chunk, wide, where in with_neighbours(predicted, NEAREST, NEAREST + 1):
+        predicted: deque[tuple[Samples, dict[str, Array]]] = deque()
+        paths = _paths(predict(stretch, plant), predicted)
+        for _, wide, where in with_neighbours(paths, NEAREST, NEAREST + 1):
+            chunk, motion = predicted.popleft()
             first = -chunk.first % every
-            moving, extruding = (flags[where][first::every] for flags in in_motion(wide))
+            moving, extruding = (flags[where][first::every] for flags in in_motion(wide.xyze))
             here, path = np.arange(first, len(chunk), every), wide.xyze[:, :Z]
-            contour, tracking = {}, {}
-            for name, actual in chunk.commands.items():
-                judged = actual[first::every]
-                contour[name] = contour_error(path, judged, where.start + here)[moving]
-                tracking[name] = (judged - chunk.xyze[first::every, :Z])[moving]
-            yield Judgement(originals.popleft(), here[moving], extruding[moving], contour, tracking)
+            contour = {
+                name: contour_error(path, xy[first::every], where.start + here)[moving]
+                for name, xy in motion.items()
+            }
+            yield Judgement(chunk, here[moving], extruding[moving], contour, motion)
 
 
-def _predicted(
-    chunks: Iterable[Samples], plant: Plant, originals: deque[Samples]
+def _paths(
+    predicted: Iterable[tuple[Samples, dict[str, Array]]],
+    taken: deque[tuple[Samples, dict[str, Array]]],
 ) -> Iterator[Samples]:
-    """The chunks with motion in place of commands; those with commands are remembered."""
-    for chunk, actual in predict(chunks, plant):
-        originals.append(chunk)
-        motion = {name: frozen(xy) for name, xy in actual.items()}
-        yield replace(chunk, commands=motion)
+    """The path alone of each chunk, which is remembered with its motion."""
+    for chunk, motion in predicted:
+        taken.append((chunk, motion))
+        yield replace(chunk, events=(), commands={})
 
 
-def in_motion(chunk: Samples) -> tuple[Flags, Flags]:
-    """Samples to which the path moves, and those of them on whose way filament is laid, (n,)."""
-    steps = np.diff(chunk.xyze, axis=0, prepend=chunk.xyze[:1])
-    moving = (steps[:, :Z] != 0.0).any(axis=1)
-    return moving, moving & (steps[:, E] > 0.0)
+def in_motion(xyze: Array) -> tuple[Flags, Flags]:
+    """Samples to which the path xyze (n, 4) moves, those on whose way filament is laid, (n,)."""
+    moving, extruding = np.zeros((2, len(xyze)), dtype=bool)
+    x, y, _, e = xyze.T
+    moving[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
+    extruding[1:] = moving[1:] & (e[1:] > e[:-1])
+    return moving, extruding

@@ -12,12 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array, Flags
+from hframe_post.arrays import Array, Flags, Integers
 
 BINS_PER_E = 100  # bins of 1 % for the percentiles
 BINS = 22 * BINS_PER_E  # up to 0.3 m
 SMALLEST = 1e-7  # mm; errors below share the first bin
 DECIMALS = 4
+
+
+def _bins(errors: Array) -> Integers:
+    """The bin of each error (n,)."""
+    bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
+    return np.minimum(bins.astype(np.int64), BINS - 1)
 
 
 @dataclass
@@ -31,13 +37,14 @@ class ErrorStatistics:
 
     def add(self, errors: Array) -> None:
         """Takes the next errors, (n,), none negative."""
+        self._add(errors, _bins(errors))
+
+    def _add(self, errors: Array, bins: Integers) -> None:
         if len(errors):
             self.count += len(errors)
             self.squares += float(errors @ errors)
             self.peak = max(self.peak, float(errors.max()))
-            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
-            top = len(self.histogram) - 1
-            self.histogram += np.bincount(np.minimum(bins.astype(np.int64), top), minlength=top + 1)
+            self.histogram += np.bincount(bins, minlength=BINS).astype(np.int32)
 
     def join(self, other: ErrorStatistics) -> None:
         """Takes what another part of the stream has counted."""
@@ -76,8 +83,9 @@ class ContourErrors:
 
     def add(self, errors: Array, extruding: Flags) -> None:
         """Takes the next errors of motion, (n,), of which some count as extruding, (n,)."""
-        self.extruding.add(errors[extruding])
-        self.all.add(errors)
+        bins = _bins(errors)
+        self.extruding._add(errors[extruding], bins[extruding])
+        self.all._add(errors, bins)
 
     def join(self, other: ContourErrors) -> None:
         """Takes what another part of the stream has counted."""

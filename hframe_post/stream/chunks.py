@@ -49,21 +49,36 @@ def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
     """Each chunk, a wider one with up to so many samples around it, and where it lies there."""
-    past: Samples | None = None
+    past: list[Samples] = []
     held: list[Samples] = []
     for chunk in chain(chunks, [None]):
         if chunk is not None:
             held.append(chunk)
         while held and (chunk is None or sum(map(len, held[1:])) >= after):
             current = held.pop(0)
-            parts = [current] if past is None else [past, current]
-            start = len(parts[0]) if past is not None else 0
-            wide = join(parts)
-            past = part(wide, max(len(wide) - before, 0), len(wide))
-            if held:
-                later = join(held)
-                wide = join([wide, part(later, 0, min(after, len(later)))])
-            yield current, wide, slice(start, start + len(current))
+            wide = join([*past, current, *_beginning(held, after)])
+            start = sum(map(len, past))
+            end = start + len(current)
+            past = list(_ending([*past, current], before))
+            yield current, wide, slice(start, end)
+
+
+def _ending(chunks: list[Samples], n: int) -> Iterator[Samples]:
+    """The last n samples."""
+    more = sum(map(len, chunks)) - n
+    for chunk in chunks:
+        if more <= len(chunk):
+            yield part(chunk, max(more, 0), len(chunk))
+        more -= len(chunk)
+
+
+def _beginning(chunks: list[Samples], n: int) -> Iterator[Samples]:
+    """The first n samples."""
+    for chunk in chunks:
+        if n <= 0:
+            return
+        yield part(chunk, 0, min(n, len(chunk)))
+        n -= len(chunk)
 
 
 def join(chunks: list[Samples]) -> Samples:

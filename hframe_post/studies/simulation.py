@@ -104,7 +104,7 @@ def _add_errors(
         for name, contour in judgement.contour.items():
             figures = group.setdefault(name, Figures())
             figures.add_errors(
-                contour[which], judgement.tracking[name][which], judgement.extruding[which]
+                contour[which], judgement.tracking(name)[which], judgement.extruding[which]
             )
 
 

@@ -98,5 +98,5 @@ def test_what_stands_does_not_count_and_what_extrudes_is_told(compensator: Compe
     (judgement,) = judge([block], compensator.plant)
     assert judgement.chunk is block
     assert judgement.at.tolist() == [*range(1, 40), *range(60, 100)]
-    assert len(judgement.contour["none"]) == len(judgement.tracking["none"]) == 79
+    assert len(judgement.contour["none"]) == len(judgement.tracking("none")) == 79
     assert judgement.at[judgement.extruding].tolist() == [*range(1, 40)]
