@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, open_json, position, printer_option
+from hframe_post.cli.options import (
+    files_read,
+    json_option,
+    open_json,
+    page_option,
+    position,
+    printer_option,
+)
 
 if TYPE_CHECKING:
     from hframe_post.identification.accelerometer import Recording
@@ -92,6 +99,7 @@ def _order(text: str) -> tuple[str, int]:
     "--figures", "folder", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
     help="Draw what was measured and what the model makes of it (PNG and SVG); needs matplotlib.",
 )  # fmt: skip
+@page_option
 @json_option
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
@@ -102,8 +110,8 @@ def identify(
     bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: str, bridge_axes: str,
     columns: tuple[str, ...] | None, unit: str, band: tuple[float, float],
     estimator: Literal["H1", "H2", "Hv"], orders: tuple[tuple[str, int], ...],
-    x_c: float | None, offset: tuple[float, float], folder: Path | None, json_file: Path | None,
-    output: Path | None,
+    x_c: float | None, offset: tuple[float, float], folder: Path | None,
+    report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from sweeps recorded by accelerometers.
 
@@ -119,6 +127,7 @@ def identify(
     from hframe_post.errors import IdentificationError
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
+    from hframe_post.identification.page import identification_page
     from hframe_post.identification.recommend import recommend
     from hframe_post.identification.report import IdentificationReport
     from hframe_post.printer.edit import with_plant
@@ -134,6 +143,7 @@ def identify(
         file = model.open(output, Path(printer)) if output is not None else None
         with Outputs([*reads, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
+            drawn = findings.open(report_file) if report_file is not None else None
             reading = _Reading(axes, bridge_axes, columns, unit)
             runs = [reading.nozzle(*files) for files in nozzle]
             runs += [reading.bridge(*files) for files in bridge]
@@ -149,6 +159,8 @@ def identify(
                 found, plant, compensation, reading.setup, reading.findings
             )
             write_json(report.as_json())
+            if drawn is not None:
+                drawn.write(identification_page(report, profile.description or profile.name))
         click.echo(report.as_text(), err=str(json_file) == "-")
         if compensation is None:
             raise IdentificationError(found.useless or NO_WINDOW)

@@ -89,6 +89,12 @@ json_option = click.option(
 )  # fmt: skip
 
 
+page_option = click.option(
+    "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.HTML", help="Write a page for a browser, with all that can be drawn.",
+)  # fmt: skip
+
+
 def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]], None]:
     """What writes a summary, indented, to a file or standard output; None: nowhere.
 

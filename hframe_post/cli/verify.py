@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, open_json, printer_option
+from hframe_post.cli.options import files_read, json_option, open_json, page_option, printer_option
 from hframe_post.cli.sweep import chip
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -40,6 +40,7 @@ QUIET = 0.5  # s at the start of a recording in which only gravity is felt
     "--z", type=click.FloatRange(0.0, 1e4), default=10.0, show_default=True, metavar="MM",
     help="Height at which to move.",
 )  # fmt: skip
+@page_option
 @json_option
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
@@ -48,7 +49,7 @@ QUIET = 0.5  # s at the start of a recording in which only gravity is felt
 def verify(
     printer: str, gcode: Path | None, plain: tuple[Path, Path] | None,
     compensated: tuple[Path, Path] | None, axes: str, chips: tuple[str, ...], z: float,
-    json_file: Path | None, output: Path | None,
+    report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Check on the machine what a profile does: first --gcode, then both recordings.
 
@@ -63,7 +64,7 @@ def verify(
         return
     if plain is None or compensated is None:
         raise click.UsageError("give --gcode, or both --plain and --compensated")
-    _judge(printer, plain, compensated, axes, json_file, output)
+    _judge(printer, plain, compensated, axes, report_file, json_file, output)
 
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
@@ -90,12 +91,13 @@ def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None
 
 def _judge(
     printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
-    json_file: Path | None, output: Path | None,
+    report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     from hframe_post.errors import IdentificationError
     from hframe_post.identification import command_file
     from hframe_post.identification.accelerometer import oriented, read
     from hframe_post.identification.verification import judge
+    from hframe_post.identification.verification_page import verification_page
     from hframe_post.printer.edit import with_verification
     from hframe_post.printer.profile import load
     from hframe_post.writers.atomic_file import Outputs
@@ -106,12 +108,17 @@ def _judge(
         file = marked.open(output, Path(printer)) if output is not None else None
         with Outputs([*given, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
+            drawn = findings.open(report_file) if report_file is not None else None
             first, second = (
                 (command_file.read(command), oriented(read(recording), axes, QUIET))
                 for command, recording in (plain, compensated)
             )
             verdict = judge(profile, first, second)
             write_json(verdict.as_json())
+            if drawn is not None:
+                setup = [("plain", plain[1].name), ("compensated", compensated[1].name)]
+                name = profile.description or profile.name
+                drawn.write(verification_page(verdict, name, [*setup, ("axes", axes)]))
         click.echo(verdict.as_text(), err=str(json_file) == "-")
         if verdict.fault is not None:
             raise IdentificationError(f"the profile is not verified: {verdict.fault}")

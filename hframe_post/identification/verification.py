@@ -104,13 +104,16 @@ class Verdict:
     """What both recordings tell, µm RMS of contour error and mm/s² RMS of ringing after corners.
 
     Each pair: plain, compensated. unexplained: of what the nozzle does beside its path, the share
-    that the model did not predict.
+    that the model did not predict. at (n,): s, of the errors (n,) in µm along the motion.
     """
 
     measured: tuple[float, float]
     predicted: tuple[float, float]
     ringing: tuple[float, float]
     unexplained: float
+    at: Array
+    errors_measured: tuple[Array, Array]
+    errors_predicted: tuple[Array, Array]
 
     @property
     def reduction(self) -> float:
@@ -185,14 +188,16 @@ def judge(printer: Printer, plain: tuple[Array, Recording],
     moving = np.zeros(len(wanted), dtype=bool)
     moving[part] = (np.diff(wanted[part], axis=0, append=wanted[-1:]) != 0.0).any(axis=1)
     at = np.arange(len(wanted))
-    measured, predicted, ringing = [], [], []
     of_path = np.column_stack([acceleration(wanted[:, k]) for k in (X, Y)])
     after = _after_corners(wanted) & _inside(part, len(wanted))
-    for one in heard:
-        error = contour_error(wanted, one.place, at)[moving]
-        measured.append(1e3 * float(np.sqrt(max((error**2).mean() - one.noise**2, 0.0))))
-        error = contour_error(wanted, one.predicted, at)[moving]
-        predicted.append(1e3 * float(np.sqrt((error**2).mean())))
+    measured, predicted, ringing = [], [], []
+    errors = [
+        [1e3 * contour_error(wanted, place, at)[moving] for place in (one.place, one.predicted)]
+        for one in heard
+    ]
+    for one, (real, model) in zip(heard, errors, strict=True):
+        measured.append(float(np.sqrt(max((real**2).mean() - (1e3 * one.noise) ** 2, 0.0))))
+        predicted.append(float(np.sqrt((model**2).mean())))
         ringing.append(float(np.sqrt(((one.a - of_path)[after] ** 2).sum(axis=1).mean())))
     missed = np.concatenate([(one.a - one.a_predicted)[part] for one in heard[:1]])
     beside = (heard[0].a - of_path)[part]
@@ -200,7 +205,8 @@ def judge(printer: Printer, plain: tuple[Array, Recording],
     unexplained = _rms(missed, low, high) / max(_rms(beside, low, high), 1e-9)
     return Verdict(
         (measured[0], measured[1]), (predicted[0], predicted[1]), (ringing[0], ringing[1]),
-        unexplained,
+        unexplained, np.asarray(TS * np.flatnonzero(moving)), (errors[0][0], errors[1][0]),
+        (errors[0][1], errors[1][1]),
     )  # fmt: skip
 
 

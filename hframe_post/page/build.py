@@ -1,17 +1,11 @@
-"""``report.html``: one page with everything in it, for a browser without a network.
-
-What comes from a file (names, lines, comments) is data: JSON with its angle brackets escaped, and
-compressed bytes. The page's script puts it into text nodes only.
-"""
+"""The page of a print: its layers by predicted error, the worst places, what is in words."""
 
 from __future__ import annotations
 
 import base64
-import json
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -19,6 +13,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.page.template import filled
 from hframe_post.prediction.statistics import Figures
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.layer_view import LayerView, Segments
@@ -31,7 +26,6 @@ WORST = 10  # places
 APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
-ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
 
 
 def page(
@@ -82,7 +76,11 @@ def page(
         },
         "printer": _printer(printer, options),
     }
-    return _filled(data, _packed(layers), source.packed)
+    return filled("page", data, SEGMENTS=_coded(_packed(layers)), TEXT=_coded(source.packed))
+
+
+def _coded(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 class _Kept:
@@ -208,20 +206,3 @@ def _packed(layers: dict[int, Segments]) -> bytes:
         feature.astype("u1"),
     )
     return zlib.compress(b"".join(column.tobytes() for column in columns), 9)
-
-
-def _filled(data: dict[str, Any], segments: bytes, text: bytes) -> bytes:
-    """The template with its style, its script and the data."""
-    told = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    for character, escape in ESCAPED.items():
-        told = told.replace(character, escape)
-    folder = resources.files(__package__)
-    parts = {
-        "STYLE": (folder / "page.css").read_text("utf-8"),
-        "SCRIPT": (folder / "page.js").read_text("utf-8"),
-        "DATA": told,
-        "SEGMENTS": base64.b64encode(segments).decode(),
-        "TEXT": base64.b64encode(text).decode(),
-    }
-    pieces = (folder / "page.html").read_text("utf-8").split("@@")
-    return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8", "replace")

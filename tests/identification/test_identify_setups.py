@@ -22,6 +22,7 @@ from tests.identification.bench import (
     nozzle,
     off,
 )
+from tests.page.pages import data_of
 
 
 def check_racking(done: Result, mine: Path, taken: Recorded, paper: Printer, within: float) -> None:
@@ -33,12 +34,17 @@ def check_racking(done: Result, mine: Path, taken: Recorded, paper: Printer, wit
 def test_two_sensors_on_the_bridge_tell_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:
-    mine = tmp_path / "mine.toml"
+    mine, report = tmp_path / "mine.toml", tmp_path / "report.html"
     one_place = nozzle(taken.x[1], taken.y)
-    done = invoked(*MAP, *one_place, *taken.bridge, "--x-c", "140", "-o", mine)
+    done = invoked(*MAP, *one_place, *taken.bridge, "--x-c", "140", "-o", mine, "--report", report)
     check_racking(done, mine, taken, paper, 0.05)
     assert profiles.load(str(mine)).plant.x_c == 140.0
     assert "x_c was not measured" in done.output
+    told = data_of(report)
+    assert [section["title"] for section in told["sections"]] == ["Gxx", "Gyy", "Gxtheta"]
+    lines = told["sections"][0]["charts"][0]["lines"]
+    assert [line["label"] for line in lines] == ["x = 140 mm", "model"]
+    assert any("x_c was not measured" in note for note in told["notes"])
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from hframe_post.identification.verification import Verdict, judge, runs
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from tests.page.pages import data_of
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
 from tests.strangers import printer, traced
@@ -84,15 +85,20 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
         rows = np.loadtxt(command, delimiter=",", skiprows=1)
         recording = write_klipper(tmp_path / f"{k}.csv", CHIP.heard(STRANGER, rows[:, 1:], k))
         arguments += [f"--{name}", command, recording]
-    done = invoked("-p", mine, *arguments, "-o", marked)
+    report = tmp_path / "report.html"
+    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report)
     assert done.exit_code == 0, done.output
+    assert data_of(report)["cards"][0]["kind"] == "best"
+    plain, compensated = data_of(report)["sections"][0]["charts"][0]["lines"]
+    assert max(plain["y"]) > 2.0 * max(compensated["y"]) > 0.0
     assert "VERDICT     good" in done.output
     mark = load(str(marked)).verified
     assert mark is not None
     assert 0.5 < mark.reduction <= 1.0
     assert mark.firmware == "klipper"
-    done = invoked("-p", "paper", *arguments, "-o", tmp_path / "wrong.toml")
+    done = invoked("-p", "paper", *arguments, "-o", tmp_path / "wrong.toml", "--report", report)
     assert done.exit_code == 1
+    assert data_of(report)["cards"][0]["kind"] == "bad"
     assert not (tmp_path / "wrong.toml").exists()
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
-from tests.chromium import PROGRAM, Browser
+from tests.chromium import Browser
 from tests.cli.test_main import run
 from tests.conftest import SAMPLES
+from tests.page.pages import data_of
 
 EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
 BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
@@ -32,13 +29,6 @@ def sliced(feature: str = "WALL-OUTER") -> bytes:
 
 def built(paper: Printer, text: bytes, name: str = "square.gcode") -> bytes:
     return page(text.splitlines(keepends=True), paper, Options("racking"), name, ["profile     p"])
-
-
-def data_of(html: bytes) -> dict[str, object]:
-    found = re.search(rb'id="data">(.*?)</script>', html, re.DOTALL)
-    assert found is not None
-    told: dict[str, object] = json.loads(found[1])
-    return told
 
 
 def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:
@@ -77,14 +67,6 @@ def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
     assert run("simulate", part, "--plant", "paper", "--report", report).returncode == 0
     assert data_of(report.read_bytes())["name"] == "rectangle.gcode"
     assert run("simulate", "--path", "rectangle", "--report", report).returncode == 2
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    if PROGRAM is None:
-        pytest.skip("chromium is not installed")
-    with Browser(tmp_path_factory.mktemp("chromium")) as running:
-        yield running
 
 
 def test_slider_strategies_click_and_zoom_change_what_they_should(

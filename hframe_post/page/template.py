@@ -1,0 +1,32 @@
+"""A page with its style, its script and its data in it, for a browser without a network.
+
+What comes from a file (names, lines, comments) is data: JSON with its angle brackets escaped, and
+compressed bytes. A page's script puts it into text nodes only.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from typing import Any
+
+ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
+
+
+def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
+    """The template ``name.html`` with ``page.css``, ``name.js``, and further parts by their names.
+
+    A part of the template stands between two pairs of @.
+    """
+    told = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for character, escape in ESCAPED.items():
+        told = told.replace(character, escape)
+    folder = resources.files(__package__)
+    parts = {
+        "STYLE": (folder / "page.css").read_text("utf-8"),
+        "SCRIPT": (folder / f"{name}.js").read_text("utf-8"),
+        "DATA": told,
+        **more,
+    }
+    pieces = (folder / f"{name}.html").read_text("utf-8").split("@@")
+    return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8", "replace")

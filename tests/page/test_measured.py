@@ -1,0 +1,60 @@
+"""The page of something measured: charts in a real browser, read by pointing at them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hframe_post.page.measured import MOST_POINTS, Card, Chart, Line, Section, page
+from tests.chromium import Browser
+from tests.page.pages import data_of
+
+EVIL = "</script><script>window.evil=1</script>"
+HZ = np.geomspace(3.0, 100.0, 5000)
+
+
+def built(name: str = "my printer") -> bytes:
+    resonance = Line("x = 80 mm", HZ, 1.0 / np.abs(1.0 - (HZ / 30.0) ** 2 + 0.1j * HZ / 30.0))
+    gap = Line(name, np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]), "var(--ink)", strong=True)
+    charts = [
+        Chart("Magnitude", "frequency, Hz", "1", [resonance], (True, True)),
+        Chart(name, "time, s", "mm", [gap], (False, False)),
+    ]
+    cards = [Card("off by", "3", "%", "order 4", "bad")]
+    return page(name, "It helps.", cards, [Section("Gxx", charts)],
+                [f"WARNING     {name}"], [("data", name)])  # fmt: skip
+
+
+def test_lines_are_short_and_gaps_stay() -> None:
+    first, second = data_of(built())["sections"][0]["charts"]
+    (line,) = first["lines"]
+    assert MOST_POINTS / 2 < len(line["at"]) <= MOST_POINTS
+    assert line["at"][0] == 3.0
+    assert line["at"][-1] == 100.0
+    assert second["lines"][0]["y"] == [1.0, None, 3.0, 4.0]
+
+
+def test_charts_are_read_by_pointing_and_files_say_nothing_but_text(
+    browser: Browser, tmp_path: Path
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(built(EVIL))
+    for width in (1280, 390):
+        browser.screen(width, 844, dark=width < 600)
+        browser.open(path)
+        assert browser.value("document.querySelectorAll('.plot svg path').length") == 2
+        assert browser.value("document.documentElement.scrollWidth") <= width
+    assert browser.value("window.evil") is None
+    gap = "document.querySelectorAll('.plot svg path')[1].getAttribute('d').match(/M/g).length"
+    assert browser.value(gap) == 2
+    key = "document.querySelector('.key').textContent"
+    assert browser.value(key) == "x = 80 mm"
+    at = browser.value("(({x, y, width}) => [x + 52 + (width - 64) * Math.log(30 / 3) / "
+                       "Math.log(100 / 3), y + 50])(document.querySelector('.plot svg')"
+                       ".getBoundingClientRect())")  # fmt: skip
+    browser("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1])
+    shown = browser.value(key)
+    assert shown.startswith("30")
+    assert 9.0 <= float(shown.rsplit(" ", 1)[1]) <= 10.1  # the resonance
+    assert browser.complaints == []
