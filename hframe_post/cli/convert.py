@@ -26,9 +26,12 @@ from hframe_post.cli.options import (
 )
 from hframe_post.cli.progress import progress
 from hframe_post.cli.speed import hastened, speed_options, told, told_as_json
+from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
+    from hframe_post.conversion.options import Options
     from hframe_post.gcode.options import Extrusion, FileLimits
+    from hframe_post.printer.settings import Printer
 
 
 @click.command()
@@ -80,6 +83,7 @@ if TYPE_CHECKING:
     "With a name that ends in .html: a page with a view of the layers.",
 )  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Report, but write nothing.")
+@verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
@@ -102,55 +106,26 @@ def convert(
     """
     from hframe_post.cli import slicer
     from hframe_post.cli.process import processors
-    from hframe_post.conversion.files import GCODE, Target, chosen_format
+    from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
-    from hframe_post.conversion.pipeline import TOLERANCE, Options
-    from hframe_post.errors import HframeError
-    from hframe_post.firmware.registry import firmware as chosen
-    from hframe_post.model.strategies import STRATEGIES
-    from hframe_post.page.build import page
-    from hframe_post.printer.profile import load, played_by
+    from hframe_post.conversion.options import TOLERANCE
     from hframe_post.writers.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
-    try:
-        kind = chosen_format(
-            None if to_stdout else output, asked_format, source if output is None else None
-        )
-    except HframeError as error:
-        raise click.UsageError(str(error)) from None
-    if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:
-        raise click.UsageError("only one of output, JSON and report can go to standard output")
-    if kind not in GCODE:
-        if output is None and not (to_stdout or dry_run):
-            raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
-        if tolerance is not None or every_sample:
-            raise click.UsageError("--tolerance and --every-sample are for G-code")
     html = report_file is not None and report_file.suffix == ".html"
-    if html and str(source) == "-":
-        raise click.UsageError("a page needs a file to read twice, not standard input")
-    profile = load(printer)
-    profile = played_by(profile, firmware or profile.firmware.dialect)
-    if not chosen(profile).decimates and (tolerance is not None or every_sample):
-        raise click.UsageError("--tolerance and --every-sample are for Klipper")
-    if max_error is None and speed_up != 1.0:
-        raise click.UsageError("--speed-up needs --max-error")
-    if max_error is not None and str(source) == "-":
-        raise click.UsageError("--max-error reads the file several times: name one")
-    strategy = compensation or profile.compensation.strategy
-    wanted = {"chosen": ("none", strategy), "all": tuple(STRATEGIES), "off": ()}[predict]
-    options = Options(
-        strategy,
-        tuple(dict.fromkeys(wanted)),
-        limits=limits,
-        extrusion=extrusion,
-        clamp=on_limit == "clamp",
-        tolerance=None if every_sample or kind not in GCODE else tolerance or TOLERANCE,
-    )
+    _check_streams(to_stdout, json_file, report_file, source, html)
+    _check_speed(source, max_error, speed_up)
+    kind = _kind(source, output, to_stdout, asked_format, dry_run)
+    finely = tolerance is not None or every_sample
+    profile = _profile(printer, firmware, kind, finely)
+    options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
+                       None if every_sample else tolerance or TOLERANCE)  # fmt: skip
+    log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")
     found = None
     if max_error is not None:
         found = hastened(source, profile, options, max_error, error_measure, speed_up, model_error)
         profile, options = found.printer, found.options
+        log("the quickest print within the error is found")
     with (
         click.open_file(str(source), "rb") as file,
         Outputs(files_read(source, printer)) as outputs,
@@ -161,9 +136,11 @@ def convert(
         if str(source) != "-":
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
-        report = converted(
-            lines, None if dry_run else target, profile, options, kind, jobs or processors()
-        )
+        jobs = jobs or processors()
+        log(f"conversion to {kind}, --jobs {jobs}")
+        report = converted(lines, None if dry_run else target, profile, options, kind, jobs)
+        log(f"{report.read.lines} lines are converted")
+        log_stages(report.seconds)
         write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
         text = "\n".join(
             [
@@ -176,10 +153,83 @@ def convert(
             ]
         )
         if summary is not None and html:
+            from hframe_post.page.build import page
+
+            log("page: simulation of all strategies")
             file.seek(0)
             name = slicer.shown_name(os.environ, source)
             summary.write(page(file, profile, options, name, text.splitlines()))
         elif summary is not None:
             summary.write(text.encode() + b"\n")
+    log("all files are written")
     if not quiet:
         say(text)
+
+
+def _check_streams(
+    to_stdout: bool, json_file: Path | None, report_file: Path | None, source: Path, html: bool
+) -> None:
+    if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:
+        raise click.UsageError("only one of output, JSON and report can go to standard output")
+    if html and str(source) == "-":
+        raise click.UsageError("a page needs a file to read twice, not standard input")
+
+
+def _check_speed(source: Path, max_error: dict[str, float] | None, speed_up: float) -> None:
+    if max_error is None and speed_up != 1.0:
+        raise click.UsageError("--speed-up needs --max-error")
+    if max_error is not None and str(source) == "-":
+        raise click.UsageError("--max-error reads the file several times: name one")
+
+
+def _kind(
+    source: Path, output: Path | None, to_stdout: bool, asked: str | None, dry_run: bool
+) -> str:
+    """The format of the output. Raises UsageError where it cannot go there."""
+    from hframe_post.conversion.files import GCODE, chosen_format
+    from hframe_post.errors import HframeError
+
+    try:
+        kind = chosen_format(
+            None if to_stdout else output, asked, source if output is None else None
+        )
+    except HframeError as error:
+        raise click.UsageError(str(error)) from None
+    if kind not in GCODE and output is None and not (to_stdout or dry_run):
+        raise click.UsageError(f"{kind} would replace the G-code: name a file with -o")
+    return kind
+
+
+def _profile(printer: str, firmware: str | None, kind: str, finely: bool) -> Printer:
+    """The printer as that firmware plays it. finely: whether it is told how finely to write."""
+    from hframe_post.conversion.files import GCODE
+    from hframe_post.firmware.registry import firmware as chosen
+    from hframe_post.printer.profile import load, played_by
+
+    if finely and kind not in GCODE:
+        raise click.UsageError("--tolerance and --every-sample are for G-code")
+    profile = load(printer)
+    profile = played_by(profile, firmware or profile.firmware.dialect)
+    if finely and not chosen(profile).decimates:
+        raise click.UsageError("--tolerance and --every-sample are for Klipper")
+    return profile
+
+
+def _options(
+    profile: Printer, kind: str, compensation: str | None, predict: str, limits: FileLimits,
+    extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
+) -> Options:  # fmt: skip
+    from hframe_post.conversion.files import GCODE
+    from hframe_post.conversion.options import Options
+    from hframe_post.model.strategies import STRATEGIES
+
+    strategy = compensation or profile.compensation.strategy
+    wanted = {"chosen": ("none", strategy), "all": tuple(STRATEGIES), "off": ()}[predict]
+    return Options(
+        strategy,
+        tuple(dict.fromkeys(wanted)),
+        limits=limits,
+        extrusion=extrusion,
+        clamp=on_limit == "clamp",
+        tolerance=tolerance if kind in GCODE else None,
+    )

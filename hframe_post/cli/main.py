@@ -81,7 +81,12 @@ main.add_command(doctor)
 @main.group(invoke_without_command=True)
 @click.pass_context
 def printers(context: click.Context) -> None:
-    """List the shipped printer profiles."""
+    """List the shipped printer profiles.
+
+    \b
+    Example:
+      hframe-post printers
+    """
     from hframe_post.printer.profile import load, shipped
 
     if context.invoked_subcommand is None:
@@ -92,7 +97,12 @@ def printers(context: click.Context) -> None:
 @printers.command()
 @click.argument("name")
 def show(name: str) -> None:
-    """Print a profile as TOML, to start one's own from."""
+    """Print a profile as TOML, to start one's own from.
+
+    \b
+    Example:
+      hframe-post printers show paper
+    """
     from hframe_post.errors import PrinterError
     from hframe_post.printer.profile import shipped
 

@@ -22,6 +22,7 @@ from hframe_post.cli.options import (
     share,
     source_argument,
 )
+from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.HTML", help="Write a page with a view of the layers by predicted error.",
 )  # fmt: skip
+@verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def simulate(
     source: Path | None, path: str | None, printer: str, limits: FileLimits,
@@ -85,14 +87,18 @@ def simulate(
         Outputs(files_read(source, printer, plant_file)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
+        log(f"profile {printer}; simulation of all strategies")
         report = library.simulate(
             lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
             steps=steps, limits=limits, extrusion=extrusion, clamp=on_limit == "clamp",
         )  # fmt: skip
+        log(f"{report.read.lines} lines are simulated")
+        log_stages(report.seconds)
         write_json({**choice.taken().as_json(), **report.as_json()})
         told = [choice.taken().as_text(), report.as_text(layers)]
         if report_file is not None and source is not None:
             options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
+            log("page: the simulation once more")
             with source.open("rb") as again:
                 outputs.open(report_file).write(
                     page(again, profile, options, source.name, told[:1], simulated)

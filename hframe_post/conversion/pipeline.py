@@ -30,6 +30,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import pace
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import shifted
+from hframe_post.stream.timing import StageTimes, joined
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
 from hframe_post.writers.deferred import SUMMARY, Output, later
@@ -47,14 +48,17 @@ class _Source:
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._lines, self._printer, self._options = lines, printer, options
         self._input, self._path = InputMeter(), PathMeter(printer.limits)
+        self._times = StageTimes()
 
     def spans(self) -> Spans:
         """To be computed one after the other. Raises HframeError."""
         reading = ReadOptions.of(self._printer, self._options.limits, self._options.extrusion)
         items = self._input.items(read(self._input.lines(self._lines), reading))
+        items = self._times.of("read", items)
         if self._options.paces is not None:
             items = pace(items, self._options.paces)
-        return Spans(plan(self._path.items(items), self._printer.limits))
+        planned = plan(self._path.items(items), self._printer.limits)
+        return Spans(self._times.of("plan", planned))
 
     def report(self, seen: SpanSummary) -> Report:
         """What the stages saw. Raises HframeError where the prediction cannot be right."""
@@ -62,7 +66,7 @@ class _Source:
             check_prediction(seen.contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary, seen.time, seen.peaks,
-            seen.clamped, seen.contour,
+            seen.clamped, seen.contour, seconds=joined(self._times.seconds, seen.seconds),
         )  # fmt: skip
 
     def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:

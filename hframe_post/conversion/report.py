@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hframe_post.compensation.guard import Clamped, Peaks
@@ -29,7 +29,8 @@ class Report:
     """What one conversion did: the summaries of its stages. Lengths in mm.
 
     lines_written, filament_after: None where nothing is written; busiest_second: most lines of
-    motion in a second, of the lines_per_second that the firmware can take.
+    motion in a second, of the lines_per_second that the firmware can take. seconds: of the
+    processor, by stage; no two conversions agree in them.
     """
 
     strategy: str
@@ -44,6 +45,7 @@ class Report:
     busiest_second: int = 0
     lines_per_second: float = math.inf
     steps: StepReport | None = None
+    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     def as_json(self) -> dict[str, Any]:
         """Everything, ready for ``json.dumps``."""

@@ -53,7 +53,8 @@ class SpanWriter:
         result = WrittenSpan(())
 
         def output() -> Iterator[Output]:
-            yield from writer.write(stages.judged(stages.computed(span.items), threads))
+            judged = stages.judged(stages.computed(span.items), threads)
+            yield from stages.times.of("write", writer.write(judged))
             result.seen, result.written = stages.summary, writer.summary
 
         result.output = output()

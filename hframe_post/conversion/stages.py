@@ -17,6 +17,7 @@ from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.prefetch import prefetch
+from hframe_post.stream.timing import StageTimes, joined
 from hframe_post.stream.types import Planned, Samples
 
 
@@ -24,7 +25,8 @@ from hframe_post.stream.types import Planned, Samples
 class SpanSummary:
     """What the stages saw of a span, or of several.
 
-    samples: all; resting: those in which the path stands for the command's sake.
+    samples: all; resting: those in which the path stands for the command's sake. seconds: of the
+    processor, by stage.
     """
 
     samples: int = 0
@@ -32,6 +34,7 @@ class SpanSummary:
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
 
     @property
     def time(self) -> PrintTime:
@@ -56,6 +59,7 @@ class SpanSummary:
         )
         for name, errors in later.contour.items():
             self.contour.setdefault(name, ContourErrors()).join(errors)
+        self.seconds = joined(self.seconds, later.seconds)
 
 
 class Stages:
@@ -77,26 +81,27 @@ class Stages:
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked)
         self._clock, self._errors = Clock(), ErrorMeter(printer.plant)
+        self.times = StageTimes()
 
     def computed(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """The commands as they are computed, the first sample being 0; neither judged nor timed."""
-        options, limits = self._options, self._printer.limits
+        options, limits, times = self._options, self._printer.limits, self.times
         waits = rests(self._printer.compensation.stops, options.strategy)
-        samples = sample(items, limits, waits)
+        samples = times.of("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = stand(commands, self._solvers)
+        commands = stand(times.of("compensate", commands), self._solvers)
         furthest = reach(self._printer.plant, limits)
-        commands = within_reach(commands, options.strategy, furthest)
+        commands = within_reach(times.of("stand", commands), options.strategy, furthest)
         if options.clamp:
             commands = self._clamp.limit(commands, options.strategy)
-        return self._guard.check(commands, options.strategy)
+        return times.of("guard", self._guard.check(commands, options.strategy))
 
     def judged(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Commands on their way to the output; threads: one computes them, one predicts."""
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
-            commands = self._errors.samples(commands)
+            commands = self.times.of("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
         return self._clock.samples(commands)
 
@@ -105,5 +110,5 @@ class Stages:
         """Of what has passed."""
         return SpanSummary(
             self._clock.end, self._clock.resting, self._guard.peaks, self._clamp.clamped,
-            self._errors.contour,
+            self._errors.contour, self.times.seconds,
         )  # fmt: skip

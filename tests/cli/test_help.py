@@ -1,19 +1,49 @@
-"""``--help`` of each command: an example, and every option explained."""
+"""``--help`` of each command: an example that would be taken, and every option explained."""
 
 from __future__ import annotations
+
+import re
+import shlex
 
 import click
 import pytest
 
 from hframe_post.cli.main import main
 
-COMMANDS = {name: each for name, each in main.commands.items() if name != "printers"}
+EXAMPLE = re.compile(r"^ *hframe-post (.+?)(?:  .*)?$", re.MULTILINE)
+
+
+def commands(group: click.Group, name: str = "") -> dict[str, click.Command]:
+    """All of them, by the words that call them; groups, too."""
+    found: dict[str, click.Command] = {}
+    for word, command in group.commands.items():
+        found[f"{name} {word}".strip()] = command
+        if isinstance(command, click.Group):
+            found |= commands(command, f"{name} {word}".strip())
+    return found
+
+
+COMMANDS = commands(main)
+
+
+def called(words: list[str]) -> tuple[click.Command, list[str]]:
+    """The command of an example, and its arguments."""
+    for length in (2, 1):
+        if (name := " ".join(words[:length])) in COMMANDS:
+            return COMMANDS[name], words[length:]
+    return COMMANDS["convert"], words
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_has_an_example_and_says_what_options_do(name: str) -> None:
     command = COMMANDS[name]
-    assert f"hframe-post {name}" in str(command.help) or "hframe-post in.gcode" in str(command.help)
+    examples = EXAMPLE.findall(str(command.help))
+    assert examples
+    assert command in [called(shlex.split(example))[0] for example in examples]
+    for example in examples:
+        chosen, words = called(shlex.split(example))
+        known = {option for parameter in chosen.params for option in parameter.opts}
+        assert {word for word in words if word.startswith("-")} <= {*known, "--help"}
     for parameter in command.params:
         if isinstance(parameter, click.Option):
             assert parameter.help, parameter.name

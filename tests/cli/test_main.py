@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pty
+import re
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,16 @@ def test_prediction_can_be_off_and_of_the_chosen_strategy(part: Path) -> None:
     assert json.loads(off.stdout)["contour_error_um"] == {}
     fbs = run(part, "--dry-run", "-c", "fbs", "--json", "-", "-q")
     assert set(json.loads(fbs.stdout)["contour_error_um"]) == {"none", "fbs"}
+
+
+@pytest.mark.parametrize("command", [["convert", "-n"], ["simulate"]])
+def test_verbose_logs_stages_and_their_time(command: list[str]) -> None:
+    done = run(*command, RECTANGLE, "-v", "-q")
+    told = re.findall(r"^ +([0-9.]+) s +(\S+)(.*)$", done.stderr.decode(), re.MULTILINE)
+    stages = [stage for _, stage, more in told if "of the processor" in more]
+    assert stages[:5] == ["read", "plan", "sample", "compensate", "stand"]
+    assert [float(at) for at, *_ in told] == sorted(float(at) for at, *_ in told)
+    assert run(*command, RECTANGLE, "-q").stderr == b""
 
 
 def test_dry_run_writes_nothing(part: Path) -> None:
@@ -180,12 +191,18 @@ def test_diverging_window_is_refused_with_its_radius(tmp_path: Path) -> None:
     assert b"spectral radius 2.21" in done.stderr
 
 
-def test_progress_shows_on_a_terminal_only(tmp_path: Path) -> None:
+@pytest.mark.parametrize("plain", ["", "1"])
+def test_progress_shows_on_a_terminal_only_and_in_colours_if_these_are_wanted(
+    tmp_path: Path, plain: str
+) -> None:
     part = tmp_path / "long.gcode"
     part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 5_000)
     ours, theirs = pty.openpty()
     arguments = [sys.executable, "-m", "hframe_post", str(part), "-n"]
-    done = subprocess.run(arguments, stderr=theirs, stdout=subprocess.PIPE, check=False)
+    environ = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "120", "NO_COLOR": plain}
+    done = subprocess.run(
+        arguments, stderr=theirs, stdout=subprocess.PIPE, check=False, env=environ
+    )
     os.close(theirs)
     shown = b""
     with contextlib.suppress(OSError):  # the terminal's end
@@ -194,4 +211,7 @@ def test_progress_shows_on_a_terminal_only(tmp_path: Path) -> None:
     os.close(ours)
     assert done.returncode == 0
     assert b"100%" in shown
+    assert re.search(rb"[kM]B/s", shown)
+    assert re.search(rb"\d:\d\d:\d\d", shown)  # left
+    assert bool(re.search(rb"\x1b\[[0-9;]*3[0-9]", shown)) is not bool(plain)
     assert b"100%" not in run(part, "-n").stderr
