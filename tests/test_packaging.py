@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -20,41 +21,65 @@ from tests.conftest import ROOT, SAMPLES
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 
+@pytest.fixture
+def wheel(tmp_path: Path) -> Path:
+    """Built from the source distribution, so that holds all that is needed, too."""
+    build = [sys.executable, "-W", "error", "-m", "build", "-q", "--outdir", str(tmp_path)]
+    subprocess.run([*build, str(ROOT)], check=True)
+    assert len(list(tmp_path.glob("*.tar.gz"))) == 1
+    (found,) = tmp_path.glob("*.whl")
+    return found
+
+
 @pytest.mark.slow
-def test_wheel_converts_the_sample(tmp_path: Path) -> None:
-    """Unpacked elsewhere, beside the dependencies that are installed here."""
-    build = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "-q",
-        "--no-deps",
-        "-w",
-        str(tmp_path),
-        str(ROOT),
-    ]
-    subprocess.run(build, check=True)
-    (wheel,) = tmp_path.glob("*.whl")
+def test_the_wheel_converts_the_sample_in_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as packed:
-        names = set(packed.namelist())
-        packed.extractall(tmp_path / "site")
+        names = {name for name in packed.namelist() if name.startswith("hframe_post/")}
     source = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "hframe_post").rglob("*")
         if path.is_file() and path.suffix != ".pyc"
     }
     built = {name for name in names | source if "/_kernels." in name}
-    assert {name for name in names if name.startswith("hframe_post/")} - built == source - built
+    assert names - built == source - built
     assert (names & built) or shutil.which("cc") is None
-    assert "hframe_post/py.typed" in names
-    target = tmp_path / "out.gcode"
-    convert = [sys.executable, "-m", "hframe_post", str(SAMPLES / "rectangle.gcode")]
-    subprocess.run(
-        [*convert, "-q", "-o", str(target)],
-        check=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
-    )  # fmt: skip
-    assert target.stat().st_size > 0
+    venv.create(tmp_path / "venv", with_pip=True)
+    programs = tmp_path / "venv" / "bin"
+    environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run([programs / "pip", "install", "-q", wheel], check=True, env=environ)
+    converts(programs / "hframe-post", tmp_path)
+    told = subprocess.run([programs / "hframe-post", "doctor"], check=True, env=environ,
+                          capture_output=True, text=True, cwd=tmp_path).stdout  # fmt: skip
+    assert f"runs from {tmp_path}" in told
+    assert "all is well" in told
+
+
+def converts(program: Path, folder: Path) -> None:
+    """That program does what this tree does, in several processes and for several files."""
+    environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    cube, rectangle = SAMPLES / "cube.gcode", SAMPLES / "rectangle.gcode"
+    whole: list[str | Path] = [program, cube, "-q", "-o", folder / "cube.gcode", "--jobs", "2"]
+    subprocess.run(whole, check=True, env=environ, cwd=folder)
+    here = [sys.executable, "-m", "hframe_post", str(cube), "-q", "-o", str(folder / "here.gcode")]
+    subprocess.run(here, check=True)
+    assert (folder / "cube.gcode").read_bytes() == (folder / "here.gcode").read_bytes()
+    batch: list[str | Path] = [program, "batch", rectangle, "-q", "-d", folder / "out"]
+    subprocess.run(batch, check=True, env=environ, cwd=folder)
+    assert (folder / "out" / rectangle.name).read_bytes().startswith(b"; processed by hframe-post")
+
+
+@pytest.mark.slow
+def test_the_single_file_needs_no_python(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, ROOT / "tools" / "single_file.py", tmp_path], check=True)
+    program = tmp_path / "hframe-post"
+    assert program.stat().st_size < 100e6
+    for arguments in (["--version"], ["printers"], ["doctor"]):
+        empty = {"PATH": "", "HOME": str(tmp_path)}
+        subprocess.run([program, *arguments], check=True, env=empty, cwd=tmp_path)
+    converts(program, tmp_path)
+    part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
+    subprocess.run([program, part, "-n", "-q", "--report", report], check=True)
+    assert b"unpacking" in report.read_bytes()
 
 
 IMPORTED_AS = {"pybgcode": "pybgcode-jneilliii"}

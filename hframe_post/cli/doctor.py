@@ -13,9 +13,10 @@ import click
 
 from hframe_post.cli import choice
 from hframe_post.cli.options import printer_option
+from hframe_post.version import __version__
 
-PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
-EXTRAS = ("matplotlib", "pyarrow", "zstandard")
+PACKAGES = ("click", "numpy", "scipy", "ruckig", "rich", "tomlkit", "threadpoolctl", "platformdirs")
+EXTRAS = ("matplotlib", "pyarrow", "zstandard", "watchfiles", "distributed")
 
 
 class _Told:
@@ -64,8 +65,6 @@ def doctor(context: click.Context, printer: str, config: Path | None, folder: Pa
 
 
 def _installation(told: _Told) -> None:
-    from hframe_post.version import __version__
-
     told.ok(
         f"hframe-post {__version__}, Python {platform.python_version()}, {platform.platform()}, "
         f"{os.cpu_count()} processors"
@@ -77,7 +76,8 @@ def _installation(told: _Told) -> None:
         if not found[name]:
             told.bad(f"the package {name} is missing: install hframe-post again")
     if absent := [name for name in EXTRAS if not found[name]]:
-        told.note(f"not installed, needed for figures or some formats only: {', '.join(absent)}")
+        names = ", ".join(absent)
+        told.note(f"not installed; figures, some formats, --watch and --scheduler need: {names}")
 
 
 def _version(name: str) -> str:
@@ -109,6 +109,11 @@ def _profile(told: _Told, printer: str, config: Path | None) -> None:
         prepared(profile)
     except HframeError as error:
         told.bad(str(error))
+        if "unknown key" in str(error):
+            told.note(
+                f"hframe-post {__version__} does not know that key: if a newer one wrote the "
+                "profile, install that; if an older one did, CHANGELOG.md says what became of it"
+            )
         return
     told.ok(f"profile {printer} ({chosen.why}): {profile.description or 'no description'}")
     if printer in shipped():

@@ -32,6 +32,20 @@ def test_a_wrong_printer_cfg_is_status_1_with_each_difference(tmp_path: Path) ->
     assert b"hframe-post 0" in done.stdout
 
 
+def test_an_older_profile_is_read_and_a_newer_one_is_told_of(tmp_path: Path) -> None:
+    older, newer = tmp_path / "older.toml", tmp_path / "newer.toml"
+    own = tmp_path / "own.toml"
+    assert run("printers", "new", "-o", own, "--printer-cfg", REAL).returncode == 0
+    older.write_text(own.read_text().replace("[firmware.klipper]", "[firmware.restore]"))
+    assert "[firmware.restore]" in older.read_text()
+    assert run("doctor", "-p", older, "--printer-cfg", REAL).returncode == 0
+    newer.write_text('extends = "paper"\n[limits]\ncurvature = 3\n')
+    done = run("doctor", "-p", newer)
+    assert done.returncode == 1
+    assert b"limits.curvature: unknown key" in done.stdout
+    assert b"if a newer one wrote the profile, install that" in done.stdout
+
+
 def test_what_else_can_be_wrong(tmp_path: Path) -> None:
     (tmp_path / "no.cfg").write_text("[printer")
     assert b"WRONG  " in run("doctor", "--printer-cfg", tmp_path / "no.cfg").stdout
