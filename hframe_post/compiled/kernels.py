@@ -20,6 +20,7 @@ BUILT_FOR = 1  # as in kernels.h: raised whenever a signature changes
 
 _D, _I = ctypes.c_double, ctypes.c_int64
 _FLOATS, _INTEGERS, _BYTES = "float64", "int64", "uint8"
+_ADDRESS = ctypes.c_void_p  # of an array that is handed over many times
 _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "breakpoints": (
         _FLOATS, _BYTES, _I, _D, _D, _D, _D, _INTEGERS, _FLOATS, _BYTES,
@@ -27,6 +28,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "contour_error": (
         _FLOATS, _FLOATS, _I, _FLOATS, _FLOATS, _INTEGERS, _I, _I, _I, _D, _FLOATS, _INTEGERS,
     ),
+    "plain_moves": (ctypes.c_char_p, _I, _I, _I, _I, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),
     "path_lengths": (_FLOATS, _I, _I, _I, _D, _D, _FLOATS),
     "follow": (_FLOATS, _FLOATS, _I, _FLOATS, _I, _FLOATS, _INTEGERS),
     "fitted": (_FLOATS, _I, _INTEGERS, _I, _I, _FLOATS, _FLOATS),

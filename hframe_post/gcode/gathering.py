@@ -20,31 +20,64 @@ from hframe_post.stream.types import (
     frozen,
 )
 
+MOVES_PER_ITEM = 4096
 LONGEST_MOVE = 4 * 3600.0  # s; a move that takes longer is a mistake, and would never end
 CARRIED_AT_ONCE = 1 << 21  # bytes of lines between two moves that are carried without a stop
 PER_LINE = 200  # bytes that a carried line takes beside its text
 
 
 class Gathering:
-    """Rows of the moves gathered since the last item, and items that are ready in ``out``."""
+    """The moves gathered since the last item, and items that are ready in ``out``."""
 
     def __init__(self, limits: RequestedLimits) -> None:
         self._limits = limits
         self._start: Position = (0.0, 0.0, 0.0, 0.0)
-        self._rows: list[tuple[float, ...]] = []
+        self._count = 0
+        self._rows: list[tuple[float, ...]] = []  # the last of them
+        self._tables: list[Array] = []  # those before
         self._marks: list[Mark] = []
         self._carried = 0  # bytes since the last move or stop
         self.out: list[Item] = []
 
-    def __len__(self) -> int:
-        return len(self._rows)
+    @property
+    def room(self) -> int:
+        """How many moves more make an item."""
+        return MOVES_PER_ITEM - self._count
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Acceleration and square-corner velocity that hold for the next moves."""
+        return self._limits.acceleration, self._limits.corner
 
     def travel(self, number: int, start: Position, end: Position, speed: float) -> None:
         """A move in which x or y travels joins the gathered ones, under the present limits."""
-        if not self._rows:
+        self._begin(start)
+        self._count += 1
+        self._rows.append((number, *end, speed, self._limits.acceleration, self._limits.corner))
+        if not self.room:
+            self.flush()
+
+    def travels(self, start: Position, moves: Array) -> None:
+        """Such moves (k, 8), no more than there is room for.
+
+        Source line, x, y, z, e at the end, speed and ``limits`` of each.
+        """
+        self._begin(start)
+        self._tabulate()
+        self._count += len(moves)
+        self._tables.append(moves)
+        if not self.room:
+            self.flush()
+
+    def _begin(self, start: Position) -> None:
+        if not self._count:
             self._start = start
         self._carried = 0
-        self._rows.append((number, *end, speed, self._limits.acceleration, self._limits.corner))
+
+    def _tabulate(self) -> None:
+        if self._rows:
+            self._tables.append(np.array(self._rows))
+            self._rows = []
 
     def stand(self, move: Standing) -> None:
         """A move in which x and y stand ends the gathered ones. Raises GcodeError."""
@@ -64,8 +97,8 @@ class Gathering:
         self._carried += len(item.text) + PER_LINE
         if self._carried > CARRIED_AT_ONCE:
             item = replace(item, handling=Handling.RELEASE)
-        if item.handling is Handling.CARRY and self._rows:
-            self._marks.append(Mark(len(self._rows), item.text))
+        if item.handling is Handling.CARRY and self._count:
+            self._marks.append(Mark(self._count, item.text))
             return
         if item.handling is Handling.RELEASE:
             self._carried = 0
@@ -77,9 +110,10 @@ class Gathering:
 
         Raises GcodeError where a move would take too long.
         """
-        if not self._rows:
+        if not self._count:
             return
-        table = np.array(self._rows)
+        self._tabulate()
+        table = np.concatenate(self._tables)
         points = np.vstack([self._start, table[:, 1:5]])
         speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
         line = table[:, 0].astype(np.int64)
@@ -90,7 +124,7 @@ class Gathering:
                 tuple(self._marks),
             )
         )  # fmt: skip
-        self._rows, self._marks = [], []
+        self._count, self._tables, self._marks = 0, [], []
 
 
 def _check_end(points: Array, speed: Array, line: Integers) -> None:

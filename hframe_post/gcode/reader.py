@@ -39,11 +39,9 @@ from hframe_post.gcode.lexer import (
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, PlainMoves
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
-MOVES_PER_ITEM = 4096
-FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
-MOST_FILAMENT = 1e4  # mm of one move
 LONGEST_DWELL = 24 * 3600.0  # s
 MOST_TURNS = 100  # of an arc
 AT_THE_START = "the start"  # why the first moves' place is unknown
@@ -56,7 +54,7 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
     """
     source = Lines(lines, options.dialect.cr_ends_lines)
     reader = _Reader(options, source)
-    out = reader.items.out
+    out, plain = reader.items.out, reader.plain
     for line in source:
         match = PLAIN_MOVE.match(line.text)
         if match is None:
@@ -64,6 +62,9 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
         else:
             reader.plain_move(line, match.groups())
         if out:
+            yield from out
+            out.clear()
+        while plain.take():
             yield from out
             out.clear()
     reader.finish(source.number)
@@ -83,6 +84,7 @@ class _Reader:
         self._moved = self._ran_macro = self._in_object = False
         self._cause = AT_THE_START
         self.items = Gathering(self._limits)
+        self.plain = PlainMoves(source, self._place, self._feed, self._bed, self.items)
 
     # ------------------------------------------------------------------ moves
 
@@ -143,8 +145,6 @@ class _Reader:
                 self._bed.check(line, axis, new[axis])
         self.items.travel(line.number, self._place.position, new, self._feed.speed)
         self._place.position = new
-        if len(self.items) >= MOVES_PER_ITEM:
-            self.items.flush()
 
     def _as_it_stands(
         self, line: Line, new: Position, path: float, words: tuple[Word, Word, Word]
@@ -344,6 +344,6 @@ class _Reader:
         """The end of the file: what is gathered, and the modes to leave behind."""
         if not number:
             raise GcodeError("the file is empty")
-        if not self._moved:
+        if not (self._moved or self.plain.taken):
             raise GcodeError("there is not a single move in this file", number)
         self._passthrough(Line(number, b""), Handling.RELEASE)

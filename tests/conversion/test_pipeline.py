@@ -15,7 +15,7 @@ from hframe_post.conversion.meters import InputMeter
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.gcode import reader
+from hframe_post.gcode import gathering
 from hframe_post.gcode.options import FileLimits
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
@@ -105,7 +105,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     options = Options("racking", ("none", "racking"))
     whole, report = converted(lines, paper, options)
     for moves, samples in cuts:
-        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut, cut_report = converted(lines, paper, options)
         assert cut == whole

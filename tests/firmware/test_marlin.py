@@ -18,7 +18,7 @@ from hframe_post.firmware.marlin import Marlin
 from hframe_post.firmware.marlin_planner import PLANNERS
 from hframe_post.firmware.player import Dwelling
 from hframe_post.firmware.registry import player
-from hframe_post.gcode import reader
+from hframe_post.gcode import gathering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
@@ -247,7 +247,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     whole = converted(lines, marlin)[0]
     assert converted(lines, marlin)[0] == whole
     for moves, samples in cuts:
-        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         assert converted(lines, marlin)[0] == whole
 

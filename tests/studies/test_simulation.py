@@ -11,7 +11,7 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError
-from hframe_post.gcode import reader
+from hframe_post.gcode import gathering
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner import sampling
 from hframe_post.prediction.labels import BEFORE, TRAVEL
@@ -104,7 +104,7 @@ def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)
     whole = simulated(sample("rectangle.gcode"), study)
     for moves, samples in [(1, 7), (7, 100), (100, 10_000)]:
-        monkeypatch.setattr(reader, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut = simulated(sample("rectangle.gcode"), study)
         assert cut.parts.layers.keys() == whole.parts.layers.keys()
