@@ -11,7 +11,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
-from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, coordinates, plain
+from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, Stroke, coordinates, plain
 from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -153,7 +153,7 @@ class Klipper:
         ends = breakpoints(points, forced, self.tolerance)
         return ends, fitted(points, ends)
 
-    def least_times(self, at: Array, T: Array) -> Array:
+    def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """All of it."""
         return T
 
@@ -164,6 +164,10 @@ class Klipper:
     def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
         """Ramps and limits in mind."""
         return durations(np.diff(at, axis=0), v, rest, before, self.limits)
+
+    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+        """From rest to rest, as asked."""
+        return Stroke(speed, seconds)
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """G4, beside a lift even of no time.

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin_planner import PLANNERS, Blocks, Planner, Timer
 from hframe_post.firmware.marlin_segments import most_steps, motor_steps, segment_ends
-from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, coordinates, plain
+from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, Stroke, coordinates, plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
@@ -27,6 +28,12 @@ from hframe_post.stream.types import ModalState
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; corners are the stream's business
+RIGHT_ANGLE = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))  # junction deviation: v² = this·J·a
+TURNED = 2.0**0.25  # times the speed into a stroke is that out of it: both axes are at the limit
+STRAIGHT = 0.999999  # cosine of the angle between two blocks
+FIRST = 11.0  # mm/s, of the first segment from rest: 10 to 14 in the samples
+ROUNDS = 3  # of a stroke's speed
+SLOWEST = 0.5  # of the user's speed, that a retraction or lift is given
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 SPARED = 0.9  # of the lines that a board can take in a second; at all of them it stutters
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # unshaped, in either's words; off
@@ -67,7 +74,7 @@ class Marlin:
         a, v = plain(self._acceleration, 0), plain(self._velocity, 0)
         start = [
             "M400", "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
-            f"M204 P{a} T{a}", f"M205 B0 S0 T0 {self._corners(False)}",
+            f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self._corners(False)}",
         ]  # fmt: skip
         return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
@@ -80,7 +87,8 @@ class Marlin:
         least = f"S{plain(own.min_velocity, 3)} T{plain(own.min_travel_velocity, 3)}"
         lines = [
             "M400", f"M201 {acceleration}", f"M203 {velocity}",
-            f"M204 P{plain(own.acceleration, 3)} T{plain(own.travel_acceleration, 3)}",
+            f"M204 P{plain(own.acceleration, 3)} T{plain(own.travel_acceleration, 3)}"
+            f"{self._retract(True)}",
             f"M205 B{plain(own.min_segment_time * 1e6, 0)} {least} {self._corners(True)}",
         ]  # fmt: skip
         if own.linear_advance:
@@ -113,17 +121,56 @@ class Marlin:
         return b"G92 E0\n"
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
-        """None is made, nor made up for; a lift or a retraction begins as the user's would.
+        """None is made: what a stroke leaves, motion makes up for, and standstill is left out."""
+        return None if beside is not Dwelling.MOTION else (b"", seconds)
 
-        With the stream's corners a retraction would begin at its full speed. z keeps its jerk.
+    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+        """Between the speeds of the user's corners, and slower by as much as that saves.
+
+        With the stream's corners it would begin and end at full speed. z keeps its own jerk.
         """
-        own, line = self.own, b""
-        before = beside in (Dwelling.BEFORE_LIFT, Dwelling.BEFORE_RETRACTION)
-        if beside is not Dwelling.MOTION and not own.classic_jerk:
-            line = b"M205 %s\n" % self._corners(users=before).encode()
-        elif beside is not Dwelling.MOTION and not beside.lifts:
-            line = b"M205 E%s\n" % plain(own.jerk_e if before else JERK, 3).encode()
-        return line, seconds
+        blocks, lifts = self._blocks(at), bool(at[0, Z] != at[1, Z])
+        n, d, a = (float(each[0]) for each in blocks[:3])
+        a *= d / n
+        if self.own.classic_jerk:
+            corner = 0.0 if lifts else self.own.jerk_e
+        else:
+            corner = math.sqrt(RIGHT_ANGLE * self.own.junction_deviation * a)
+        v = speed
+        for _ in range(ROUNDS):
+            v_s, v_e = self._stroke_ends(corner, v)
+            S = a * wanted + v_s + v_e
+            root = S * S - 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
+            v = (S - math.sqrt(root)) / 2.0 if root > 0.0 else speed
+            v = min(max(v, SLOWEST * speed), speed)
+        v_s, v_e = self._stroke_ends(corner, v)
+        ramped = ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)
+        taken = (d + ramped) / v
+        if not self._fixed_time:  # what rounding to whole ticks adds, where speed is constant
+            cruise = max(d - (2.0 * v * v - v_s * v_s - v_e * v_e) / (2.0 * a), 0.0)
+            step = self._timer.step(np.ceil(v * blocks.n / blocks.d))
+            taken += cruise * (float(step[0]) * n / d - 1.0 / v)
+        words = self._stroke_corners(True, lifts), self._stroke_corners(False, lifts)
+        lines = (f"M205 {word}\n".encode() if word else b"" for word in words)
+        return Stroke(v, taken, TURNED * corner, *lines)
+
+    def _stroke_ends(self, corner: float, v: float) -> tuple[float, float]:
+        """Speeds at which a retraction or a lift at speed v begins and ends.
+
+        In fixed-time motion it ends at the speed of what follows, even of a faster segment.
+        """
+        return min(corner, v), max(corner, FIRST) if self._fixed_time else min(corner, v)
+
+    def _stroke_corners(self, users: bool, lifts: bool) -> str:
+        """Words of M205 by which a retraction or a lift differs from the stream."""
+        if not self.own.classic_jerk:
+            return self._corners(users)
+        return "" if lifts else f"E{plain(self.own.jerk_e if users else JERK, 3)}"
+
+    def _retract(self, users: bool) -> str:
+        """Word of M204 by which retractions have the acceleration that they are planned with."""
+        own = self.own.retract_acceleration
+        return f" R{plain(own if users else self.limits.extruder_acceleration, 3)}" if own else ""
 
     def _corners(self, users: bool) -> str:
         """Words of M205 that set what corners may do."""
@@ -157,9 +204,9 @@ class Marlin:
 
     # ------------------------------------------------------------------ feed rates
 
-    def least_times(self, at: Array, T: Array) -> Array:
-        """No longer than the slowest steps take."""
-        return np.minimum(T, self._blocks(at).n / self._planner.least_rate)
+    def possible_times(self, at: Array, T: Array, before: float) -> Array:
+        """No longer than the slowest steps take, no shorter than the first of them from rest."""
+        return self._planner.possible(self._blocks(at), T, before)
 
     def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
         """Ramps, whole rates and whole ticks in mind."""
@@ -186,17 +233,35 @@ class Marlin:
     def _blocks(self, at: Array) -> Blocks:
         """What Marlin makes of segments between positions at (k + 1, 4)."""
         cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)
-        xy = most_steps(motor_steps(cells, self.kinematics))
+        motors = motor_steps(cells, self.kinematics)
+        xy = most_steps(motors)
         z, e = (np.abs(np.diff(np.rint(at[:, axis] / mm)))
                 for axis, mm in ((Z, self.steps.z), (E, self.steps.e)))  # fmt: skip
         n = np.maximum.reduce([xy, z, e, np.ones(len(xy))])
         moved = np.diff(at[:, :E], axis=0)
         moved[:, :Z] = np.diff(cells, axis=0) * self.steps.belt
         d = np.sqrt(np.square(moved).sum(axis=1))
+        d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), self.steps.belt))
         with np.errstate(divide="ignore"):
             a = np.minimum(
                 self.limits.z_acceleration / self.steps.z * n / z,
                 self.limits.extruder_acceleration / self.steps.e * n / e,
             )
         a = np.minimum(a, self._acceleration / self.steps.belt)
-        return Blocks(n, np.maximum(d, self.steps.belt), a)
+        way = np.column_stack([motors * self.steps.belt, np.diff(at[:, Z:], axis=0)])
+        return Blocks(n, d, a, self._corner_speeds(way, a * d / n))
+
+    def _corner_speeds(self, way: Array, a: Array) -> Array:
+        """At which blocks that go ``way`` (k, 4) may be passed, (k + 1,), mm/s: the ends are free.
+
+        way: mm of the motors, of z and of filament; a (k,): acceleration along the path. The
+        stream's junction deviation hinders nothing but going straight back, where Marlin stops.
+        """
+        free = np.full(1, math.inf)
+        if self.own.classic_jerk or len(way) < 2:
+            return np.full(len(way) + 1, math.inf)
+        unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
+        cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
+        sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -STRAIGHT, STRAIGHT)))
+        v2 = JUNCTION_DEVIATION * a[1:] * sin_half / (1.0 - sin_half)
+        return np.concatenate([free, np.where(cosine > STRAIGHT, 0.0, np.sqrt(v2)), free])

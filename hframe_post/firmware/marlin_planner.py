@@ -20,6 +20,7 @@ motion of such builds, with the trapezoidal trajectory and no shaper.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,16 +32,21 @@ from hframe_post.firmware import ramps
 ROUNDS = 3  # of the rates' dependence on their neighbours'
 GOLDEN = (5.0**0.5 - 1.0) / 2.0  # its multiples fall evenly between whole numbers
 FASTEST = 3.0  # times a block's mean rate, asked for to make up for its ramps
+TOP = 0.9  # of that, from which a rate is no longer free
 MOST_LOST = 0.01  # share of time that rounding can lose
 ROUNDING = 0.05  # share of a block's time, beyond which it is not rounding that is late
 
 
 class Blocks(NamedTuple):
-    """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²)."""
+    """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
+
+    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed, or one for all.
+    """
 
     n: Array
     d: Array
     a: Array
+    corners: Array | float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +69,11 @@ class Timer:
     def ticks(self, rate: Array) -> Array:
         """What the timer is told for interrupts (k,) a second."""
         return np.floor(self.hz / rate)
+
+    def step(self, rate: Array) -> Array:
+        """How long a step takes, (k,), at rates (k,) that do not change."""
+        shares = self.interrupts(rate)
+        return shares * self.seconds(self.ticks(rate * shares))
 
     def seconds(self, ticks: Array) -> Array:
         """How long an interval of that many ticks takes."""
@@ -87,38 +98,53 @@ class Planner:
         """At which a block may begin, steps/s."""
         return 1.0 if self.development else 120.0
 
+    def possible(self, blocks: Blocks, T: Array, before: float) -> Array:
+        """Times (k,) as near to T (k,) as blocks can last; before: see ``Player``."""
+        n = blocks.n
+        T = np.minimum(T, n / self.least_rate)
+        if not self.whole_rates:
+            return T
+        for _ in range(ROUNDS):
+            shortest = self._unrounded_times(blocks, FASTEST * n / T, before)
+            if (shortest <= T).all():
+                break
+            T = np.maximum(T, shortest)
+        return T
+
     def feed_rates(self, blocks: Blocks, T: Array, before: float, timer: Timer) -> Array:
         """Speeds (k,), mm/s, at which blocks take the time T (k,); before: see ``Player``."""
-        n, d, _ = blocks
+        n, d, *_ = blocks
         if not self.whole_rates:
-            a, corners, least = self._trapezoids(blocks)
-            return ramps.speeds(d, T, a, corners, before, least)
+            a, least = self._trapezoids(blocks)
+            return ramps.speeds(d, T, a, blocks.corners, before, least)
         rate, lost = n / T, 0.0
         for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
             for _ in range(ROUNDS):
-                rate *= self._block_times(blocks, rate, before, UNROUNDED) / (T * (1.0 - lost))
+                rate *= self._unrounded_times(blocks, rate, before) / (T * (1.0 - lost))
                 rate = np.clip(rate, n / T / FASTEST, n / T * FASTEST)  # ramps may be too long
             whole = _dithered(rate, timer)
-            late = self._block_times(blocks, whole, before, timer) - T
-            late[np.abs(late) > ROUNDING * T] = 0.0  # a ramp that has no rate to fit
+            v = (whole - 0.5) * d / n  # Marlin rounds up
+            late = self._block_times(blocks, v, whole, before, timer) - T
+            no_rate_fits = (np.abs(late) > ROUNDING * T) | (rate > TOP * FASTEST * n / T)
+            late[no_rate_fits] = 0.0
             lost = min(max(lost + float(late.sum() / T.sum()), -MOST_LOST), MOST_LOST)
-        return np.asarray((whole - 0.5) * d / n)  # Marlin rounds up
+        return np.asarray(v)
 
     def durations(self, blocks: Blocks, v: Array, before: float, timer: Timer) -> Array:
         """Time (k,) of blocks at speeds v (k,), mm/s.
 
         Whether the first begins at rest is not known, nor needed.
         """
-        n, d, _ = blocks
+        n, d, *_ = blocks
         if not self.whole_rates:
-            a, corners, least = self._trapezoids(blocks)
-            return ramps.durations(d, v, a, corners, before, least)
-        return self._block_times(blocks, np.ceil(v * n / d), before, timer)
+            a, least = self._trapezoids(blocks)
+            return ramps.durations(d, v, a, blocks.corners, before, least)
+        return self._block_times(blocks, v, np.ceil(v * n / d), before, timer)
 
     def stroke(self, blocks: Blocks, joint: Array, v: Array, timer: Timer) -> float:
         """Seconds for blocks at speeds v (k,), mm/s, whose ends are passed at joint (k + 1,)."""
-        n, d, _ = blocks
-        a, _, least = self._trapezoids(blocks)
+        n, d, *_ = blocks
+        a, least = self._trapezoids(blocks)
         joint = joint.copy()
         joint[:-1] = np.maximum(joint[:-1], np.minimum(least, v))
         joint[-1] = max(joint[-1], min(float(least[-1]), float(v[-1])))
@@ -134,25 +160,32 @@ class Planner:
             taken = (d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v
         return float(taken.sum())
 
-    def _trapezoids(self, blocks: Blocks) -> tuple[Array, Array, Array]:
-        """Acceleration of the path, corners that allow any speed, least speeds of entry."""
-        n, d, a = blocks
+    def _trapezoids(self, blocks: Blocks) -> tuple[Array, Array]:
+        """Acceleration of the path, least speeds of entry."""
+        n, d, a, _ = blocks
         least = np.sqrt(a / 2.0) * d / n if self.development else np.zeros(len(n))
         if self.own_entry:
             least[:] = np.inf
-        return a * d / n, np.full(len(n) + 1, np.inf), least
+        return a * d / n, least
 
-    def _block_times(self, blocks: Blocks, rate: Array, before: float, timer: Timer) -> Array:
-        """Time (k,) of blocks at nominal rates (k,), of which the last keeps its speed."""
-        n, d, _ = blocks
-        v = rate * d / n
-        _, corners, least = self._trapezoids(blocks)
-        v_s, v_e = ramps.ends(v, corners, before or v[0], least)
-        return self.times(blocks, v_s * n / d, rate, v_e * n / d, timer)
+    def _unrounded_times(self, blocks: Blocks, rate: Array, before: float) -> Array:
+        """Time (k,) of blocks at nominal rates (k,) that need not be whole."""
+        v = rate * blocks.d / blocks.n
+        return self._block_times(blocks, v, rate, before, UNROUNDED)
+
+    def _block_times(
+        self, blocks: Blocks, v: Array, rate: Array, before: float, timer: Timer
+    ) -> Array:
+        """Time (k,) of blocks at speeds v and nominal rates (k,), of which the last keeps its."""
+        n, d, *_ = blocks
+        _, least = self._trapezoids(blocks)
+        v_s, v_e = ramps.ends(v, blocks.corners, before, least)
+        per_mm = n / d if self.development else rate / v  # releases: of the rate as it is rounded
+        return self.times(blocks, v_s * per_mm, rate, v_e * per_mm, timer)
 
     def times(self, blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer) -> Array:
         """Time (k,) of blocks from rates ``begin`` over nominal ``rate`` to ``end``, all (k,)."""
-        n, _, a = blocks
+        n, _, a, _ = blocks
         begin, end = (np.minimum(self._whole(w), rate) for w in (begin, end))
         up, down = self._ramp_steps(n, a, begin, rate, end)
         shares = timer.interrupts(rate)

@@ -24,18 +24,19 @@ def most_steps(steps: Integers) -> Integers:
 def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integers:
     """Indices, ascending, of the samples at which segments end; 0 is where they begin.
 
-    steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples at
-    least and their leading motor makes ``least`` steps or none; last: motion ends at sample n,
-    which must be reached, with fewer steps if it must be.
+    steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
+    the machine stands or a motor turns before, and their leading motor makes ``least`` steps or
+    none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
     path = np.concatenate([[0], np.cumsum(most_steps(steps))])
     n = len(steps)
     following = np.searchsorted(path, path + least + MARGIN)
     following = np.maximum(following, np.arange(n + 1) + apart)
-    stops = np.append(_edges_of_standstill(path), n)
+    places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
+    turns = [_turns(place, least) for place in places.T]
+    stops = np.unique(np.concatenate([_edges_of_standstill(path), *turns, [n]]))
     stop = np.minimum(np.searchsorted(stops, np.arange(n + 1), side="right"), len(stops) - 1)
     ends = _chain(np.minimum(following, stops[stop]))
-    places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
     while len(drop := _superfluous(ends, places, least, last)):
         ends = np.delete(ends, drop)
     return ends
@@ -47,6 +48,25 @@ def _edges_of_standstill(path: Integers) -> Integers:
     first, after = np.append(0, changes), np.append(changes, len(path))
     idle = after - first > IDLE
     return np.unique(np.stack([first[idle], after[idle] - 1]))
+
+
+def _turns(place: Integers, least: int) -> Integers:
+    """Samples at which a motor, at ``place`` (n + 1,), turns after ``least`` steps, for as many.
+
+    A segment across one would cut it off, or make so few steps that it had to be dropped.
+    """
+    moving = np.flatnonzero(np.diff(place))
+    onward = np.sign(np.diff(place)[moving])
+    turns = moving[1:][onward[1:] != onward[:-1]]
+    while len(turns):
+        legs = np.abs(np.diff(place[np.concatenate([[0], turns, [len(place) - 1]])]))
+        short = legs < least
+        short[1:] &= ~short[:-1]
+        j = np.flatnonzero(short)
+        if not len(j):
+            break
+        turns = np.delete(turns, np.unique(np.clip([j - 1, j], 0, len(turns) - 1)))
+    return np.asarray(turns)
 
 
 def _chain(following: Integers) -> Integers:

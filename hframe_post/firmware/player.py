@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
@@ -28,8 +29,24 @@ class Dwelling(Enum):
         return self in (Dwelling.BEFORE_LIFT, Dwelling.AFTER_LIFT)
 
 
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """How a retraction or a lift is asked for: speed, mm/s, and the time, s, it takes then.
+
+    left: speed, mm/s, at which motion may go on from it; 0: from rest. before: a line that must
+    have passed before it; after: one that takes that back, once the first segment of the motion
+    that follows has passed.
+    """
+
+    speed: float
+    seconds: float
+    left: float = 0.0
+    before: bytes = b""
+    after: bytes = b""
+
+
 class Player(Protocol):
-    """A firmware as the writer meets it: commands, segments, feed rates, dwells."""
+    """A firmware as the writer meets it: commands, segments, feed rates, strokes, dwells."""
 
     @property
     def lines_per_second(self) -> float:
@@ -58,8 +75,11 @@ class Player(Protocol):
         the last point, which must be reached. Positions are in mm.
         """
 
-    def least_times(self, at: Array, T: Array) -> Array:
-        """T (k,), shortened where segments between positions at (k + 1, 4), mm, cannot last it."""
+    def possible_times(self, at: Array, T: Array, before: float) -> Array:
+        """T (k,), or the nearest that segments between positions at (k + 1, 4), mm, can last.
+
+        before: see ``feed_rates``.
+        """
 
     def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
         """Speeds (k,), mm/s, to ask for so that segments take the time T (k,).
@@ -70,6 +90,13 @@ class Player(Protocol):
 
     def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
         """Time (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
+
+    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+        """A retraction or a lift from a place to another, at (2, 4), mm.
+
+        speed: the user's; seconds: what it takes at that, from rest to rest; wanted: what is
+        left for it by now.
+        """
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """Lines for a standstill, and how long it lasts; None: none is made."""

@@ -16,12 +16,12 @@ ROUNDS = 3  # of the speeds' dependence on their neighbours'
 
 
 def speeds(
-    d: Array, T: Array, a: Array, caps: Array, before: float, least: Array | float = 0.0
+    d: Array, T: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> Array:
     """Cruise speeds (k,) with which segments d (k,) take the time T (k,).
 
-    a (k,): acceleration; caps (k + 1,): greatest speeds at the ends; before: cruise speed of
-    the segment that precedes; least (k,): speeds of entry that neither lowers.
+    a (k,): acceleration; caps (k + 1,), or one: greatest speeds at the ends; before:
+    cruise speed of the segment that precedes; least (k,): speeds of entry that neither lowers.
     Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
     """
     v = d / T
@@ -34,7 +34,7 @@ def speeds(
 
 
 def durations(
-    d: Array, v: Array, a: Array, caps: Array, before: float, least: Array | float = 0.0
+    d: Array, v: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> Array:
     """Time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
     v_s, v_e = ends(v, caps, before, least)
@@ -42,7 +42,9 @@ def durations(
     return np.asarray((d + ramps) / v)
 
 
-def ends(v: Array, caps: Array, before: float, least: Array | float = 0.0) -> tuple[Array, Array]:
+def ends(
+    v: Array, caps: Array | float, before: float, least: Array | float = 0.0
+) -> tuple[Array, Array]:
     """Speeds (k,) at the start and at the end of each segment.
 
     Where ``least`` makes the next one begin faster than this one runs, it ends that fast.

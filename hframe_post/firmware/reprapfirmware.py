@@ -17,7 +17,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
 from hframe_post.firmware.klipper import StreamLimits
-from hframe_post.firmware.player import Dwelling, coordinates, plain
+from hframe_post.firmware.player import Dwelling, Stroke, coordinates, plain
 from hframe_post.printer.firmware_tables import RepRapFirmwareTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
@@ -93,6 +93,10 @@ class RepRapFirmware:
         """Relative filament is not summed up."""
         return b""
 
+    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+        """From rest to rest, as asked."""
+        return Stroke(speed, seconds)
+
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """G4, which lets the queue run out first: beside a lift even of no time."""
         if not beside.lifts and seconds < TS / 2.0:
@@ -109,7 +113,7 @@ class RepRapFirmware:
         ends = breakpoints(points, forced, self.tolerance)
         return ends, fitted(points, ends)
 
-    def least_times(self, at: Array, T: Array) -> Array:
+    def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """All of it."""
         return T
 

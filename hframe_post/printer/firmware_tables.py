@@ -44,6 +44,7 @@ class MarlinTable:
     max_acceleration: tuple[float, float] = positive()
     acceleration: float = positive()
     travel_acceleration: float = positive()
+    retract_acceleration: float = not_negative(0.0)
     junction_deviation: float = not_negative(0.0)
     jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
     jerk_e: float = not_negative(0.0)

@@ -89,6 +89,7 @@ class GcodeWriter:
         for chunk in chunks:
             yield from self._chunk(chunk)
         yield from self._stop()
+        yield from self._machine.take_back()
 
     def _chunk(self, chunk: Samples) -> Iterator[Output]:
         points = np.column_stack([chunk.commands[self._strategy], chunk.xyze[:, Z:]])
@@ -149,11 +150,18 @@ class _Machine:
         self._still = 0  # samples of standstill since the last segment
         self._inside = at is not None  # the stream's limits and modes are in force
         self._offset = offset  # of G92, while the machine is released
+        self._after = b""  # a line that takes back what a retraction or lift has changed
 
     def go_on(self) -> Iterator[Output]:
         """Where another stream ended, counting of filament begins anew."""
         if self._inside:
             yield self._player.reset_extruder()
+
+    def take_back(self) -> Iterator[Output]:
+        """What a retraction or lift has changed is as it was."""
+        if self._after:
+            yield self._after
+        self._after = b""
 
     def stand(self, here: Array) -> Array:
         """Where the machine is, (4,), mm: ``here`` if only firmware knew.
@@ -202,15 +210,17 @@ class _Machine:
     ) -> Iterator[Output]:
         """The rows with the lines and dwells that stand between them."""
         before = np.searchsorted(made.ends, batch.marked, side="right").tolist()
-        between: list[tuple[int, Mark | None]] = list(zip(before, batch.marks, strict=True))
-        between += [(row, None) for row in np.flatnonzero(made.dwell).tolist()]
+        between = [(1, self.take_back())]
+        between += [(row, self.carry(m)) for row, m in zip(before, batch.marks, strict=True)]
+        still = np.flatnonzero(made.dwell)
+        between += [(k, self._dwell(int(made.dwell[k]))) for k in still.tolist()]
         written = 0
-        for row, mark in sorted(between, key=lambda item: item[0]):
+        for row, outputs in sorted(between, key=lambda item: item[0]):
             end = int(ends[row - 1]) if row else 0
             if end > written:
                 yield rows[written:end]
                 written = end
-            yield from self.carry(mark) if mark else self._dwell(int(made.dwell[row]))
+            yield from outputs
         yield rows[written:]
 
     def carry(self, mark: Mark) -> Iterator[Output]:
@@ -244,12 +254,16 @@ class _Machine:
         yield from self._count_anew()
         assert self._at is not None
         end = np.concatenate([self._at[:Z], self._units.rounded(np.array(move.end))[Z:]])
+        places = np.stack([self._at, end]) / self._units.per_mm
+        stroke = self._pace.stroke(places, pause, move.speed)
+        if stroke.after and not self._after:
+            yield stroke.before
+            self._after = stroke.after
         self._ledger.moved(np.array([pause.index]), int(end[E] - self._at[E]))
-        self._feed = round(move.speed * self._units.per_feed)
-        if line := standing_line(move, self._at, end, self._units):
+        self._feed = round(stroke.speed * self._units.per_feed)
+        if line := standing_line(self._at, end, self._feed, self._units):
             yield line
         self._at = end
-        self._pace.lag += pause.exact - pause.samples * TS
         yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
 
     def _release(self, action: Passthrough) -> Iterator[Output]:
@@ -258,7 +272,7 @@ class _Machine:
             end = self._player.end(action.state, self._at / self._units.per_mm)
             yield b"".join(line + b"\n" for line in end)
         self._offset = action.state.offset
-        self._inside, self._at, self._feed = False, None, 0
+        self._inside, self._at, self._feed, self._after = False, None, 0, b""
         self._pace.begin()
         self._ledger.passed(action.filament)
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.player import Player, plain
-from hframe_post.stream.types import Standing
 from hframe_post.writers import digits
 from hframe_post.writers.held import Batch
 
@@ -110,12 +109,14 @@ def lines(
     return digits.lines(b"G1", [*words, digits.word(b" F", feeds, units.feed_decimals, faster)])
 
 
-def standing_line(move: Standing, start: Integers, end: Integers, units: Units) -> bytes:
-    """A retraction or lift from a place to another, (4,) each; empty where nothing moves."""
+def standing_line(start: Integers, end: Integers, feed: int, units: Units) -> bytes:
+    """A retraction or lift from a place to another, (4,) each; empty where nothing moves.
+
+    feed: F, in its units.
+    """
     dz, de = int(end[Z] - start[Z]), int(end[E] - start[E])
     if not (dz or de):
         return b""
     z = f" Z{plain(end[Z] / units.per_mm[Z], units.decimals[Z])}" if dz else ""
     e = f" E{plain(de / units.per_mm[E], units.decimals[E])}" if de else ""
-    feed = plain(60.0 * round(move.speed * units.per_feed) / units.per_feed, units.feed_decimals)
-    return f"G1{z}{e} F{feed}\n".encode()
+    return f"G1{z}{e} F{plain(60.0 * feed / units.per_feed, units.feed_decimals)}\n".encode()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers
-from hframe_post.firmware.player import Dwelling, Player
+from hframe_post.firmware.player import Dwelling, Player, Stroke
+from hframe_post.stream.types import Pause
 
 CATCH_UP = 0.01  # share of a batch's time by which it may be hurried or delayed
 
@@ -19,7 +20,7 @@ class Pace:
 
     def __init__(self, player: Player, per_feed: float) -> None:
         self._player, self._per_feed = player, per_feed
-        self._before = 0.0  # speed asked of the last segment, mm/s; 0: it stands
+        self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
 
@@ -34,7 +35,7 @@ class Pace:
         """
         rest = rest.copy()
         rest[0] |= self._before == 0.0
-        T = self._player.least_times(at, T)
+        T = self._player.possible_times(at, T, self._before)
         hurried = T * (1.0 - np.clip(self.lag / T.sum(), -CATCH_UP, CATCH_UP))
         v = self._player.feed_rates(at, hurried, rest, self._before)
         feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
@@ -49,6 +50,14 @@ class Pace:
     def stop(self) -> None:
         """The machine stands."""
         self._before = 0.0
+
+    def stroke(self, at: Array, pause: Pause, speed: float) -> Stroke:
+        """The retraction or lift of a pause between places at (2, 4), mm, at the user's speed."""
+        planned = pause.samples * TS
+        stroke = self._player.stroke(at, speed, pause.exact, planned - self.lag)
+        self.lag += stroke.seconds - planned
+        self._before = stroke.left
+        return stroke
 
     def dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> bytes:
         """Standstill for so long, less what the machine is late; empty where none is made."""

@@ -47,7 +47,7 @@ def test_file_stays_on_the_bed_and_restores_the_settings(found: Calibration) -> 
          and line.startswith(b"G1")]  # fmt: skip
     assert printer.travel.x[0] < min(x)
     assert max(x) < printer.travel.x[1]
-    assert b"M204 P3000 T3000\n" in found.lines[-12:]
+    assert b"M204 P3000 T3000 R3000\n" in found.lines[-12:]
 
 
 def test_profile_that_knows_no_marlin_is_refused() -> None:

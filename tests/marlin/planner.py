@@ -48,6 +48,7 @@ class Build:
     max_acceleration: list[float] = field(default_factory=lambda: [1e4, 1e4, 500.0, 2000.0])
     acceleration: float = 3000.0
     travel_acceleration: float = 3000.0
+    retract_acceleration: float = 3000.0
     junction_deviation: float = 0.013
     jerk: list[float] = field(default_factory=lambda: [8.0, 8.0, 0.4, 5.0])
 
@@ -177,6 +178,7 @@ class Machine:
         if command == "M204":
             build.acceleration = words.get("P", words.get("S", build.acceleration))
             build.travel_acceleration = words.get("T", words.get("S", build.travel_acceleration))
+            build.retract_acceleration = words.get("R", build.retract_acceleration)
         elif command == "M205" and not build.classic_jerk:
             build.junction_deviation = words.get("J", build.junction_deviation)
 
@@ -225,12 +227,14 @@ class Machine:
         limits = np.array(build.max_acceleration) / sizes
         a = asked * n / d
         a = min([a, *(limits[k] * n / abs(delta[k]) for k in range(4) if delta[k])])
-        unit = mm / d
+        if not delta[:3].any():  # a retraction has an acceleration of its own
+            a = build.retract_acceleration * n / d
         block = Block(self._motors(self._at), delta, n, d, v, a, 0.0, 0.0)
         if build.planner in ("2.1-dev", "ft-motion"):  # the mean speed of a first step from rest
             block.least = min(math.sqrt(a / 2.0) * d / n, v)
+        way = delta * sizes  # of the motors, e too
+        unit = way / (d if build.classic_jerk else np.linalg.norm(way))
         if build.classic_jerk:
-            unit = delta * sizes / d  # jerk is that of the belts
             block.corner = max(self._jerk(block, unit), block.least)
         elif self._queue:
             block.corner = max(min(self._corner(block, unit), v, self._last_v), block.least)
