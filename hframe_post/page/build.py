@@ -69,7 +69,7 @@ def page(
         ],
         "byFeature": _by_feature(report),
         "worst": _worst(layers, options.strategy),
-        "joined": view.joined,
+        "coarse": view.finest if view.coarser else None,
         "belts": {
             "speed": printer.motors.belt_velocity,
             "acceleration": printer.motors.belt_acceleration,

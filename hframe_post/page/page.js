@@ -293,7 +293,7 @@ function frame() {
   });
   data.printer.forEach(([name, value]) => add($("printer"), make("dt", name), make("dd", value)));
   $("layer").max = Math.max(data.layers.length - 1, 0);
-  if (data.joined) $("sampled").textContent = `This print is long: the view joins ${2 ** data.joined} neighbouring segments into one, each with its largest error.`;
+  if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with its largest error; places may lie ${Math.round(1000 * data.coarse[1])} µm beside it.`;
 }
 frame(); cards();
 load().then(() => {

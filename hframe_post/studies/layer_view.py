@@ -1,7 +1,8 @@
 """The path of a print with its predicted errors, layer by layer, small enough to look at.
 
 Samples are gathered into short segments, each with the largest error in it. Where there get to
-be too many, neighbours are joined, two by two: a view of any print is bounded.
+be too many, the view gets coarser by a step, everywhere alike: neighbours of one feature that go
+on in about the same direction become one. So a view of any print is bounded, and keeps its shape.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement
 
-FINEST = 1.0  # mm of a segment at most, as long as there are few
+FINEST = 1.0  # mm of a segment at most, as long as there are few; twice as much with each step
+NEAR = 0.01  # mm that an end may lie beside the segment that it is joined into; the same
+SHAPED = 10  # steps for which shape and feature are kept; after them any neighbours are joined
 MOST = 300_000  # segments of a print
 COLUMNS = 6  # of a segment: the ones of ``Segments`` but errors
 
@@ -44,7 +47,12 @@ class LayerView:
         self._layers: dict[int, list[Array]] = {}
         self._count, self._apart = 0, True
         self.labels = Labels()
-        self.joined = 0  # times that neighbours were joined
+        self.coarser = 0  # by how many steps
+
+    @property
+    def finest(self) -> tuple[float, float]:
+        """mm: of a segment at most, and that places may be beside it."""
+        return FINEST * 2.0**self.coarser, NEAR * 2.0**self.coarser * (self.coarser > 0)
 
     def add(self, judgement: Judgement, layer: Integers, feature: Integers, labels: Labels) -> None:
         """The next judged samples; layer, feature: numbers, by the labels, for the whole chunk."""
@@ -54,13 +62,13 @@ class LayerView:
             table = self._table(judgement, feature[at])
             for number in np.unique(layer[at]).tolist():
                 rows = table[layer[at] == number]
-                merged = _merged(rows, _starts(rows, FINEST * 2**self.joined))
+                merged = self._simplified(_merged(rows, _starts(rows, self.finest[0])))
                 self._layers.setdefault(number, []).append(merged)
                 self._count += len(merged)
             self._apart = False
         self._apart = self._apart or chunk.ends_stretch
         while self._count > MOST:
-            self._join()
+            self._coarsen()
 
     def _table(self, judgement: Judgement, feature: Integers) -> Array:
         """A row a sample, the columns of ``Segments``."""
@@ -72,13 +80,23 @@ class LayerView:
         errors = [judgement.contour[name] for name in self._strategies]
         return np.column_stack([xy[at], chunk.line[at], feature, steps[at] / TS, begins, *errors])
 
-    def _join(self) -> None:
-        """Neighbours become one, so that there are half as many."""
-        self.joined += 1
+    def _coarsen(self) -> None:
+        """All layers by a step."""
+        self.coarser += 1
         for number, tables in self._layers.items():
-            rows = np.concatenate(tables)
-            self._layers[number] = [_merged(rows, np.arange(0, len(rows), 2))]
+            self._layers[number] = [self._simplified(np.concatenate(tables))]
         self._count = sum(len(table) for (table,) in self._layers.values())
+
+    def _simplified(self, rows: Array) -> Array:
+        """Neighbours become one, pair by pair, as far as the present step allows."""
+        if self.coarser > SHAPED:
+            return _merged(rows, np.arange(0, len(rows), 2))
+        for _ in range(self.coarser + 1):
+            pairs = _pairs(rows, *self.finest) if self.coarser else np.arange(0)
+            if not len(pairs):
+                break
+            rows = _merged(rows, np.delete(np.arange(len(rows)), pairs))
+        return rows
 
     def layers(self) -> dict[int, Segments]:
         """By the layer's number, in their order."""
@@ -99,6 +117,24 @@ def _starts(rows: Array, length: float) -> Integers:
     new |= np.diff(rows[:, 3], prepend=-1.0) != 0.0
     new |= np.diff(np.floor(way / length), prepend=-1.0) != 0.0
     return np.flatnonzero(new)
+
+
+def _pairs(rows: Array, length: float, near: float) -> Integers:
+    """Rows that may be joined to the one before: of one feature, on about the same way."""
+    ends, begins = rows[:, :2], rows[:, 5] != 0.0
+    way, turn = np.diff(ends, axis=0), np.zeros(len(rows))  # turn: of row k, beside the chord
+    chord = np.hypot(*(ends[2:] - ends[:-2]).T)
+    area = np.abs(way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0])
+    onward = (way[:-1] * way[1:]).sum(axis=1) >= 0.0
+    turn[1:-1] = np.where(onward, area / np.maximum(chord, 1e-9), np.inf)
+    mayhap = np.zeros(len(rows), dtype=bool)
+    mayhap[2:] = (
+        (turn[1:-1] <= near) & (chord <= length) & (rows[2:, 3] == rows[1:-1, 3])
+        & ~begins[2:] & ~begins[1:-1]
+    )  # fmt: skip
+    k = np.arange(len(rows))
+    first = np.maximum.accumulate(np.where(mayhap, 0, k))  # the last row that may not
+    return np.flatnonzero(mayhap & ((k - first) % 2 == 1))  # each with a partner of its own
 
 
 def _merged(rows: Array, starts: Integers) -> Array:
