@@ -19,6 +19,7 @@ from hframe_post.cli.options import (
     position,
     printer_option,
 )
+from hframe_post.cli.sensing import FILE, QUIET, axes_option
 
 if TYPE_CHECKING:
     from hframe_post.identification.accelerometer import Recording
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.writers.atomic_file import Outputs
 
-FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-QUIET = 0.5  # s at the start of a recording in which only gravity is felt
 NO_WINDOW = (
     "no window and weight compensate this plant within the motors' limits, on every printer as "
     "like it as it is known; see tune --help"
@@ -66,10 +65,7 @@ def _order(text: str) -> tuple[str, int]:
     "--bridge-length", "L_G", type=click.FloatRange(1.0), metavar="MM",
     help="Distance of P1 and P2, needed with --bridge.",
 )  # fmt: skip
-@click.option(
-    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z.",
-)  # fmt: skip
+@axes_option
 @click.option("--bridge-axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
               help="The same of the sensors on the bridge.")  # fmt: skip
 @click.option(

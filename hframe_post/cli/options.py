@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -16,6 +16,8 @@ from hframe_post.cli.progress import progress
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.writers.atomic_file import Outputs
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class LazyChoice(click.Choice[str]):
@@ -170,6 +172,14 @@ path_option = click.option(
     "--path", type=click.Choice(["rectangle"]),
     help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
 )  # fmt: skip
+
+
+def print_options(command: Command) -> Command:
+    """A print to study: where it is, for which printer, and how it is read."""
+    options = (source_argument, path_option, printer_option, limits_option, extrusion_option)
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 @contextmanager

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.options import files_read, printer_option
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hframe_post.printer.settings import Printer
 
 
 @click.command()
@@ -29,50 +37,55 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     Example:
       hframe-post paper
     """
-    import numpy as np
-
     from hframe_post import plotting
     from hframe_post.errors import PrinterError
-    from hframe_post.paper import plots, results, tables
     from hframe_post.printer.profile import load
     from hframe_post.writers.atomic_file import Outputs
 
     profile = load(printer)
     if profile.plant.Gxtheta is None:
         raise PrinterError("the printer does not rack: nothing to reproduce", "plant", printer)
-    lines: list[bytes] = []
-    if prism is not None:  # say at once that it is missing
-        with prism.open("rb") as file:
-            lines = file.readlines()
+    lines = prism.read_bytes().splitlines(keepends=True) if prism is not None else None
     if folder is not None:
         plotting.ready(folder)
+    told, drawings = _computed(profile, lines)
+    click.echo(told, nl=False)
+    if folder is not None:
+        with Outputs(files_read(printer, prism)) as outputs:
+            drawn = {name: draw() for name, draw in drawings.items()}
+            plotting.save_all(drawn, lambda name: outputs.open(folder / name))
+            outputs.open(folder / "tables.md").write(told.encode())
+
+
+def _computed(
+    profile: Printer, prism: list[bytes] | None
+) -> tuple[str, dict[str, Callable[[], Figure]]]:
+    """The tables, and what draws each figure. prism: its lines."""
+    import numpy as np
+
+    from hframe_post.paper import plots, results, tables
+    from hframe_post.paper.printed import coefficients_off
+    from hframe_post.paper.widths import widths
+
     responses = results.frequency_responses(profile.plant, np.geomspace(1.0, 200.0, 400))
     xy = results.path(profile)
     approximations = results.approximations(profile.plant, xy)
     time_responses = results.time_responses(profile.plant, xy)
     told = [
-        tables.coefficients(results.coefficients_off(profile.plant)),
+        tables.coefficients(coefficients_off(profile.plant)),
         tables.approximation(approximations),
         tables.time_response(time_responses),
         tables.previews(results.previews(profile, xy)),
     ]
-    drawings = {}
-    if folder is not None:
-        drawings = {
-            "fig04": plots.racking_response(responses),
-            "fig05": plots.axis_responses(responses),
-            "fig08": plots.approximation(approximations),
-            "fig09": plots.time_response(time_responses),
-            "corner": plots.corner(time_responses),
-        }
+    drawings: dict[str, Callable[[], Figure]] = {
+        "fig04": partial(plots.racking_response, responses),
+        "fig05": partial(plots.axis_responses, responses),
+        "fig08": partial(plots.approximation, approximations),
+        "fig09": partial(plots.time_response, time_responses),
+        "corner": partial(plots.corner, time_responses),
+    }
     if prism is not None:
-        prisms = [results.widths(profile, lines, printed) for printed in (False, True)]
+        prisms = [widths(profile, prism, printed) for printed in (False, True)]
         told.append(tables.width_errors(prisms))
-        if folder is not None:
-            drawings["fig11"] = plots.width_errors(prisms)
-    text = "\n".join(told)
-    click.echo(text, nl=False)
-    if folder is not None:
-        with Outputs(files_read(printer, prism)) as outputs:
-            plotting.save_all(drawings, lambda name: outputs.open(folder / name))
-            outputs.open(folder / "tables.md").write(text.encode())
+        drawings["fig11"] = partial(plots.width_errors, prisms)
+    return "\n".join(told), drawings

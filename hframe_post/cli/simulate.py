@@ -9,18 +9,14 @@ import click
 
 from hframe_post.cli import choice
 from hframe_post.cli.options import (
-    extrusion_option,
     files_read,
     json_option,
-    limits_option,
     on_limit_option,
     open_json,
     opened,
-    path_option,
-    printer_option,
+    print_options,
     seed_option,
     share,
-    source_argument,
 )
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
@@ -29,11 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@source_argument
-@path_option
-@printer_option
-@limits_option
-@extrusion_option
+@print_options
 @on_limit_option
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",

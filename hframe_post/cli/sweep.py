@@ -6,18 +6,8 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, position, printer_option, say
-
-
-def chip(text: str) -> str:
-    """A name as Klipper takes it in CHIP=."""
-    from hframe_post.identification.sweep import NAME
-
-    if not NAME.fullmatch(text):
-        raise click.BadParameter(
-            f"{text!r} is no name: of [adxl345 hotend] in printer.cfg it is hotend"
-        )
-    return text
+from hframe_post.cli.options import position, printer_option, say
+from hframe_post.cli.sensing import chips_option, height_option, write_motion
 
 
 @click.command()
@@ -35,14 +25,8 @@ def chip(text: str) -> str:
     help="Where to measure (mm); may be repeated. Default: 60 and 30 mm to either side of x_c "
     "and at x_c, as far as the travel goes, in the middle of y.",
 )  # fmt: skip
-@click.option(
-    "--chip", "chips", type=chip, multiple=True, default=("adxl345",), show_default=True,
-    metavar="NAME", help="An accelerometer to record, as Klipper calls it; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--z", type=click.FloatRange(0.0, 1e4), default=10.0, show_default=True, metavar="MM",
-    help="Height at which to measure.",
-)  # fmt: skip
+@chips_option
+@height_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def sweep(
     output: Path, printer: str, axis: str, places: tuple[tuple[float, float], ...],
@@ -58,22 +42,11 @@ def sweep(
     Example:
       hframe-post sweep --axis x -p my.toml -o sweep.gcode
     """
-    from hframe_post.identification import command_file
-    from hframe_post.identification.sweep import gcode, positions, runs, told
+    from hframe_post.identification.sweep import positions, runs, told
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
-    from hframe_post.writers.print_time import write_output
 
     profile = load(printer)
     planned = runs(profile, "xy".index(axis), list(places) or positions(profile))
-    with Outputs(files_read(printer)) as outputs:
-        motion = outputs.open(output)
-        commands = [
-            outputs.open(output.with_name(f"{output.stem}.{run.name}.csv")) for run in planned
-        ]
-        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), z)
-        write_output(motion, lines, lambda: 0.0)
-        for file, run in zip(commands, planned, strict=True):
-            file.writelines(command_file.written(run.command))
+    write_motion(output, printer, profile, planned, chips, z)
     if not quiet:
         say("\n".join(told(profile, run) for run in planned))

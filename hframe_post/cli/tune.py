@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hframe_post.cli.options import (
-    extrusion_option,
     files_read,
     json_option,
-    limits_option,
     open_json,
     opened,
-    path_option,
-    printer_option,
+    print_options,
     seed_option,
     share,
-    source_argument,
     weight,
 )
 
@@ -33,11 +29,7 @@ NO_CANDIDATE = (
 
 
 @click.command()
-@source_argument
-@path_option
-@printer_option
-@limits_option
-@extrusion_option
+@print_options
 @click.option(
     "--knots", "-L", type=click.IntRange(2, 200), multiple=True, metavar="L",
     help="Samples between knots to try; may be repeated. Default: 5, 8, 10, 20.",
@@ -97,16 +89,11 @@ def tune(
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither figure nor profile")
+        reading = ReadOptions.of(profile, limits, extrusion)
         with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
-            write_json = open_json(findings, json_file)
-            as_json, as_text = _shaper(lines, profile, ReadOptions.of(profile, limits, extrusion))
-            write_json(as_json)
-        click.echo(as_text, err=str(json_file) == "-")
+            _tell_shaper(lines, profile, reading, open_json(findings, json_file), json_file)
         return
-    if figure is not None:
-        if figure.suffix not in (".png", ".svg"):
-            raise click.UsageError("--figure must end in .png or .svg")
-        plotting.canvas(1, 1, (1.0, 1.0))  # say at once that matplotlib is missing
+    _check_figure(figure)
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None
         with (
@@ -131,14 +118,26 @@ def tune(
             file.write(with_windows(printer, best.windows).encode())
 
 
-def _shaper(
-    lines: Iterable[bytes], profile: Printer, reading: ReadOptions
-) -> tuple[dict[str, Any], str]:
-    """The best input shaper there is, and what leaving it to Klipper would give: JSON, text."""
+def _check_figure(figure: Path | None) -> None:
+    """Says at once that it cannot be drawn."""
+    from hframe_post import plotting
+
+    if figure is not None:
+        if figure.suffix not in (".png", ".svg"):
+            raise click.UsageError("--figure must end in .png or .svg")
+        plotting.canvas(1, 1, (1.0, 1.0))
+
+
+def _tell_shaper(
+    lines: Iterable[bytes], profile: Printer, reading: ReadOptions,
+    write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
+) -> None:  # fmt: skip
+    """The best input shaper there is, and what leaving it to Klipper would give."""
     from hframe_post.studies.shaping import calibrated, error, excerpt, search
     from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
 
     path, counted = excerpt(lines, profile, reading)
     found = search(profile.plant, path, counted)
     usual = error(profile.plant, calibrated(profile.plant), path, counted)
-    return shapings_as_json(found, usual), shapings_as_text(found, usual)
+    write_json(shapings_as_json(found, usual))
+    click.echo(shapings_as_text(found, usual), err=str(json_file) == "-")

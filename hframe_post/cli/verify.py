@@ -7,11 +7,22 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, open_json, page_option, printer_option
-from hframe_post.cli.sweep import chip
-
-FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-QUIET = 0.5  # s at the start of a recording in which only gravity is felt
+from hframe_post.cli.options import (
+    files_read,
+    json_option,
+    open_json,
+    page_option,
+    printer_option,
+    say,
+)
+from hframe_post.cli.sensing import (
+    FILE,
+    QUIET,
+    axes_option,
+    chips_option,
+    height_option,
+    write_motion,
+)
 
 
 @click.command()
@@ -28,18 +39,9 @@ QUIET = 0.5  # s at the start of a recording in which only gravity is felt
     "--compensated", type=(FILE, FILE), metavar="COMMAND RECORDING",
     help="The same of the compensated motion.",
 )  # fmt: skip
-@click.option(
-    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
-    help="The printer's axes as the sensor names them, such as x=-y,y=x,z=z.",
-)  # fmt: skip
-@click.option(
-    "--chip", "chips", type=chip, multiple=True, default=("adxl345",), show_default=True,
-    metavar="NAME", help="An accelerometer to record, as Klipper calls it; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--z", type=click.FloatRange(0.0, 1e4), default=10.0, show_default=True, metavar="MM",
-    help="Height at which to move.",
-)  # fmt: skip
+@axes_option
+@chips_option
+@height_option
 @page_option
 @json_option
 @click.option(
@@ -68,25 +70,13 @@ def verify(
 
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
-    from hframe_post.identification import command_file
-    from hframe_post.identification.sweep import gcode
     from hframe_post.identification.verification import runs
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
-    from hframe_post.writers.print_time import write_output
 
     profile = load(printer)
     planned = runs(profile)
-    with Outputs(files_read(printer)) as outputs:
-        motion = outputs.open(target)
-        commands = [
-            outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
-        ]
-        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), z)
-        write_output(motion, lines, lambda: 0.0)
-        for file, run in zip(commands, planned, strict=True):
-            file.writelines(command_file.written(run.command))
-    click.echo("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned), err=True)
+    write_motion(target, printer, profile, planned, chips, z)
+    say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
 
 
 def _judge(

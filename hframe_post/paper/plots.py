@@ -13,8 +13,8 @@ from hframe_post.paper.results import (
     Approximation,
     FrequencyResponses,
     TimeResponse,
-    Widths,
 )
+from hframe_post.paper.widths import Widths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hframe_post.paper.results import Approximation, Preview, TimeResponse, Widths
+from hframe_post.paper.results import Approximation, Preview, TimeResponse
+from hframe_post.paper.widths import Widths
 
 Row = tuple[str, ...]
 

@@ -14,9 +14,10 @@ from hframe_post.model.course import Compensator
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.paper import results
+from hframe_post.paper import printed, results
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory, basis, knots
+from hframe_post.paper.widths import widths
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
 from tests.conftest import SAMPLES
@@ -49,12 +50,12 @@ def short_path(n: int) -> Array:
 
 
 def test_tables_i_and_ii_round_to_the_printed_digits(plant: Plant) -> None:
-    assert max(results.coefficients_off(plant).values()) <= 1.0
+    assert max(printed.coefficients_off(plant).values()) <= 1.0
 
 
 def test_tables_i_and_ii_as_printed_are_unstable() -> None:
     """Why the model is not the printed coefficients, even with the signs mended."""
-    for _, denominator in results.PRINTED.values():
+    for _, denominator in printed.PRINTED.values():
         poles = np.roots(np.array(denominator.split(), dtype=float))
         assert np.abs(poles).max() > 1.05
 
@@ -245,13 +246,13 @@ def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
     """At least what the paper measured on printed parts: 43 % below fbs, 68 % below none."""
     lines = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
     to_layer_9 = lines[: lines.index(b";LAYER:9\n")]
-    widths = results.widths(profile.load("paper"), to_layer_9, printed_window)
-    assert widths.error["racking"].shape == (9, 3)
-    assert widths.rms("racking") <= (1 - 0.43) * widths.rms("fbs")
-    assert widths.rms("racking") <= (1 - 0.68) * widths.rms("none")
+    found = widths(profile.load("paper"), to_layer_9, printed_window)
+    assert found.error["racking"].shape == (9, 3)
+    assert found.rms("racking") <= (1 - 0.43) * found.rms("fbs")
+    assert found.rms("racking") <= (1 - 0.68) * found.rms("none")
 
 
 def test_fig_11_needs_an_outer_wall() -> None:
     lines = (SAMPLES / "rectangle.gcode").read_bytes().replace(b"WALL-OUTER", b"FILL")
     with pytest.raises(GcodeError, match="no outer wall"):
-        results.widths(profile.load("paper"), lines.splitlines(keepends=True))
+        widths(profile.load("paper"), lines.splitlines(keepends=True))
