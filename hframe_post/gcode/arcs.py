@@ -44,7 +44,7 @@ class Arc:
         """Points after the start (k, 2), and the share of the arc up to each (k,)."""
         sagitta = min(TOLERANCE / max(self.radii), 1.0)
         widest = min(2.0 * math.acos(1.0 - sagitta), WIDEST)
-        k = math.ceil(abs(self.sweep) / widest)
+        k = max(math.ceil(abs(self.sweep) / widest), 1)  # 0 where the end lies behind the start
         share = np.arange(1, k + 1) / k
         angle = self.begin + self.sweep * share
         radius = self.radii[0] + (self.radii[1] - self.radii[0]) * share

@@ -121,7 +121,8 @@ class Dialect:
     obeyed: which commands that set limits it obeys. keeps_factor: whether M220 B keeps the
     speed factor and M220 R brings it back. zero_feed: whether F0 means nothing, instead of
     being an error. splines: whether it plays G5. cr_ends_lines: whether a carriage return ends
-    a line, in a comment too. path_acceleration: what M204 asks for (mm/s²), given its words
+    a line, in a comment too. g92_resets: whether G92 without words makes all coordinates 0,
+    instead of nothing. path_acceleration: what M204 asks for (mm/s²), given its words
     and what held before. dwell: seconds that G4 waits, given its words.
     """
 
@@ -135,6 +136,7 @@ class Dialect:
     path_acceleration: Callable[[Words, float], float]
     dwell: Callable[[Words], float]
     e_on_its_own: bool = False
+    g92_resets: bool = False
 
 
 def _klipper_acceleration(words: Words, before: float) -> float:
@@ -163,7 +165,7 @@ def _marlin_dwell(words: Words) -> float:
 
 KLIPPER = Dialect(
     "klipper", False, frozenset({"M204", LIMITS}), False, False, False, False,
-    _klipper_acceleration, _klipper_dwell,
+    _klipper_acceleration, _klipper_dwell, g92_resets=True,
 )  # fmt: skip
 MARLIN = Dialect(
     "marlin", True, frozenset({"M201", "M203", "M204", "M205"}), True, True, True, True,

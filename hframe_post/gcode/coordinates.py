@@ -24,6 +24,7 @@ class Coordinates:
 
     def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
         self._g90_sets_e, self._e_on_its_own = dialect.g90_sets_e, dialect.e_on_its_own
+        self._g92_resets = dialect.g92_resets
         self.absolute = self.absolute_e = self.xy_plane = True
         self.e_told = False
         if extrusion is not None:
@@ -93,7 +94,7 @@ class Coordinates:
 
         False, and nothing changes, where it names known and unknown places at once.
         """
-        values = words or dict.fromkeys(AXES, 0.0)
+        values = words or (dict.fromkeys(AXES, 0.0) if self._g92_resets else {})
         axes = {AXES.index(letter): value * self.scale for letter, value in values.items()}
         unknown = [axis for axis in axes if axis < 3 and not self.known[axis]]
         if unknown and any(axis < 3 and self.known[axis] for axis in axes):

@@ -19,17 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
-from hframe_post.errors import HframeError
 from hframe_post.firmware.player import Dwelling, Player
 from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Position, Samples, Standing
 from hframe_post.writers.deferred import DeferredLine, Output, carried
+from hframe_post.writers.filament_check import check_filament
 from hframe_post.writers.held import SAMPLES_AT_ONCE, Batch, Held
 from hframe_post.writers.ledger import Ledger
 from hframe_post.writers.motion import Segments, Units, lines, segments, standing_line
 from hframe_post.writers.pace import Pace
-
-FILAMENT_TOLERANCE = 0.01  # mm at a line carried through motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +180,8 @@ class _Machine:
         if len(made):
             yield from self._enter()
             yield from self._count_anew()
-            _check_filament(batch, made, float(self._at[E] / self._units.per_mm[E]), self._units)
+            e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
+            check_filament(batch, made.ends, e)
             rows, ends = self._rows(made, batch.last)
             self._ledger.moved(batch.first + made.ends, int(made.at[-1, E] - self._at[E]))
             self._at = made.at[-1]
@@ -291,23 +290,3 @@ class _Machine:
             self._inside = True
             begin = self._player.begin(self._offset, self._at / self._units.per_mm)
             yield b"".join(line + b"\n" for line in begin)
-
-
-def _check_filament(batch: Batch, made: Segments, start: float, units: Units) -> None:
-    """Raises HframeError unless every carried line gets the filament that it has in the path.
-
-    start: filament before the segments, mm. A firmware may let a line wait for the end of one,
-    so what is asked is that the line's place in the filament lies in the segment beside it.
-    """
-    e = np.concatenate([[start], made.at[:, E] / units.per_mm[E]])
-    e = np.append(e, e[-1])
-    row = np.searchsorted(made.ends, batch.marked, side="right")
-    wanted = batch.points[batch.marked, E]
-    beside = np.sort([e[row], e[row + 1]], axis=0)
-    off = np.maximum(beside[0] - wanted, wanted - beside[1])
-    if (off > FILAMENT_TOLERANCE).any():
-        text = batch.marks[int(off.argmax())].text[:80].decode("latin-1")
-        raise HframeError(
-            f"{off.max():.4f} mm of filament would be on the wrong side of {text!r}; "
-            "nothing was written. Please report this"
-        )

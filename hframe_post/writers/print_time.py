@@ -28,14 +28,15 @@ def write_output(
 ) -> None:  # fmt: skip
     """Writes it all. total (the print's time, s), summary: asked when the output is used up."""
     places, elapsed = array("q"), array("d")  # of lines: a file may tell of time a million times
+    place = file.tell()  # counted from here on: to ask lets other threads run, for long
     for piece in output:
-        if not isinstance(piece, DeferredLine):
-            file.write(piece)
-            continue
-        size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
-        places.extend((file.tell(), size, piece.summary))
-        elapsed.append(piece.elapsed)
-        file.write(piece.line.ljust(size) + b"\n")
+        if isinstance(piece, DeferredLine):
+            size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
+            places.extend((place, size, piece.summary))
+            elapsed.append(piece.elapsed)
+            piece = piece.line.ljust(size) + b"\n"
+        file.write(piece)
+        place += len(piece)
     for k, after in enumerate(elapsed):
         place, size, is_summary = places[3 * k : 3 * k + 3]
         file.seek(place)

@@ -14,37 +14,49 @@ from random import Random
 
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
-from tests.fuzz.cases import KINDS, run
+from tests.fuzz.cases import KINDS, begin, run
 
 
 def main() -> int:
     """0 where no case was a defect."""
+    given = _arguments()
+    folders = (SAMPLES, ROOT / "tests" / "quirks", *(given.seeds or []))
+    defects = 0
+    with ProcessPoolExecutor(given.jobs, initializer=begin, initargs=(folders,)) as pool:
+        for kind in given.kind or KINDS:
+            count = given.count if kind in ("gcode", "arcs") else max(given.count // 5, 1)
+            cases = range(given.seed, given.seed + count)
+            found: Counter[str] = Counter()
+            slowest, largest = (0.0, 0), (0, 0)  # and their seeds
+            one = partial(run, kind, folders, given.played)
+            for seed, outcome in pool.map(one, cases, chunksize=5):
+                found[outcome.word] += 1
+                slowest = max(slowest, (outcome.seconds, seed))
+                largest = max(largest, (outcome.memory, seed))
+                if outcome.defect:
+                    defects += 1
+                    print(f"--- {kind} {seed}\n{outcome.defect}", flush=True)
+                    if given.keep and kind == "gcode":
+                        given.keep.mkdir(parents=True, exist_ok=True)
+                        text = mutations.gcode(Random(seed), mutations.seeds(folders))
+                        (given.keep / f"{seed}.gcode").write_bytes(text)
+            print(f"{kind}: {count} cases, {dict(found.most_common())}")
+            print(f"at most {slowest[0]:.1f} s of processor time ({slowest[1]})", end="")
+            print(f" and {largest[0] >> 20} MB more than before ({largest[1]})", flush=True)
+    return min(defects, 1)
+
+
+def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", "--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kind", choices=KINDS, action="append")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seeds", type=Path, action="append", help="more folders of slices")
+    parser.add_argument("--played", type=int, default=100, metavar="N",
+                        help="Klipper plays one of so many; 0: none")  # fmt: skip
     parser.add_argument("--keep", type=Path, help="folder for what failed")
-    given = parser.parse_args()
-    folders = (SAMPLES, ROOT / "tests" / "quirks", *(given.seeds or []))
-    defects = 0
-    with ProcessPoolExecutor(given.jobs, max_tasks_per_child=500) as pool:
-        for kind in given.kind or KINDS:
-            count = given.count if kind in ("gcode", "arcs") else given.count // 5
-            cases = range(given.seed, given.seed + count)
-            found: Counter[str] = Counter()
-            for seed, word, defect in pool.map(partial(run, kind, folders), cases, chunksize=20):
-                found[word] += 1
-                if defect:
-                    defects += 1
-                    print(f"--- {kind} {seed}\n{defect}", flush=True)
-                    if given.keep and kind == "gcode":
-                        given.keep.mkdir(parents=True, exist_ok=True)
-                        text = mutations.gcode(Random(seed), mutations.seeds(folders))
-                        (given.keep / f"{seed}.gcode").write_bytes(text)
-            print(kind, dict(found), flush=True)
-    return min(defects, 1)
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -3,34 +3,63 @@
 from __future__ import annotations
 
 import tempfile
-import traceback
 import warnings
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 
+from threadpoolctl import threadpool_limits
+
 from hframe_post.identification import command_file
 from hframe_post.identification.sweep import positions, runs
-from hframe_post.printer.profile import load
-from tests.fuzz import mutations, oracle
+from hframe_post.printer.profile import load, shipped
+from tests.fuzz import klipper, mutations, oracle
+from tests.fuzz.apart import Outcome, apart
+from tests.fuzz.arcs import arcs
 
 KINDS = ("gcode", "arcs", "profile", "table")
 
 
-def run(kind: str, folders: tuple[Path, ...], seed: int) -> tuple[int, str, str]:
-    """One case: its seed, what came of it, and the defect, if any."""
+def begin(folders: tuple[Path, ...]) -> None:
+    """All that the cases of a process have in common."""
     warnings.simplefilter("error")  # a number went wrong somewhere
-    try:
-        if kind == "gcode":
-            return seed, oracle.check_gcode(seed, mutations.seeds(folders)), ""
-        if kind == "arcs":
-            return seed, oracle.check_arcs(seed), ""
-        if kind == "profile":
-            return seed, oracle.check_profile(seed), ""
-        with tempfile.TemporaryDirectory() as folder:
-            return seed, oracle.check_table(seed, tables(), Path(folder)), ""
-    except Exception:
-        return seed, "DEFECT", traceback.format_exc(limit=-4)
+    threadpool_limits(1)  # and a copy of this process has no other threads
+    mutations.seeds(folders)
+    tables()
+    shipped()
+    for firmware in oracle.FIRMWARES:
+        oracle.printer(firmware)
+    oracle.check_arcs(0)
+
+
+def run(kind: str, folders: tuple[Path, ...], played: int, seed: int) -> tuple[int, Outcome]:
+    """One case: its seed, and what came of it. Klipper plays every one of so many (0: none)."""
+    checks = {
+        "gcode": partial(_gcode, seed, folders, played),
+        "arcs": partial(_arcs, seed, played),
+        "profile": partial(oracle.check_profile, seed),
+        "table": partial(_table, seed),
+    }
+    return seed, apart(checks[kind])
+
+
+def _gcode(seed: int, folders: tuple[Path, ...], played: int) -> str:
+    word, text, output = oracle.check_gcode(seed, mutations.seeds(folders))
+    if output and played and seed % played == 0:
+        word = klipper.play_both(text, output)
+    return word
+
+
+def _arcs(seed: int, played: int) -> str:
+    word, _, output = oracle.check_arcs(seed)
+    if played and seed % played == 0:
+        word = klipper.play_arcs(output, arcs(Random(seed))[1])
+    return word
+
+
+def _table(seed: int) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        return oracle.check_table(seed, tables(), Path(folder))
 
 
 @cache

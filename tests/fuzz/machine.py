@@ -1,11 +1,12 @@
 """What a firmware would do with a file, as far as a check needs it: independent of the package.
 
-It follows places, filament and modes of Klipper or Marlin. Arcs count by their ends; a command
-that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note where it stands.
+It follows places, filament and modes of Klipper, Marlin or RepRapFirmware. Arcs count by their
+ends; a command that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note where it stands.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from typing import NamedTuple
 MARK = re.compile(rb"^\s*(?:;|M117 |UNHEARD_OF )@(\d+)")
 WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 INCH = 25.4
+UNSEEN = 0.1  # mm of filament that Klipper lets any move feed
 
 
 class Stand(NamedTuple):
@@ -31,9 +33,13 @@ class Stand(NamedTuple):
 
 @dataclass
 class Machine:
-    """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z."""
+    """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z.
 
-    marlin: bool
+    seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
+    while it stood, mm; steepest: filament per mm of any move that feeds more than UNSEEN.
+    """
+
+    firmware: str
     place: list[float | None] = field(default_factory=lambda: [None, None, None])
     offset: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     e: float = 0.0
@@ -45,10 +51,15 @@ class Machine:
     least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     most: float = 0.0  # filament in one line
+    feed: float = 25.0  # mm/s
+    seconds: float = 0.0
+    standing: float = 0.0
+    steepest: float = 0.0
 
     def play(self, text: bytes) -> Machine:
         """All lines of a file."""
-        for raw in text.replace(b"\r\n", b"\n").split(b"\n"):
+        ends = rb"\r\n|[\r\n]" if self.firmware == "marlin" else rb"\r?\n"
+        for raw in re.split(ends, text.removeprefix(b"\xef\xbb\xbf")):
             self.line(raw)
         return self
 
@@ -79,14 +90,14 @@ class Machine:
 
     @property
     def _e_absolute(self) -> bool:
-        return self.absolute_e and (self.absolute or self.marlin)
+        return self.absolute_e and (self.absolute or self.firmware != "klipper")
 
     def _do(self, name: str, words: dict[str, float]) -> None:
         if name in ("G0", "G1", "G2", "G3", "G5"):
             self._move(words)
         elif name in ("G90", "G91"):
             self.absolute = name == "G90"
-            if self.marlin:
+            if self.firmware == "marlin":
                 self.absolute_e = self.absolute
         elif name in ("M82", "M83"):
             self.absolute_e = name == "M82"
@@ -94,12 +105,31 @@ class Machine:
             self.unit = INCH if name == "G20" else 1.0
         elif name == "G92":
             self._set(words)
+        elif name == "G4":
+            self.seconds += max(words.get("P", 0.0) / 1e3, words.get("S", 0.0), 0.0)
         elif name == "G28":
             for axis, letter in enumerate("XYZ"):
                 if letter in words or not words.keys() & set("XYZ"):
                     self.place[axis] = None
 
     def _move(self, words: dict[str, float]) -> None:
+        if words.get("F", 0.0) > 0.0:
+            self.feed = words["F"] * self.unit / 60.0
+        before, filament = list(self.place), self.filament
+        self._go(words)
+        steps = [
+            a - b
+            for a, b in zip(self.place, before, strict=True)
+            if a is not None and b is not None
+        ]
+        length, fed = math.hypot(*steps), self.filament - filament
+        self.seconds += (length or abs(fed)) / self.feed
+        if fed > UNSEEN and length < 1e-9:
+            self.standing += fed
+        elif fed > UNSEEN:
+            self.steepest = max(self.steepest, fed / length)
+
+    def _go(self, words: dict[str, float]) -> None:
         for axis, letter in enumerate("XYZ"):
             if letter in words:
                 value, now = words[letter] * self.unit, self.place[axis]
@@ -119,9 +149,7 @@ class Machine:
             self.most = max(self.most, abs(step))
 
     def _set(self, words: dict[str, float]) -> None:
-        if not self.marlin and not words.keys() & set("XYZE"):
-            words = dict.fromkeys("XYZE", 0.0)
-        if not self.marlin and not words.keys() & set("XYZE"):
+        if self.firmware == "klipper" and not words.keys() & set("XYZE"):
             words = dict.fromkeys("XYZE", 0.0)
         for axis, letter in enumerate("XYZ"):
             place = self.place[axis]

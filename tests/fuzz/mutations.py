@@ -1,76 +1,246 @@
-"""Seeded changes to G-code, to profiles and to recordings, as accidents and malice make them."""
+"""Seeded changes to G-code, as accidents and malice make them: to bytes, numbers, words, lines,
+blocks of lines, modes and encodings."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from random import Random
 
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
+WORD = re.compile(rb"[A-Za-z]\s*[-+]?(?:\d+\.?\d*|\.\d+)")
 NUMBERS = (
     b"0", b"-0", b"1e9", b"-1", b"0.00001", b"999999", b"-3.5", b"nan", b"inf", b"1e400", b"1.",
     b".5", b"+2", b"--3", b"1.2.3", b"0x10", b"9" * 400, b"1" * 5000, b"", b"1e-300", b"0.0349",
+    b"1,5", b"00010", b"+.5", b"-.0", b".", b"-", b"1_0", b"1e3", b" 7", b"279.999", b"280.001",
+    b"0.0005", b"2147483648", b"4294967297", b"1.0000000000000000001", "\uff11".encode(),
 )  # fmt: skip
 LINES = (
-    b"G91", b"G90", b"M82", b"M83", b"G92 E0", b"G92 X10 Y10", b"G92", b"G20", b"G21", b"G28",
-    b"G28 X", b"T1", b"T0", b"M104 S200", b"M109 S200", b"G4 P500", b"G4 S1", b"G4 P-5000",
-    b"G4 P1e9", b"M204 S500", b"M204 S0.0000001", b"M201 X500 Y500", b"M203 Y0.001", b"M205 X8",
-    b"M220 S50", b"M220 S0", b"M221 S90", b"M600", b"M84", b"G10", b"G11", b"G1 F0.01", b"G1 F0",
-    b"G1", b"G1 X", b"G1 X9999", b"G1 Z-20", b"G1 Z100 F1", b"G1 E219414", b"G1 E-5 F2400",
-    b"G1 E5 F2400", b"G1 Z0.4 F600", b"G0 X100 Y100 F9000", b"G2 X110 Y100 I5 J0 E1",
-    b"G3 I10 J0 E2", b"G2 X90 Y100 R5", b"G3 I50000", b"G5 I1 J1 P1 Q1 X120 Y120", b"M73 P10 R5",
-    b"M117 Layer 3 *5", b"(c) G91", b"N 5 G91", b"n7 g1 x101 y101*99", b"G 91", b"M 82",
-    b"g1x102y99e.1",
-    b"SET_VELOCITY_LIMIT ACCEL=1e4", b"SET_VELOCITY_LIMIT VELOCITY='20'", b"EXCLUDE_OBJECT_END",
-    b"SAVE_GCODE_STATE NAME=x", b"PRINT_START", b"G17", b"G18", b"G53 G1 X1", b"M5",
-    b"\xff\xfe\x00",
-    b"G1 X100 Y100 ; (", b"(" * 50, b"; G91", b"G1 X100;G91", b"\x1b[2J", b"%", b"M220 R", b"G54",
-    b"M400", b"G92 E1000000", b"G1 X100.0001 Y100 E0.0001", b"M106 S255", b"M593 F40", b"G29",
+    # modes and places
+    b"G91", b"G90", b"M82", b"M83", b"G92 E0", b"G92 X10 Y10", b"G92", b"G92 Z0.2", b"G92 E0 X5",
+    b"G92.1", b"G92.2", b"G92.3", b"G20", b"G21", b"G28", b"G28 X", b"G28 W", b"G 91", b"M 82",
+    b"(c) G91", b"N 5 G91", b"G90 G91", b"G17", b"G18", b"G53 G1 X1", b"G54", b"G1 X100;G91",
+    b"SAVE_GCODE_STATE NAME=x", b"RESTORE_GCODE_STATE NAME=x MOVE=1", b"SET_GCODE_OFFSET Z=0.1",
+    b"M206 X1", b"M428", b"G60 S0", b"G61 S0", b"M120", b"M121", b"SET_KINEMATIC_POSITION X=1",
+    # moves
+    b"G1 F0.01", b"G1 F0", b"G1 F-600", b"G1", b"G1 X", b"G1 X9999", b"G1 Z-20", b"G1 Z100 F1",
+    b"G1 E219414", b"G1 E-5 F2400", b"G1 E5 F2400", b"G1 Z0.4 F600", b"G0 X100 Y100 F9000",
+    b"G1 X100.0001 Y100 E0.0001", b"G1X101Y101F3000", b"g1x102y99e.1", b"n7 g1 x101 y101*99",
+    b"G1 X100 Y100 ; (", b"G1 X100 (a ; b) Y100", b"G1 A5", b"G1 X100 X101", b"G1 X1e2 Y1e2",
+    b"G01 X100 Y100", b"G1.0 X100", b"G1 X100 Y100 E.5 H1", b"G0 E1", b"G1 P1 X99", b"G1 S1 X99",
+    # curves
+    b"G2 X110 Y100 I5 J0 E1", b"G3 I10 J0 E2", b"G2 X90 Y100 R5", b"G3 X95 Y100 R-20 E1",
+    b"G3 I50000", b"G2 I5 P3 E2", b"G3 X100 Y100 I0 J0", b"G2 X100 Y100 R0", b"G3 I5 J5 Z1 E1",
+    b"G2 I1 K2", b"G5 I1 J1 P1 Q1 X120 Y120", b"G5.1 I1 J1 X120 Y120", b"G2 X100 Y100 I1e-9",
+    b"G3 I3 P1.5", b"G2 I3 P1000000",
+    # waiting, temperatures, tools, filament
+    b"M104 S200", b"M109 S200", b"G4 P500", b"G4 S1", b"G4 P-5000", b"G4 P1e9", b"G4", b"G4 P",
+    b"T1", b"T0", b"T", b"T?", b"Tx", b"T-1", b"T255", b"M600", b"M600 L50", b"G10", b"G11",
+    b"G10 S1", b"G10 P0 X1", b"G11 S0", b"M701", b"M702", b"M84", b"M18 E", b"M400", b"M25",
+    b"M0", b"M1", b"M2", b"M30", b"M112", b"M108", b"PAUSE", b"M221 S90", b"M221 S-1", b"M220 S50",
+    b"M220 S0", b"M220 B", b"M220 R", b"M220 S1000", b"M200 D1.75", b"M302 P1", b"M900 K0.05",
+    # limits
+    b"M204 S500", b"M204 S0.0000001", b"M204 P800 T900", b"M201 X500 Y500", b"M203 Y0.001",
+    b"M203 X200 Y200", b"M205 X8", b"M205 J0.01", b"M566 X300 Y300", b"M593 F40",
+    b"SET_VELOCITY_LIMIT ACCEL=1e4", b"SET_VELOCITY_LIMIT VELOCITY='20'",
+    b"SET_VELOCITY_LIMIT accel=900 # x", b"SET_VELOCITY_LIMIT ACCEL", b"SET_PRESSURE_ADVANCE X",
+    # what is told, and to whom
+    b"M73 P10 R5", b"M73 P10.5 R7.5 Q3 S1", b"M117 Layer 3 *5", b"M117 G91", b"M118 E1 G28",
+    b"M106 S255", b"M106 P1 S0.5", b"M486 S1", b"M486 APart", b";TIME:100", b"; G91",
+    b";TIME_ELAPSED:5.5", b"; estimated printing time (normal mode) = 1h 2m 3s", b";LAYER:7",
+    b";TYPE:WALL-OUTER", b"; FEATURE: Outer wall", b"EXCLUDE_OBJECT_START NAME=a",
+    b"EXCLUDE_OBJECT_END", b"EXCLUDE_OBJECT_DEFINE NAME=a CENTER=1,2", b"PRINT_START A=1 B='x y'",
+    b"M1002 gcode_claim_action : 0", b"M624 AQAAAAAAAAA=", b"G29", b"G29.1 Z0.01", b"G380 S2 Z1",
+    b"M991 S0 P1", b"{if layer_z > 1}G91{endif}", b"; thumbnail begin 2x2 8", b"_MACRO",
+    # what is no line
+    b"\xff\xfe\x00", b"(" * 50, b"\x1b[2J", b"%", b"\x00", b"M5", b"*", b"N10", b"N10 ", b"N10*20",
+    b"O1000", b"/G1 X1", b"#1=5", b"?", b"!", b"~", b"$$", b"\xe2\x80\xa8G91", b"G1 X100\x0bY100",
+    b"G\xa091", b"G1\tX100", b";" + b"x" * 100_000, b";\xe9\xfc", b"M118 \xf0\x9f\x98\x80",
 )  # fmt: skip
+FACTORS = (0.5, 1.1, -1.0, 10.0, 1000.0, 1e-4)
+
+MARKS = (b";@%d", b"M117 @%d", b"UNHEARD_OF @%d")  # carried in motion, the last one at rest
+
+Lines = list[bytes]
+Mutation = Callable[[Random, Lines, int], None]
 
 
 def gcode(rng: Random, seeds: list[bytes]) -> bytes:
     """A stretch of a seed with its head, with a few changes and with marks."""
-    lines = rng.choice(seeds).splitlines()
-    head = (
-        [line for line in lines[:40] if not line.startswith((b"G1", b"G0"))]
-        if rng.random() < 0.5
-        else []
-    )
-    start = rng.randrange(max(len(lines) - 20, 1))
-    body = lines[start : start + rng.randrange(20, 120)]
-    lines = [*head, rng.choice((b"M82", b"M83")), b"G90", *body]
+    seed = rng.choice(seeds)
+    head = [line for line in _stretch(seed, 0, 40) if not line.startswith((b"G1", b"G0"))]
+    head = head if rng.random() < 0.5 else []
+    body = _stretch(seed, rng.randrange(len(seed)), rng.randrange(20, 120))
+    modes = rng.choice((b"M82", b"M83", b"")), rng.choice((b"G90", b"G90", b"G90", b""))
+    lines = [*head, *modes, *body]
     for _ in range(min(int(rng.expovariate(0.3)), 25)):
-        _change(rng, lines)
-    return b"\n".join(_marked(rng, lines)) + rng.choice((b"\n", b"\n", b"", b"\r\n"))
+        if not lines:
+            break
+        rng.choices(MUTATIONS, WEIGHTS)[0](rng, lines, rng.randrange(len(lines)))
+    if rng.random() < 0.15:
+        _splice(rng, lines, rng.choice(seeds))
+    return encoded(rng, _marked(rng, lines))
 
 
-def _change(rng: Random, lines: list[bytes]) -> None:
-    k = rng.randrange(len(lines))
-    kind = rng.randrange(12)
-    if kind == 0 and len(lines) > 5:
+def _stretch(text: bytes, start: int, count: int) -> Lines:
+    """So many lines of a file, from the beginning of one of them on."""
+    start = text.rfind(b"\n", 0, start) + 1
+    return text[start : start + 120 * count].splitlines()[:count]
+
+
+# ---------------------------------------------------------------------- lines and blocks
+
+
+def _lose(rng: Random, lines: Lines, k: int) -> None:
+    if len(lines) > 5:
         del lines[k]
-    elif kind == 1:
-        lines.insert(k, rng.choice(lines))
-    elif kind == 2:
-        j = rng.randrange(len(lines))
-        lines[j], lines[k] = lines[k], lines[j]
-    elif kind <= 5:
-        lines.insert(k, rng.choice(LINES))
-    elif kind <= 7:
-        lines[k] = _renumbered(rng, lines[k], rng.choice(NUMBERS))
-    elif kind == 8:
-        scaled = rng.choice((0.5, 1.1, -1.0, 10.0, 1000.0, 1e-4))
-        lines[k] = _scaled(scaled, lines[k], 2)
-    elif kind == 9 and lines[k]:
+
+
+def _repeat(rng: Random, lines: Lines, k: int) -> None:
+    lines.insert(k, rng.choice(lines))
+
+
+def _swap(rng: Random, lines: Lines, k: int) -> None:
+    j = rng.randrange(len(lines))
+    lines[j], lines[k] = lines[k], lines[j]
+
+
+def _insert(rng: Random, lines: Lines, k: int) -> None:
+    lines.insert(k, rng.choice(LINES))
+
+
+def _around(rng: Random, lines: Lines, k: int) -> None:
+    """A mode, a unit or an object for some lines."""
+    opened, closed = rng.choice(
+        ((b"G91", b"G90"), (b"G20", b"G21"), (b"M83", b"M82"), (b"M82", b"M83"), (b"G10", b"G11"),
+         (b"EXCLUDE_OBJECT_START NAME=a", b"EXCLUDE_OBJECT_END NAME=a"), (b"G92 E5", b"G92 E0"),
+         (b"SAVE_GCODE_STATE NAME=s", b"RESTORE_GCODE_STATE NAME=s"), (b"(", b")"),
+         (b"G91\nM83", b"M82\nG90"), (b"M220 S30", b"M220 S100"))
+    )  # fmt: skip
+    lines.insert(min(k + rng.randrange(1, 8), len(lines)), closed)
+    lines.insert(k, opened)
+
+
+def _move_block(rng: Random, lines: Lines, k: int) -> None:
+    block = lines[k : k + rng.randrange(2, 12)]
+    if rng.random() < 0.5:
+        del lines[k : k + len(block)]
+    at = rng.randrange(len(lines) + 1)
+    lines[at:at] = block[::-1] if rng.random() < 0.2 else block
+
+
+def _splice(rng: Random, lines: Lines, other: bytes) -> None:
+    """Some lines of another slice, in the way of its slicer."""
+    at = rng.randrange(len(lines) + 1)
+    lines[at:at] = _stretch(other, rng.randrange(len(other)), rng.randrange(1, 15))
+
+
+# ---------------------------------------------------------------------- words and numbers
+
+
+def _renumber(rng: Random, lines: Lines, k: int) -> None:
+    lines[k] = renumbered(rng, lines[k], rng.choice(NUMBERS))
+
+
+def _scale(rng: Random, lines: Lines, k: int) -> None:
+    lines[k] = scaled(rng.choice(FACTORS), lines[k], 2)
+
+
+def _scale_words(rng: Random, lines: Lines, k: int) -> None:
+    """One letter's numbers, on some lines: a file for another printer or material."""
+    letter, factor = rng.choice(b"XYZEF"), rng.choice((0.9, 0.99, 1.01, 1.5, -1.0, 0.1))
+    pattern = re.compile(rb"(?<=%c)[-+]?\d*\.?\d+" % letter)
+    for j in range(k, min(k + rng.randrange(1, 20), len(lines))):
+        lines[j] = pattern.sub(lambda m: b"%.5f" % (factor * _value(m[0])), lines[j])
+
+
+def _reword(rng: Random, lines: Lines, k: int) -> None:
+    """A word lost, doubled, moved, or of another letter."""
+    words = list(WORD.finditer(lines[k]))
+    if len(words) < 2:
+        return
+    word, other = rng.choice(words[1:]), rng.choice(words)
+    before, after = lines[k][: word.start()], lines[k][word.end() :]
+    letter = bytes([rng.choice(b"XYZEFIJKPRSABDGMTxyzef")])
+    lines[k] = before + rng.choice((b"", word[0] * 2, other[0], letter + word[0][1:])) + after
+
+
+def _jitter(rng: Random, lines: Lines, k: int) -> None:
+    """A line said again and again, a hair further on: segments shorter than a step."""
+    places = list(re.finditer(rb"(?<=[XY])-?\d+\.?\d*", lines[k]))
+    if not places:
+        return
+    place, step = rng.choice(places), rng.choice((0.0, 1e-5, 4e-4, 0.01))
+    start = _value(place[0])
+    before, after = lines[k][: place.start()], lines[k][place.end() :]
+    lines[k + 1 : k + 1] = [
+        b"%b%.5f%b" % (before, start + step * j, after) for j in range(1, rng.randrange(3, 40))
+    ]
+
+
+# ---------------------------------------------------------------------- bytes
+
+
+def _flip(rng: Random, lines: Lines, k: int) -> None:
+    if lines[k]:
         at = rng.randrange(len(lines[k]))
         lines[k] = lines[k][:at] + bytes([rng.randrange(256)]) + lines[k][at + 1 :]
-    elif kind == 10:
-        lines[k] = lines[k].swapcase().replace(b" ", rng.choice((b"", b"  ", b"\t")))
+
+
+def _break(rng: Random, lines: Lines, k: int) -> None:
+    """A line cut short, in two, or run together with the next."""
+    at, kind = rng.randrange(len(lines[k]) + 1), rng.randrange(3)
+    if kind == 0:
+        lines[k] = lines[k][:at]
+    elif kind == 1:
+        lines[k : k + 1] = [lines[k][:at], lines[k][at:]]
     else:
-        lines[k] += rng.choice((b"\r", b" ; x", b" (y", b"*1", b" E1", b" F1200", b" X Y"))
+        lines[k : k + 2] = [b"".join(lines[k : k + 2])]
+
+
+def _restyle(rng: Random, lines: Lines, k: int) -> None:
+    lines[k] = lines[k].swapcase().replace(b" ", rng.choice((b"", b"  ", b"\t")))
+
+
+def _append(rng: Random, lines: Lines, k: int) -> None:
+    lines[k] += rng.choice((b"\r", b" ; x", b" (y", b"*1", b" E1", b" F1200", b" X Y", b" \t"))
+
+
+def _number_lines(rng: Random, lines: Lines, k: int) -> None:
+    """Numbers and checksums, as a host sends them; some are wrong."""
+    for j in range(k, min(k + rng.randrange(1, 10), len(lines))):
+        line = b"N%d %b" % (j, lines[j].partition(b";")[0])
+        total = 0
+        for byte in line:
+            total ^= byte
+        lines[j] = b"%b*%d" % (line, total ^ (rng.random() < 0.05))
+
+
+MUTATIONS: tuple[Mutation, ...] = (
+    _insert, _renumber, _scale, _scale_words, _reword, _flip, _lose, _repeat, _swap, _around,
+    _move_block, _jitter, _break, _restyle, _append, _number_lines,
+)  # fmt: skip
+WEIGHTS = (5, 3, 1, 1, 2, 1, 1, 1, 1, 2, 1, 1, 1, 1, 1, 1)
+
+
+def encoded(rng: Random, lines: Lines) -> bytes:
+    """The file's bytes: line ends, and now and then what an editor makes of it."""
+    kind = rng.randrange(40)
+    if kind == 0:
+        return b"\xef\xbb\xbf" + b"\r\n".join(lines) + b"\r\n"
+    if kind == 1:
+        return b"\r".join(lines)
+    if kind == 2:
+        return b"\n".join(lines).decode("latin-1").encode("utf-16")
+    if kind == 3:
+        return b"".join(line + rng.choice((b"\n", b"\r\n", b"\n\n")) for line in lines)
+    if kind == 4:
+        text = b"\n".join(lines)
+        return text[: rng.randrange(len(text) + 1)]
+    return b"\n".join(lines) + rng.choice((b"\n", b"\n", b"", b"\r\n"))
 
 
 def _value(number: bytes) -> float:
@@ -78,11 +248,13 @@ def _value(number: bytes) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-def _scaled(factor: float, line: bytes, count: int) -> bytes:
+def scaled(factor: float, line: bytes, count: int) -> bytes:
+    """The first numbers of a line, times a factor."""
     return NUMBER.sub(lambda m: b"%.9g" % (factor * _value(m[0])), line, count=count)
 
 
-def _renumbered(rng: Random, line: bytes, number: bytes) -> bytes:
+def renumbered(rng: Random, line: bytes, number: bytes) -> bytes:
+    """Another number in place of one of the line's."""
     places = list(NUMBER.finditer(line))
     if not places:
         return line + number
@@ -90,97 +262,17 @@ def _renumbered(rng: Random, line: bytes, number: bytes) -> bytes:
     return line[: place.start()] + number + line[place.end() :]
 
 
-def _marked(rng: Random, lines: list[bytes]) -> list[bytes]:
+def _marked(rng: Random, lines: Lines) -> Lines:
     """The lines with numbered marks among them, the last one at the end."""
     marked = []
     for k, line in enumerate(lines):
         marked.append(line)
         if rng.random() < 0.15:
-            kind = rng.choice((b";@%d", b";@%d", b"M117 @%d", b"UNHEARD_OF @%d"))
+            kind = rng.choice(
+                (b";@%d", b";@%d", b";@%d", b"M117 @%d", b"M117 @%d", b"UNHEARD_OF @%d")
+            )
             marked.append(kind % k)
     return [*marked, b";@%d" % len(lines)]
-
-
-def arcs(rng: Random) -> tuple[bytes, dict[int, tuple[float, float, float]]]:
-    """Ten arcs, one after another, of any sweep; line → centre and radius that the file gives."""
-    x, y = 140.0, 140.0
-    lines = [b"G90", b"M83", b"G1 Z0.2 F600", b"G1 X%.3f Y%.3f F6000" % (x, y)]
-    known = {}
-    for _ in range(10):
-        radius = rng.choice((0.5, 2.0, 10.0, 25.0, 50.0)) * rng.uniform(0.5, 1.0)
-        for _ in range(100):
-            angle = rng.uniform(0.0, 2.0 * math.pi)
-            I, J = round(radius * math.cos(angle), 3), round(radius * math.sin(angle), 3)
-            if all(60.0 + 50.0 <= c <= 220.0 - 50.0 for c in (x + I, y + J)):
-                break
-        else:
-            continue
-        cx, cy, r = x + I, y + J, math.hypot(I, J)
-        sweep = rng.choice((0.01, 0.5, 1.0, 1.0, 1.999, 2.0)) * math.pi * rng.uniform(0.99, 1.0)
-        sweep = 2.0 * math.pi if rng.random() < 0.2 else sweep
-        clockwise = rng.random() < 0.5
-        turned = math.atan2(-J, -I) + (-sweep if clockwise else sweep)
-        full = sweep == 2.0 * math.pi
-        x, y = (
-            (x, y)
-            if full
-            else (round(cx + r * math.cos(turned), 3), round(cy + r * math.sin(turned), 3))
-        )
-        end = b"" if full and rng.random() < 0.5 else b" X%.3f Y%.3f" % (x, y)
-        lines.append(
-            b"G%d%s I%.3f J%.3f E%.4f" % (2 if clockwise else 3, end, I, J, 0.05 * r * sweep)
-        )
-        known[len(lines)] = (cx, cy, r)
-    return b"\n".join(lines) + b"\n;@1\n", known
-
-
-def profile(rng: Random, texts: list[str]) -> str:
-    """A shipped profile's text with a few changes."""
-    lines = rng.choice(texts).encode().splitlines()
-    for _ in range(1 + min(int(rng.expovariate(0.5)), 12)):
-        k = rng.randrange(len(lines))
-        kind = rng.randrange(8)
-        if kind <= 3:
-            number = rng.choice(
-                (*NUMBERS, b"1e14", b"1e-9", b"20000", b"true", b"'a'", b"[]", b"[1]", b"{}")
-            )
-            lines[k] = _renumbered(rng, lines[k], number)
-        elif kind == 4:
-            del lines[k]
-        elif kind == 5:
-            lines.insert(k, rng.choice(lines))
-        elif kind == 6 and lines[k]:
-            at = rng.randrange(len(lines[k]))
-            lines[k] = lines[k][:at] + bytes([rng.randrange(32, 127)]) + lines[k][at + 1 :]
-        else:
-            scaled = rng.choice((0.5, 1.1, -1.0, 10.0, 1000.0, 1e-4))
-            lines[k] = _scaled(scaled, lines[k], 1)
-        if not lines:
-            break
-    return b"\n".join(lines).decode("latin-1")
-
-
-def table(rng: Random, text: bytes) -> bytes:
-    """A recording or a command with a few changes."""
-    lines = text.splitlines()
-    for _ in range(1 + min(int(rng.expovariate(0.5)), 8)):
-        k = rng.choice((0, 1, rng.randrange(len(lines))))
-        kind = rng.randrange(8)
-        if kind <= 2:
-            lines[k] = _renumbered(rng, lines[k], rng.choice(NUMBERS))
-        elif kind == 3:
-            del lines[k : k + rng.choice((1, 10, 10_000))]
-        elif kind == 4:
-            lines.insert(k, rng.choice(lines))
-        elif kind == 5:
-            lines[k] = lines[k].replace(b",", rng.choice((b";", b"", b",,", b" ")), 1)
-        elif kind == 6 and lines[k]:
-            at = rng.randrange(len(lines[k]))
-            lines[k] = lines[k][:at] + bytes([rng.randrange(256)]) + lines[k][at + 1 :]
-        else:
-            lines = lines[: rng.randrange(len(lines))]
-        lines = lines or [b""]
-    return b"\n".join(lines) + b"\n"
 
 
 @cache

@@ -45,13 +45,13 @@ def test_two_thousand_of_each_kind(kind: str) -> None:
     ],
 )
 def test_the_oracle_can_fail(change: bytes, to: bytes, told: str) -> None:
-    check_same_print(ORIGINAL, ORIGINAL, marlin=False)
+    check_same_print(ORIGINAL, ORIGINAL, "klipper")
     with pytest.raises(AssertionError, match=told):
-        check_same_print(ORIGINAL, ORIGINAL.replace(change, to), marlin=False)
+        check_same_print(ORIGINAL, ORIGINAL.replace(change, to), "klipper")
 
 
 def test_the_machine_reads_as_firmware_does() -> None:
-    machine = Machine(marlin=False).play(
+    machine = Machine("klipper").play(
         b"g1x10y10e6\nN 5 G1 X20 (Y3) ; Y9\nG20\nG1 X1\nG92 X0 E0\n;@1\nG91\nG1 X1\nG92\n;@2\n"
     )
     first, second = machine.stands

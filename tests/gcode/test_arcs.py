@@ -114,6 +114,11 @@ def test_arcs_without_room_are_points() -> None:
     assert (np.hypot(*np.diff(block.points[:, :2], axis=0).T) > 0.0).all()
 
 
+def test_an_end_behind_the_start_as_seen_from_the_centre_is_a_move() -> None:
+    """Of radii that differ by rounding, at the same angle: no turn, and none of the ends lost."""
+    assert ends("G1 X50 Y50", "G2 X50.05 Y50 I-10 J0 E1")[-1] == [50.05, 50.0, 0.0, 1.0]
+
+
 def test_arcs_from_an_unknown_place_pass_as_they_stand() -> None:
     found = items("M83", "G28", "G3 Z.8 I.044 J-1.216 P1 F30000", "G1 X10 Y10 Z.8", "G1 X20 E1")
     (block,) = (item for item in found if isinstance(item, Moves))

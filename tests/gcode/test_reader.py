@@ -81,6 +81,13 @@ def test_g92_renames_a_place() -> None:
     assert ends("G1 X10", "G92 X0", "G1 X5")[-1][0] == 15
 
 
+def test_g92_alone_is_klippers_for_all_coordinates() -> None:
+    lines = ("M82", "G1 X10 E5", "G92", "G1 X10 E5")
+    assert ends(*lines)[-1] == [20.0, 0.0, 0.0, 10.0]
+    for firmware in ("marlin", "reprapfirmware"):
+        assert ends(*lines, firmware=firmware)[-1] == [10.0, 0.0, 0.0, 5.0]
+
+
 def test_inches() -> None:
     assert ends("G20", "G1 X1 Y2", "G21", "G1 X30")[:2] == [[25.4, 50.8, 0, 0], [30, 50.8, 0, 0]]
 
