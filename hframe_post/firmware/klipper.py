@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,20 +12,38 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
-from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, Stroke, coordinates, plain
+from hframe_post.firmware.player import (
+    VELOCITY_HEADROOM,
+    Dwelling,
+    Rejoined,
+    Stroke,
+    coordinates,
+    plain,
+)
 from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 
-ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
-SQUARE_CORNER_VELOCITY = 100.0  # mm/s; corners are the stream's business
+SQUARE_CORNER_VELOCITY = 20.0  # mm/s; corners are the stream's business
+LATE = 2e-5  # s; what a segment is late by in spite of its feed rate, if more, is made up for
+
+STAND = "G4 P0"  # comes to rest, but keeps what is queued for the motors, as M400 does not
+LABELS = re.compile(  # of objects, by Klipper's commands and those that hosts put them for
+    rb"EXCLUDE_OBJECT_(START|END)\b|M486\b|;\s*(stop )?printing object\b|;MESH:", re.IGNORECASE
+)
+NUDGE = 0.001  # mm
+CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
 
 
 @dataclass(frozen=True, slots=True)
 class StreamLimits:
-    """Klipper's limits while the stream runs; mm, s."""
+    """Klipper's limits while the stream runs; mm, s.
+
+    acceleration: what the motors hold in any direction, and so the most with which a pause or a
+    cancelled print brakes.
+    """
 
     velocity: float
     acceleration: float
@@ -39,7 +58,7 @@ class StreamLimits:
         """High enough never to shape the stream, and no higher: they may be left behind."""
         return cls(
             VELOCITY_HEADROOM * kinematics.reach * motors.belt_velocity,
-            ACCEL_HEADROOM * kinematics.reach * motors.belt_acceleration,
+            math.floor(kinematics.reach_everywhere * motors.belt_acceleration),
             limits.z_velocity,
             limits.z_acceleration,
             limits.extruder_velocity,
@@ -87,11 +106,13 @@ class Klipper:
     """Klipper as a ``Player``.
 
     tolerance: mm by which the decimated command may miss a sample; None keeps them all.
+    travel: mm/s at which a machine may catch up that comes from elsewhere.
     """
 
     own: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
+    travel: float = math.inf
 
     @classmethod
     def of(cls, printer: Printer, tolerance: float | None = None) -> Klipper:
@@ -100,7 +121,7 @@ class Klipper:
             cause = "the table is missing: Klipper's own limits"
             raise PrinterError(cause, "firmware.klipper", printer.name)
         limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-        return cls(printer.firmware.klipper, limits, tolerance)
+        return cls(printer.firmware.klipper, limits, tolerance, printer.limits.velocity)
 
     @property
     def lines_per_second(self) -> float:
@@ -117,7 +138,7 @@ class Klipper:
                 "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
                 _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
             ]
-        return [line.encode() for line in ["M400", *start, "G90", "M83", *coordinates(offset, at)]]
+        return [line.encode() for line in [STAND, *start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """As ``begin``."""
@@ -136,11 +157,33 @@ class Klipper:
                 stop.append(
                     f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
                 )
-        return [line.encode() for line in ["M400", *stop, *names, *_modes(state)]]
+        return [line.encode() for line in [STAND, *stop, *names, *_modes(state)]]
 
     def modes_after(self, name: str) -> bytes:
         """G90 means nothing to E."""
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")
+
+    def labels_object(self, text: bytes) -> bool:
+        """At an object's start and end: the moves of one that was cancelled are left out."""
+        return LABELS.match(text.lstrip()) is not None
+
+    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined:
+        """Klipper catches up in the first move that changes x or y, with all that it asks for.
+
+        So that is one with the user's acceleration, and not at the speed of a segment.
+        """
+        own, to, axis = self.own, at.copy(), int(np.abs(way).argmax())
+        to[axis] += math.copysign(NUDGE, way[axis])
+        place = " ".join(f"{name}{plain(p, 6)}" for name, p in zip("XYZ", to, strict=False))
+        speed, a = min(self.travel, own.velocity), own.acceleration
+        text = (
+            f"SET_VELOCITY_LIMIT ACCEL={plain(a, 0)}\n"
+            f"G1 {place} F{plain(60.0 * speed, 1)}\n"
+            f"SET_VELOCITY_LIMIT ACCEL={plain(self.limits.acceleration, 0)}\n"
+        )
+        end = min(math.hypot(*way) / T, math.sqrt(2.0 * a * NUDGE))
+        peak = math.sqrt(a * NUDGE + end * end / 2.0)
+        return Rejoined(text.encode(), to, end, (2.0 * peak - end) / a)
 
     def reset_extruder(self) -> bytes:
         """Klipper counts in doubles."""
@@ -158,8 +201,14 @@ class Klipper:
         return T
 
     def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
-        """Ramps in mind."""
-        return speeds(np.diff(at, axis=0), T, rest, before, self.limits)
+        """Ramps in mind. What is late in spite of them is made up for by those after it."""
+        delta = np.diff(at, axis=0)
+        v = speeds(delta, T, rest, before, self.limits)
+        late = durations(delta, v, rest, before, self.limits) - T
+        if late.max() > LATE:
+            shorter = _made_up(T, np.where(late > LATE, late, 0.0))
+            v = speeds(delta, shorter, rest, before, self.limits)
+        return v
 
     def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
         """Ramps and limits in mind."""
@@ -179,6 +228,17 @@ class Klipper:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
+
+
+def _made_up(T: Array, late: Array) -> Array:
+    """T (k,), shortened after segments that are late (k,), s, whatever is asked of them.
+
+    A queue: what is late waits, and each segment in time takes CATCH_UP of its T away.
+    """
+    taken = np.where(late > 0.0, 0.0, CATCH_UP * T)
+    total = np.cumsum(late - taken)
+    waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
+    return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:

@@ -116,6 +116,13 @@ class Marlin:
         modes = {"G90": b"M83\n", "G91": b"G90\nM83\n", "M82": b"M83\n", "M900": b"M900 K0\n"}
         return modes.get(name, b"")
 
+    def labels_object(self, text: bytes) -> bool:
+        """It leaves nothing out that it has been sent."""
+        return False
+
+    def rejoin(self, at: Array, way: Array, T: float) -> None:
+        """It is where its commands are."""
+
     def reset_extruder(self) -> bytes:
         """Marlin counts in floats, which forget the smallest moves when they have grown."""
         return b"G92 E0\n"

@@ -45,6 +45,19 @@ class Stroke:
     after: bytes = b""
 
 
+@dataclass(frozen=True, slots=True)
+class Rejoined:
+    """Lines, and where they end: a nudge beside ``at`` (4,), since some move must be.
+
+    speed (mm/s), seconds: of the nudge, to a machine that has left out nothing.
+    """
+
+    text: bytes
+    at: Array
+    speed: float
+    seconds: float
+
+
 class Player(Protocol):
     """A firmware as the writer meets it: commands, segments, feed rates, strokes, dwells."""
 
@@ -63,6 +76,16 @@ class Player(Protocol):
 
     def modes_after(self, name: str) -> bytes:
         """Lines that bring the stream's modes back after a command of the file's, if it needs."""
+
+    def labels_object(self, text: bytes) -> bool:
+        """Whether the firmware may leave out the moves before or after a line of the file's."""
+
+    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined | None:
+        """Brings a machine, which stands, from where it left out moves to the commands' place.
+
+        at (4,): that, mm; way (2,): x, y of the segment that follows, mm, which lasts T. None:
+        it leaves nothing out.
+        """
 
     def reset_extruder(self) -> bytes:
         """A line that lets the firmware count filament anew, if it should now and then."""

@@ -22,14 +22,15 @@ def speeds(
 
     a (k,): acceleration; caps (k + 1,), or one: greatest speeds at the ends; before:
     cruise speed of the segment that precedes; least (k,): speeds of entry that neither lowers.
-    Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a.
+    Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a. Where nothing does, the ramps are too
+    long and the segment takes more than T; not much more, if it is asked for at least d/T.
     """
     v = d / T
     for _ in range(ROUNDS):
         v_s, v_e = ends(v, caps, before, least)
         S = a * T + v_s + v_e
         c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
-        v = (S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0
+        v = np.maximum((S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0, d / T)
     return np.asarray(v)
 
 

@@ -8,7 +8,7 @@ M566, which is set beyond any change of x and y; that of the extruder stays the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from hframe_post.printer.firmware_tables import RepRapFirmwareTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
+ACCEL_HEADROOM = 5.0  # times the motors' acceleration: the ramps must be short in a segment
 JERK = 1000.0  # mm/s in x and y, more than any change; corners are the stream's business
 MM_PER_MIN = 60.0  # M203 and M566 are in mm/min
 
@@ -42,7 +43,8 @@ class RepRapFirmware:
             cause = "the table is missing: RepRapFirmware's own settings"
             raise PrinterError(cause, "firmware.reprapfirmware", printer.name)
         limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-        return cls(own, limits, tolerance)
+        highest = ACCEL_HEADROOM * printer.kinematics.reach * printer.motors.belt_acceleration
+        return cls(own, replace(limits, acceleration=highest), tolerance)
 
     @property
     def lines_per_second(self) -> float:
@@ -88,6 +90,13 @@ class RepRapFirmware:
             "G91": "G90", "M82": "M83", "M566": f"M566 {jerk}", "M572": "M572 D0 S0",
         }  # fmt: skip
         return f"{own[name]}\n".encode() if name in own else b""
+
+    def labels_object(self, text: bytes) -> bool:
+        """It leaves nothing out that it has been sent."""
+        return False
+
+    def rejoin(self, at: Array, way: Array, T: float) -> None:
+        """It is where its commands are."""
 
     def reset_extruder(self) -> bytes:
         """Relative filament is not summed up."""

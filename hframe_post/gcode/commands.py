@@ -71,7 +71,7 @@ _NONE = (
     "SET_FILAMENT_SENSOR SET_IDLE_TIMEOUT SET_TEMPERATURE_FAN_TARGET UPDATE_DELAYED_GCODE",
 )
 _WAITS = (
-    "G4 M109 M190 M191 M400 TEMPERATURE_WAIT EXCLUDE_OBJECT_START",
+    "G4 M109 M190 M191 M400 TEMPERATURE_WAIT EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END",
     "M17 M569 M906 M907 G130 SET_TMC_CURRENT",  # the motors' drivers
 )
 _RETURNS = ("M593 SET_INPUT_SHAPER",)  # shaping, which the stream must turn off again
@@ -123,7 +123,8 @@ class Dialect:
     being an error. splines: whether it plays G5. cr_ends_lines: whether a carriage return ends
     a line, in a comment too. g92_resets: whether G92 without words makes all coordinates 0,
     instead of nothing. path_acceleration: what M204 asks for (mm/s²), given its words
-    and what held before. dwell: seconds that G4 waits, given its words.
+    and what held before. dwell: seconds that G4 waits, given its words. rejoins: whether
+    after an object that it has left out it can be led to where the stream is.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Dialect:
     cr_ends_lines: bool
     path_acceleration: Callable[[Words, float], float]
     dwell: Callable[[Words], float]
+    rejoins: bool = False
     e_on_its_own: bool = False
     g92_resets: bool = False
 
@@ -165,7 +167,7 @@ def _marlin_dwell(words: Words) -> float:
 
 KLIPPER = Dialect(
     "klipper", False, frozenset({"M204", LIMITS}), False, False, False, False,
-    _klipper_acceleration, _klipper_dwell, g92_resets=True,
+    _klipper_acceleration, _klipper_dwell, rejoins=True, g92_resets=True,
 )  # fmt: skip
 MARLIN = Dialect(
     "marlin", True, frozenset({"M201", "M203", "M204", "M205"}), True, True, True, True,

@@ -81,7 +81,7 @@ class _Reader:
         self._place = Coordinates(options.dialect, options.extrusion)
         self._limits = RequestedLimits(options.dialect)
         self._feed = Feed(options.dialect)
-        self._moved = self._ran_macro = self._in_object = False
+        self._moved = self._ran_macro = False
         self._cause = AT_THE_START
         self.items = Gathering(self._limits)
         self.plain = PlainMoves(source, self._place, self._feed, self._bed, self.items)
@@ -291,8 +291,8 @@ class _Reader:
     def _other(self, line: Line, name: str, arguments: bytes = b"") -> None:
         """A command or macro that is neither motion, mode nor limit."""
         effect = self._options.vocabulary.effect(name, arguments)
-        if name in ("EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END"):
-            effect = self._object(name, effect)
+        if name == "M486" and self._dialect.rejoins:  # S goes to an object, which may be left out
+            effect = Effect.WAITS
         self._passthrough(line, effect.handling)
         if effect is not Effect.UNKNOWN:
             return
@@ -303,16 +303,6 @@ class _Reader:
         else:
             self._place.forget()
             self._ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
-
-    def _object(self, name: str, effect: Effect) -> Effect:
-        """Klipper drops the moves of an object that is left out, and catches up after its end.
-
-        So it drives where it should be in the first move after the end, at the speed and
-        with the limits of that move; where an object follows without an end, after its start.
-        """
-        starts = name == "EXCLUDE_OBJECT_START"
-        inside, self._in_object = self._in_object, starts
-        return effect if starts and not inside else Effect.UNKNOWN
 
     def _e_is_absolute(self, line: Line) -> bool:
         """What E is, in a file that has not said so before the first."""

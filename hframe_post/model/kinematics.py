@@ -61,6 +61,11 @@ class Kinematics:
         corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; the rest mirrors these
         return float(np.linalg.norm(np.linalg.solve(self.matrix, corners), axis=0).max())
 
+    @property
+    def reach_everywhere(self) -> float:
+        """Speed of the nozzle in any direction at which neither belt moves faster than 1."""
+        return float(1.0 / np.linalg.norm(self.matrix, axis=1).max())
+
 
 @dataclass(frozen=True, slots=True)
 class Rates:

@@ -50,7 +50,7 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
             yield from sampler.halt()
         else:
             yield from sampler.pause(item)
-    yield from sampler.flush()
+    yield from sampler.finish()
 
 
 class _Sampler:
@@ -68,6 +68,7 @@ class _Sampler:
         self._pinned: float | None = None  # filament at a mark on the next sample
         self._line = 0
         self._events: list[Event] = []
+        self._at_rest: list[bytes] = []  # lines at the end of motion: the command comes to rest
         self._held: list[Samples] = []
 
     # ------------------------------------------------------------------ motion
@@ -75,6 +76,7 @@ class _Sampler:
     def run(self, plan: Plan) -> Iterator[Samples]:
         """Samples of the runs of a plan."""
         self._line = int(plan.line[0])
+        self._pass_at_rest()
         if self._last is None:
             yield from self._stand(plan.points[0], 1)  # from where the motion starts
         if self._rested:
@@ -88,7 +90,10 @@ class _Sampler:
         stop = self._section + (
             math.ceil(self._clock / TS - ON_TIME) if stops else math.floor(self._clock / TS)
         )
-        marks = list(plan.marks)
+        marks, end = list(plan.marks), len(plan.line)
+        if stops:
+            self._at_rest = [mark.text for mark in marks if mark.index == end]
+            marks = [mark for mark in marks if mark.index < end]
         for first in range(self._index, stop + 1, SAMPLES_PER_CHUNK):
             n = min(SAMPLES_PER_CHUNK, stop + 1 - first)
             arrives = stops and first + n > stop
@@ -144,8 +149,11 @@ class _Sampler:
     # ------------------------------------------------------------------ rest
 
     def mark(self, text: bytes) -> None:
-        """A carried line at the present sample."""
-        self._events.append(Mark(self._index, text))
+        """A carried line at the present sample, or with those that wait for the command's rest."""
+        if self._at_rest:
+            self._at_rest.append(text)
+        else:
+            self._events.append(Mark(self._index, text))
 
     def pause(self, action: Standing | Passthrough) -> Iterator[Samples]:
         """What the machine does while x and y stand still."""
@@ -178,8 +186,13 @@ class _Sampler:
     def _come_to_rest(self, aside: bool) -> Iterator[Samples]:
         if not self._rested and self._last is not None:
             yield from self._rest(self._last, self._rests.aside if aside else self._rests.before)
+        self._pass_at_rest()
         self._aside = aside or (self._rested and self._aside)
         self._rested, self._moving = True, False
+
+    def _pass_at_rest(self) -> None:
+        self._events += [Mark(self._index, text) for text in self._at_rest]
+        self._at_rest = []
 
     def _rest(self, where: Array, samples: int) -> Iterator[Samples]:
         if samples:
@@ -206,6 +219,11 @@ class _Sampler:
                 yield from self.flush()
 
     # ------------------------------------------------------------------ chunks
+
+    def finish(self) -> Iterator[Samples]:
+        """What is left."""
+        self._pass_at_rest()
+        yield from self.flush()
 
     def _emit(self, xyze: Array, line: Integers) -> None:
         if len(xyze):

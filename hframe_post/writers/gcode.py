@@ -13,12 +13,12 @@ time, ``ledger`` counts; here is where the machine stands, and the order in whic
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z
 from hframe_post.firmware.player import Dwelling, Player
 from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Position, Samples, Standing
@@ -146,6 +146,7 @@ class _Machine:
         self._at = at  # x, y, z, e, output units; None: only firmware knows
         self._feed = 0  # last F, output units; 0: to be told
         self._still = 0  # samples of standstill since the last segment
+        self._may_be_elsewhere = False  # since the last motion, if it left some out
         self._inside = at is not None  # the stream's limits and modes are in force
         self._offset = offset  # of G92, while the machine is released
         self._after = b""  # a line that takes back what a retraction or lift has changed
@@ -180,6 +181,7 @@ class _Machine:
         if len(made):
             yield from self._enter()
             yield from self._count_anew()
+            made = yield from self._rejoined(made)
             e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
             check_filament(batch, made.ends, e)
             rows, ends = self._rows(made, batch.last)
@@ -192,6 +194,30 @@ class _Machine:
         if batch.last and self._still:
             yield from self._dwell(self._still)
             self._still = 0
+
+    def _rejoined(self, made: Segments) -> Generator[Output, None, Segments]:
+        """At rest, where the machine may have left out moves: it comes to where this is.
+
+        Returns the segments that are left, the first of them shorter by the way and the time.
+        """
+        assert self._at is not None
+        at, per_mm = self._at / self._units.per_mm, self._units.per_mm[:Z]
+        way = (made.at[0, :Z] - self._at[:Z]) / per_mm
+        if (
+            not self._may_be_elsewhere
+            or not self._pace.stands
+            or np.abs(way).max() < 1.5 / per_mm[X]
+        ):
+            return made
+        self._may_be_elsewhere = False
+        if (rejoined := self._player.rejoin(at, way, float(made.T[0]))) is None:
+            return made
+        self._at, self._feed = self._units.rounded(rejoined.at), 0
+        self._pace.moves(rejoined.speed)
+        yield rejoined.text
+        T = made.T.copy()
+        T[0] -= rejoined.seconds
+        return replace(made, T=T)
 
     def _rows(self, made: Segments, last: bool) -> tuple[bytes, Integers]:
         """G1 lines of the segments, and where each ends in their text."""
@@ -225,6 +251,7 @@ class _Machine:
     def carry(self, mark: Mark) -> Iterator[Output]:
         """A line of the file, in mid-motion; modes of the stream stay."""
         yield carried(mark.text, mark.index * TS)
+        self._may_be_elsewhere |= self._player.labels_object(mark.text)
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
             yield self._player.modes_after(coded.name)
 
@@ -244,6 +271,7 @@ class _Machine:
             yield from self._release(action)
         if action.text or action.handling is not Handling.RELEASE:
             yield action.text + b"\n"
+            self._may_be_elsewhere |= self._player.labels_object(action.text)
 
     def _standing(self, pause: Pause, move: Standing) -> Iterator[Output]:
         """Retraction or lift: one line."""

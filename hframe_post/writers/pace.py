@@ -34,7 +34,7 @@ class Pace:
         rest (k + 1,): whether the machine stands at each end.
         """
         rest = rest.copy()
-        rest[0] |= self._before == 0.0
+        rest[0] |= self.stands
         T = self._player.possible_times(at, T, self._before)
         hurried = T * (1.0 - np.clip(self.lag / T.sum(), -CATCH_UP, CATCH_UP))
         v = self._player.feed_rates(at, hurried, rest, self._before)
@@ -46,6 +46,15 @@ class Pace:
         self.lag += float(late.sum())
         self._before = float(v[-1])
         return feeds
+
+    @property
+    def stands(self) -> bool:
+        """Whether the machine does, as far as was asked of it."""
+        return self._before == 0.0
+
+    def moves(self, speed: float) -> None:
+        """The machine has begun to move."""
+        self._before = speed
 
     def stop(self) -> None:
         """The machine stands."""

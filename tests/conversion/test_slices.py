@@ -95,7 +95,7 @@ def test_uncompensated_motion_is_told_by_its_cause(paper: Printer) -> None:
     told = SLICES["prusaslicer"]
     known = converted(told, paper)[2]
     unknown = converted(replace(told, harmless=()), paper)[2]
-    assert set(known.path.uncompensated) == {"START_PRINT", "EXCLUDE_OBJECT_END"}
+    assert set(known.path.uncompensated) == {"START_PRINT"}
     assert unknown.path.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
     shares = unknown.as_json()["uncompensated"]
     assert shares["path_percent"] > 5.0

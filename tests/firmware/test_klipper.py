@@ -26,7 +26,7 @@ from hframe_post.printer.settings import Limits, Motors
 from hframe_post.stream.types import ModalState
 
 STREAM = StreamLimits(
-    velocity=770.0, acceleration=2.5e5, z_velocity=20.0, z_acceleration=500.0,
+    velocity=770.0, acceleration=3.5355e4, z_velocity=20.0, z_acceleration=500.0,
     extruder_velocity=60.0, extruder_acceleration=2000.0, extruder_corner_velocity=1.0,
 )  # fmt: skip
 
@@ -81,11 +81,15 @@ def alone(delta: tuple[float, float, float, float], v: float) -> float:
 
 
 def test_single_segment_is_a_trapezoid() -> None:
-    assert alone((3.0, 4.0, 0.0, 0.2), 100.0) == pytest.approx(5.0 / 100.0 + 100.0 / 2.5e5)
+    assert alone((3.0, 4.0, 0.0, 0.2), 100.0) == pytest.approx(
+        5.0 / 100.0 + 100.0 / STREAM.acceleration
+    )
 
 
 def test_greatest_velocity_holds() -> None:
-    assert alone((100.0, 0.0, 0.0, 0.0), 5000.0) == pytest.approx(100.0 / 770.0 + 770.0 / 2.5e5)
+    assert alone((100.0, 0.0, 0.0, 0.0), 5000.0) == pytest.approx(
+        100.0 / 770.0 + 770.0 / STREAM.acceleration
+    )
 
 
 def test_rise_limits_speed_and_acceleration() -> None:
@@ -98,7 +102,9 @@ def test_rise_limits_speed_and_acceleration() -> None:
 def test_retraction_limits_speed_and_acceleration() -> None:
     assert alone((100.0, 0.0, 0.0, -50.0), 60.0) == pytest.approx(100.0 / 60.0 + 60.0 / 4000.0)
     assert alone((100.0, 0.0, 0.0, -50.0), 500.0) == pytest.approx(100.0 / 120.0 + 120.0 / 4000.0)
-    assert alone((100.0, 0.0, 0.0, 50.0), 500.0) == pytest.approx(100.0 / 500.0 + 500.0 / 2.5e5)
+    assert alone((100.0, 0.0, 0.0, 50.0), 500.0) == pytest.approx(
+        100.0 / 500.0 + 500.0 / STREAM.acceleration
+    )
 
 
 def test_limited_segments_get_the_time_asked() -> None:
@@ -118,10 +124,27 @@ def test_neighbour_before_the_first_segment_counts() -> None:
     delta, T = np.array([[0.1, 0.0, 0.0, 0.0]]), np.array([1e-3])
     rest = np.zeros(2, dtype=bool)
     rolling = durations(delta, np.array([100.0]), rest, 100.0, STREAM)
-    slower = durations(delta, np.array([100.0]), rest, 40.0, STREAM)
+    slower = durations(delta, np.array([100.0]), rest, 80.0, STREAM)
     assert rolling[0] == pytest.approx(1e-3)
-    assert slower[0] == pytest.approx(1e-3 + 60.0**2 / (2 * 2.5e5) / 100.0)
-    assert speeds(delta, T, rest, 40.0, STREAM)[0] > 100.0
+    assert slower[0] == pytest.approx(1e-3 + 20.0**2 / (2 * STREAM.acceleration) / 100.0)
+    assert speeds(delta, T, rest, 80.0, STREAM)[0] > 100.0
+
+
+def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
+    """From rest: a crawl, the leap, then plain motion that hurries by a twenty-fifth."""
+    T = np.full(40, 2e-3)
+    T[1] = 1e-3
+    speed = np.full(40, 60.0)
+    speed[:3] = 6.0, 45.0, 60.0
+    at = np.zeros((41, 4))
+    at[1:, 0] = np.cumsum(speed * T)
+    player, rest = Klipper(RESTORE, STREAM), np.zeros(41, dtype=bool)
+    rest[0] = True
+    v = player.feed_rates(at, T, rest, 0.0)
+    late = player.durations(at, v, rest, 0.0) - T
+    assert 1e-4 < late[1] < 5e-4
+    assert np.abs(np.cumsum(late)[15:]).max() < 1e-5
+    assert -late[2:].min() < 0.05 * 2e-3
 
 
 # ---------------------------------------------------------------------- commands
@@ -135,11 +158,11 @@ def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[byte
     return Klipper(restore, STREAM).end(state, AT)
 
 
-def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
+def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -> None:
     limits = Limits(300.0, 1e4, 5e7, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
     stream = StreamLimits.of(limits, Motors(700.0, 5e4), Kinematics())
     assert stream.velocity == pytest.approx(770.0)
-    assert stream.acceleration == pytest.approx(2.5e5)
+    assert stream.acceleration == math.floor(5e4 / math.sqrt(2.0))  # 5e4 along a diagonal's belt
     assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)
     assert (stream.extruder_velocity, stream.extruder_acceleration) == (60.0, 2000.0)
     assert stream.extruder_corner_velocity == 1.5
@@ -147,9 +170,9 @@ def test_limits_of_the_stream_are_above_those_of_the_motors() -> None:
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
     assert Klipper(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        b"M400",
+        b"G4 P0",
         b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
-        b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=250000 SQUARE_CORNER_VELOCITY=100 "
+        b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
         b"MINIMUM_CRUISE_RATIO=0",
         b"G90",
         b"M83",
@@ -158,7 +181,7 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
 
 def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
     assert end() == [
-        b"M400",
+        b"G4 P0",
         b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
         b"MINIMUM_CRUISE_RATIO=0.5",
         b"G1 F6000",
@@ -175,12 +198,12 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 def test_macros_replace_the_limits_and_the_shaper() -> None:
     firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
     assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        b"M400",
+        b"G4 P0",
         b"HFRAME_BEGIN",
         b"G90",
         b"M83",
     ]
-    assert Klipper(firmware, STREAM).end(STATE, AT) == [b"M400", b"HFRAME_END A=1", b"G1 F6000"]
+    assert Klipper(firmware, STREAM).end(STATE, AT) == [b"G4 P0", b"HFRAME_END A=1", b"G1 F6000"]
 
 
 @pytest.mark.parametrize(
@@ -226,6 +249,34 @@ def test_restored_limits_are_those_of_the_user_to_a_thousandth() -> None:
     assert values["ACCEL"] == 12345.0
     assert values["SQUARE_CORNER_VELOCITY"] == 5.125
     assert values["MINIMUM_CRUISE_RATIO"] == 0.0625
+
+
+# ---------------------------------------------------------------------- objects left out
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"EXCLUDE_OBJECT_END NAME=a", b"exclude_object_start NAME=b", b"M486 S-1", b";MESH:cube.stl",
+     b"; printing object cube id:0 copy 0", b"; stop printing object cube id:0 copy 0"],
+)  # fmt: skip
+def test_lines_at_which_klipper_or_its_hosts_leave_out_objects(line: bytes) -> None:
+    player = Klipper(RESTORE, STREAM)
+    assert player.labels_object(line)
+    assert not player.labels_object(b";TYPE:" + line)
+
+
+def test_a_machine_that_left_out_an_object_comes_back_with_the_users_limits() -> None:
+    player = Klipper(KlipperTable(250.0, 3000.0), STREAM, travel=180.0)
+    back = player.rejoin(AT, np.array([-0.004, 0.011]), 3e-3)
+    assert back.text.splitlines() == [
+        b"SET_VELOCITY_LIMIT ACCEL=3000",
+        b"G1 X12.5 Y30.001 Z0.2 F10800",
+        b"SET_VELOCITY_LIMIT ACCEL=35355",
+    ]
+    np.testing.assert_allclose(back.at - AT, [0.0, 0.001, 0.0, 0.0], atol=1e-12)
+    nudge, v = 0.001, back.speed
+    assert v == pytest.approx(math.sqrt(2.0 * 3000.0 * nudge))  # it goes on faster than that
+    assert back.seconds == pytest.approx(v / 3000.0)
 
 
 # ---------------------------------------------------------------------- plain numbers

@@ -129,3 +129,56 @@ def test_catching_up_on_a_left_out_object_is_not_done_with_the_streams_limits(
     long = length > 20.0
     assert long.any()
     assert moves["accel"][long].max() <= 10_000.0
+
+
+# ---------------------------------------------------------------------- stopped anywhere
+
+MOTORS = 50_000.0  # mm/s², of the profile
+WINDOW = 2e-3  # s; what a belt does within is not the motors' but the teeth's business
+
+
+def strokes(n: int) -> list[str]:
+    """Lines in any direction, with a retraction and a travel between them."""
+    rng = np.random.default_rng(7)
+    lines, at = [*HEAD, "G1 Z.3 F600", "G1 X120 Y120 F9000"], np.array([120.0, 120.0])
+    for _ in range(n):
+        for length, filament in ((rng.uniform(10, 30), 0.04), (rng.uniform(5, 40), 0.0)):
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            at = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 60.0, 200.0)
+            e = f" E{filament * length:.4f}" if filament else ""
+            lines.append(f"G1 X{at[0]:.3f} Y{at[1]:.3f}{e} F{6000 if filament else 12000}")
+            lines.append(f"G1 E{-1.6 if filament else 1.6} F2400")
+    return lines
+
+
+def belts_acceleration(played: Playback) -> float:
+    t = np.arange(played.start, played.end, 0.5e-3)
+    h = round(WINDOW / 0.5e-3)
+    belts = played.position(t)[:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
+    return float(np.abs(belts[2 * h :] - 2 * belts[h:-h] + belts[: -2 * h]).max() / WINDOW**2)
+
+
+@pytest.mark.klipper
+def test_a_print_that_stops_anywhere_brakes_as_hard_as_the_motors_hold(tmp_path: Path) -> None:
+    """A pause, a cancelled print: Klipper plays what it has been sent to its end, and stands.
+
+    So does it at M400, of which there are twenty, at random. With limits that are only there to
+    be out of the way it would ask the motors for more than they have.
+    """
+    lines = [line.encode() + b"\n" for line in strokes(40)]
+    conversion = GcodeConversion(lines, load("paper"), Options("racking"))
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    rows = text.splitlines(keepends=True)
+    begun = next(k for k, row in enumerate(rows) if row.startswith(b"SET_VELOCITY_LIMIT VEL"))
+    moves = [k for k in range(begun, len(rows)) if rows[k].startswith(b"G1 X")]
+    for k in sorted(np.random.default_rng(3).choice(moves, 20, replace=False).tolist())[::-1]:
+        rows.insert(k, b"M400\n")
+    asked = {}
+    for name, stopped in (
+        ("as written", b"".join(rows)),
+        ("without bounds", b"".join(rows).replace(b" ACCEL=35355", b" ACCEL=250000")),
+    ):
+        (tmp_path / "stopped.gcode").write_bytes(stopped)
+        asked[name] = belts_acceleration(play(tmp_path / "stopped.gcode", workdir=tmp_path / name))
+    assert asked["as written"] <= MOTORS
+    assert asked["without bounds"] > MOTORS

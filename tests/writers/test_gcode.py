@@ -175,7 +175,7 @@ def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Player) -> 
     lines = text([first, second], klipper)[0].splitlines()
     row = lines.index(b"M600")
     assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=300") for line in lines[row - 5 : row])
-    assert lines[row + 1] == b"M400"
+    assert lines[row + 1] == b"G4 P0"
     taken = next(k for k in range(row, len(lines)) if lines[k].startswith(b"SET_VELOCITY_LIMIT"))
     assert not any(line.startswith(b"G1") for line in lines[row:taken])
     moves = [line for line in lines[taken:] if line.startswith(b"G1")]
