@@ -69,11 +69,11 @@ class Guard:
                 yield chunk
 
     def _note(self, rates: Rates) -> None:
-        x, y = np.abs(rates.axis_acceleration).max(axis=1).tolist()
+        x, y = (_greatest(axis) for axis in rates.axis_acceleration)
         known = self.peaks
         self.peaks = Peaks(
-            max(known.belt_velocity, float(np.abs(rates.belt_velocity).max())),
-            max(known.belt_acceleration, float(np.abs(rates.belt_acceleration).max())),
+            max(known.belt_velocity, _greatest(rates.belt_velocity)),
+            max(known.belt_acceleration, _greatest(rates.belt_acceleration)),
             (max(known.axis_acceleration[0], x), max(known.axis_acceleration[1], y)),
         )
 
@@ -100,6 +100,11 @@ class Clamp:
                     line = self.clamped.line or int(chunk.line[np.argmax(changed)])
                     self.clamped = Clamped(self.clamped.samples + int(changed.sum()), line)
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
+
+
+def _greatest(values: Array) -> float:
+    """The greatest magnitude."""
+    return max(float(values.max()), -float(values.min()))
 
 
 def _share(
@@ -140,8 +145,8 @@ def _check_sound(chunk: Samples, command: Array, first: int | None) -> None:
     places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
     if (first is not None and chunk.first != first) or places != sorted(places):
         raise HframeError(FAULT.format(line=line, what="goes back in time"))
-    finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
-    if not finite.all():
+    if not (np.isfinite(command).all() and np.isfinite(chunk.xyze).all()):
+        finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
         line = int(chunk.line[np.argmin(finite)])
         raise HframeError(FAULT.format(line=line, what="is not a number"))
 
@@ -156,6 +161,8 @@ def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
         raise LimitError("z (mm)", float(z[k]), bound, int(chunk.line[k]), advice)
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         position = command[:, axis]
+        if position.min() >= low - SLACK and position.max() <= high + SLACK:
+            continue
         for k, bound in ((int(position.argmin()), low), (int(position.argmax()), high)):
             if position[k] < low - SLACK or position[k] > high + SLACK:
                 off = abs(position[k] - chunk.xyze[k, axis])
@@ -171,9 +178,9 @@ def _check_motors(chunk: Samples, rates: Rates, motors: Motors) -> None:
         (1, "velocity", rates.belt_velocity, motors.belt_velocity),
         (2, "acceleration", rates.belt_acceleration, motors.belt_acceleration),
     ):
-        magnitude = np.abs(asked).max(axis=0)
-        k = int(magnitude.argmax())
-        if magnitude[k] > limit * LEEWAY:
+        if _greatest(asked) > limit * LEEWAY:
+            magnitude = np.abs(asked).max(axis=0)
+            k = int(magnitude.argmax())
             raise LimitError(
                 f"belt {name} (mm/s{'²' * (order - 1)})", float(magnitude[k]), limit,
                 int(chunk.line[k]),

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from hframe_post.arrays import TS, X, Y, Z
+from hframe_post.arrays import TS, X, Y
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Limits, Printer
@@ -54,13 +54,15 @@ def within_reach(chunks: Iterable[Samples], strategy: str, most: float) -> Itera
     """The stream as it is. Raises HframeError for a command more than ``most`` mm off its path."""
     for chunk in chunks:
         if len(chunk):
-            off = np.hypot(*(chunk.commands[strategy][:, :Z] - chunk.xyze[:, :Z])[:, [X, Y]].T)
-            k = int(off.argmax())
-            if not off[k] <= most:
+            command = chunk.commands[strategy]
+            dx, dy = (command[:, axis] - chunk.xyze[:, axis] for axis in (X, Y))
+            off2 = dx * dx + dy * dy
+            if not off2.max() <= most * most:
+                k = int(off2.argmax())
                 raise HframeError(
                     f"line {int(chunk.line[k])}: the compensation would lead the nozzle "
-                    f"{off[k]:.1f} mm off its path, and {most:.1f} mm is all that the model's own "
-                    f"lag explains: {ADVICE}"
+                    f"{np.sqrt(off2[k]):.1f} mm off its path, and {most:.1f} mm is all that the "
+                    f"model's own lag explains: {ADVICE}"
                 )
         yield chunk
 

@@ -20,6 +20,7 @@ BUILT_FOR = 1  # as in kernels.h: raised whenever a signature changes
 
 _D, _I = ctypes.c_double, ctypes.c_int64
 _FLOATS, _INTEGERS, _BYTES = "float64", "int64", "uint8"
+_TEXT = ctypes.c_char_p
 _ADDRESS = ctypes.c_void_p  # of an array that is handed over many times
 _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "breakpoints": (
@@ -28,7 +29,10 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "contour_error": (
         _FLOATS, _FLOATS, _I, _FLOATS, _FLOATS, _INTEGERS, _I, _I, _I, _D, _FLOATS, _INTEGERS,
     ),
-    "plain_moves": (ctypes.c_char_p, _I, _I, _I, _I, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),
+    "plain_moves": (_TEXT, _I, _I, _I, _I, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),
+    "command_lines": (
+        _TEXT, _TEXT, _I, _I, _INTEGERS, _INTEGERS, _BYTES, _BYTES, _INTEGERS,
+    ),
     "path_lengths": (_FLOATS, _I, _I, _I, _D, _D, _FLOATS),
     "follow": (_FLOATS, _FLOATS, _I, _FLOATS, _I, _FLOATS, _INTEGERS),
     "fitted": (_FLOATS, _I, _INTEGERS, _I, _I, _FLOATS, _FLOATS),

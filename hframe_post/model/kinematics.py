@@ -92,10 +92,10 @@ class Differences:
             none = np.zeros((2, 0))
             return Rates(none, none, none)
         if self._before is None:
-            self._before = command[:1].repeat(2, axis=0)
-        known = np.concatenate([self._before, command])
-        self._before = known[-2:]
-        velocity = np.diff(known, axis=0)[1:].T / TS
-        acceleration = np.diff(known, n=2, axis=0).T / TS**2
+            self._before = command[:1].repeat(2, axis=0).T
+        known = np.concatenate([self._before, command.T], axis=1)  # each axis in one piece
+        self._before = known[:, -2:].copy()
+        velocity = np.diff(known)[:, 1:] / TS
+        acceleration = np.diff(known, n=2) / TS**2
         belts = self._kinematics.belts
         return Rates(belts(*velocity), belts(*acceleration), acceleration)

@@ -8,13 +8,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.compiled.kernels import kernel
 from hframe_post.errors import HframeError
 
 Bytes = NDArray[np.uint8]
 MINUS, POINT, ZERO = b"-.0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
+ROOM = 27  # bytes of a word, at most: 2³² has 10 digits, no number has more than 20 decimals
 GROUP = 4  # digits looked up at once
 LARGEST = 1e15  # whose digits a float still knows
+
+
+def command_lines(
+    command: bytes, letters: bytes, values: Integers, decimals: tuple[int, ...], shown: Flags
+) -> tuple[bytes, Integers]:
+    """n lines of a command with w words each: their text, and where each ends in it (n,).
+
+    values (w, n) and shown (w, n) as for ``word``, with a letter and decimals for each row.
+    """
+    if (compiled := kernel("command_lines")) is None:
+        return _command_lines(command, letters, values, decimals, shown)
+    for row, places in zip(values, decimals, strict=True):
+        _check(row, places)
+    w, n = values.shape
+    text, ends = np.empty(n * (len(command) + w * ROOM + 1), np.uint8), np.empty(n, np.int64)
+    size = compiled(
+        command, letters, w, n, np.ascontiguousarray(values), np.array(decimals, np.int64),
+        np.ascontiguousarray(shown).view(np.uint8), text, ends,
+    )  # fmt: skip
+    return text[:size].tobytes(), ends
+
+
+def _command_lines(
+    command: bytes, letters: bytes, values: Integers, decimals: tuple[int, ...], shown: Flags
+) -> tuple[bytes, Integers]:
+    words = [
+        word(b" %c" % letter, row, places, seen)
+        for letter, row, places, seen in zip(letters, values, decimals, shown, strict=True)
+    ]
+    return lines(command, words)
+
+
+def _check(values: Integers, decimals: int) -> None:
+    longest = 10.0 ** (WHOLE_DIGITS + decimals)
+    if np.abs(values.astype(np.float64)).max(initial=0.0) >= min(longest, 2.0**32):
+        raise HframeError("a coordinate, filament length or feed rate is too long to be written")
 
 
 def word(letter: bytes, values: Integers, decimals: int, shown: Flags) -> Bytes:
@@ -24,9 +62,7 @@ def word(letter: bytes, values: Integers, decimals: int, shown: Flags) -> Bytes:
     HframeError for numbers with more than WHOLE_DIGITS before the point, or from 2³² on.
     """
     n, width = len(values), len(letter)
-    longest = 10.0 ** (WHOLE_DIGITS + decimals)
-    if np.abs(values.astype(np.float64)).max(initial=0.0) >= min(longest, 2.0**32):
-        raise HframeError("a coordinate, filament length or feed rate is too long to be written")
+    _check(values, decimals)
     whole, fraction = np.divmod(np.abs(values).astype(np.uint32), np.uint32(10**decimals))
     top = int(whole.max(initial=0))
     digits = 3 if top < 1000 else WHOLE_DIGITS

@@ -69,13 +69,14 @@ class Held:
         """The next SAMPLES_AT_ONCE, or all of them where motion ends; None: there are none."""
         if not self._count:
             return None
-        held = np.concatenate(self._points)
-        n = len(held) if last else SAMPLES_AT_ONCE
-        points = np.vstack([self._start, held[:n]])
+        held = np.concatenate([self._start[None], *self._points])
+        n = self._count if last else SAMPLES_AT_ONCE
+        points = held[: n + 1]
         marks = tuple(mark for mark in self._marks if mark.index - self._index < n)
         batch = Batch(self._index, points, marks, last)
         self._marks = self._marks[len(marks) :]
-        self._points, self._count = [held[n:]] if n < len(held) else [], len(held) - n
+        self._count -= n
+        self._points = [held[n + 1 :]] if self._count else []
         self._start, self._index = points[-1], self._index + n
         return batch
 

@@ -22,11 +22,12 @@ class Ledger:
     def moved(self, samples: Integers, steps: int) -> None:
         """Lines that extrude so much in all, and the samples, ascending, at which they are due."""
         self._steps += steps
-        for second, count in zip(
-            *np.unique(samples // PER_SECOND, return_counts=True), strict=True
-        ):
-            self._lines = int(count) + (self._lines if second == self._second else 0)
-            self._second, self.busiest = int(second), max(self.busiest, self._lines)
+        seconds = samples // PER_SECOND
+        first = np.append(0, np.flatnonzero(np.diff(seconds)) + 1)  # row of each second
+        counts = np.diff(np.append(first, len(seconds)))
+        for second, count in zip(seconds[first].tolist(), counts.tolist(), strict=True):
+            self._lines = count + (self._lines if second == self._second else 0)
+            self._second, self.busiest = second, max(self.busiest, self._lines)
 
     def passed(self, filament: float) -> None:
         """A line of the file that extrudes so many mm."""

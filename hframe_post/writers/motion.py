@@ -99,14 +99,9 @@ def lines(
 
     shown (k, 4), faster (k,): the words x, y, z, e and F that are to be seen.
     """
-    values = (*at[1:, :E].T, np.diff(at[:, E]))
-    words = [
-        digits.word(letter, value, decimals, seen)
-        for letter, value, decimals, seen in zip(
-            (b" X", b" Y", b" Z", b" E"), values, units.decimals, shown.T, strict=True
-        )
-    ]
-    return digits.lines(b"G1", [*words, digits.word(b" F", feeds, units.feed_decimals, faster)])
+    values = np.vstack([at[1:, :E].T, np.diff(at[:, E]), feeds])
+    decimals = (*units.decimals, units.feed_decimals)
+    return digits.command_lines(b"G1", b"XYZEF", values, decimals, np.vstack([shown.T, faster]))
 
 
 def standing_line(start: Integers, end: Integers, feed: int, units: Units) -> bytes:

@@ -19,6 +19,7 @@ from hframe_post.planner import jerk_profile, sampling
 from hframe_post.prediction import contour
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
+from hframe_post.writers import digits
 from tests.conftest import SAMPLES
 from tests.firmware.test_decimate import wander
 
@@ -115,3 +116,16 @@ def test_a_library_of_another_version_is_not_taken(tmp_path: Path) -> None:
     broken = tmp_path / "broken.so"
     broken.write_bytes(b"no library")
     assert kernels.loaded(broken) is None
+
+
+@thorough
+@given(seeds, st.integers(0, 60), st.integers(1, 9), st.integers(0, 5))
+def test_lines(compiled: None, seed: int, n: int, digits_of: int, places: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(-(10**digits_of), 10**digits_of + 1, (5, n)) // 10**places * 10**places
+    decimals, shown = (4, 5, 6, 5, 4), rng.random((5, n)) < 0.7
+    arguments = b"G1", b"XYZEF", values, decimals, shown
+    text, ends = digits.command_lines(*arguments)
+    plain_text, plain_ends = digits._command_lines(*arguments)
+    assert text == plain_text
+    same(ends, plain_ends)
