@@ -88,7 +88,8 @@ def hastened(
     speed_up: float, model_error: float,
 ) -> Fastest:  # fmt: skip
     """How that file is printed in the least time. Raises HframeError."""
-    from hframe_post.studies.speed import Freedom, fastest
+    from hframe_post.studies.drive import Freedom
+    from hframe_post.studies.speed import fastest
     from hframe_post.studies.uncertainty import draws
 
     def lines() -> Iterator[bytes]:

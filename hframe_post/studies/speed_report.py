@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hframe_post.studies.speed import KEPT, Fastest
+from hframe_post.studies.drive import KEPT
+from hframe_post.studies.speed import Fastest
 from hframe_post.writers.print_time import duration
 
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
