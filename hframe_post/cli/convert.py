@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from hframe_post.cli.options import (
     files_read,
     firmwares,
     formats,
+    i_know_option,
     json_option,
     limits_option,
     on_limit_option,
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
 @limits_option
 @extrusion_option
 @on_limit_option
+@i_know_option
 @click.option(
     "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.014", metavar="MM",
     help="G-code for Klipper: how far the written command may be off the computed one.",
@@ -88,7 +91,7 @@ if TYPE_CHECKING:
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: FileLimits,
-    extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
+    extrusion: Extrusion | None, on_limit: str, i_know: bool, tolerance: float | None,
     every_sample: bool, predict: str, max_error: dict[str, float] | None, error_measure: str,
     speed_up: float, model_error: float, jobs: int | None, json_file: Path | None,
     report_file: Path | None, dry_run: bool, quiet: bool,
@@ -118,6 +121,7 @@ def convert(
     kind = _kind(source, output, to_stdout, asked_format, dry_run)
     finely = tolerance is not None or every_sample
     profile = _profile(printer, firmware, kind, finely)
+    profile = replace(profile, invented=profile.invented and not i_know)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip
     log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")

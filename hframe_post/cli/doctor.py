@@ -116,6 +116,11 @@ def _profile(told: _Told, printer: str, config: Path | None) -> None:
             )
         return
     told.ok(f"profile {printer} ({chosen.why}): {profile.description or 'no description'}")
+    if profile.invented:
+        told.note(
+            "its plant is not measured, so nothing is compensated until 'hframe-post identify' "
+            "has written yours: docs/identify.md"
+        )
     if printer in shipped():
         told.note(
             f"{printer} comes with hframe-post and is not your printer: "

@@ -91,7 +91,9 @@ def printers(context: click.Context) -> None:
 
     if context.invoked_subcommand is None:
         for name in shipped():
-            click.echo(f"{name:18s}{load(name).description}")
+            profile = load(name)
+            mark = " [invented plant]" if profile.invented else ""
+            click.echo(f"{name:18s}{profile.description}{mark}")
 
 
 @printers.command()

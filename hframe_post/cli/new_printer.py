@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hframe_post.cli.options import LazyChoice, kinds
+
 if TYPE_CHECKING:
     from hframe_post.printer.new_profile import Known
 
@@ -44,7 +46,7 @@ def _positive(text: str) -> float:
     metavar="FILE", help="Klipper's printer.cfg, which answers all questions but one.",
 )  # fmt: skip
 @click.option(
-    "--kinematics", type=click.Choice(["hbot", "corexy", "cartesian"]),
+    "--kinematics", type=LazyChoice(kinds),
     help="How belts and nozzle hang together. Of printer.cfg's corexy: hbot, if not given.",
 )  # fmt: skip
 @click.option("--description", help="A line about the printer.")
@@ -80,6 +82,7 @@ def new(output: Path, config: Path | None, kinematics: str | None, description: 
 
 
 def _asked(kinematics: str | None, description: str | None, name: str) -> Known:
+    from hframe_post.printer.new_profile import BASES
     from hframe_post.printer.new_profile import Known as Answers
 
     def number(question: str, usual: float) -> float:
@@ -87,8 +90,8 @@ def _asked(kinematics: str | None, description: str | None, name: str) -> Known:
 
     described = description or click.prompt("What is the printer called", default=name)
     kind = kinematics or click.prompt(
-        "hbot (one belt, H), corexy (two belts, crossed) or cartesian",
-        type=click.Choice(["hbot", "corexy", "cartesian"]), default="hbot",
+        "hbot (one belt, H), corexy (two belts, crossed), hybrid-corexy, corexz or cartesian",
+        type=click.Choice(list(BASES)), default="hbot", show_choices=False,
     )  # fmt: skip
     x = click.prompt("x from, to (mm)", default="0,250", value_proc=_range)
     y = click.prompt("y from, to (mm)", default="0,250", value_proc=_range)

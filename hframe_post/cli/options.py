@@ -51,6 +51,13 @@ def strategies() -> Iterable[str]:
     return STRATEGIES
 
 
+def kinds() -> Iterable[str]:
+    """Of kinematics."""
+    from hframe_post.model.kinematics import ROWS
+
+    return ROWS
+
+
 def formats() -> Iterable[str]:
     """Those that the output can have."""
     from hframe_post.conversion.files import FORMATS
@@ -79,6 +86,11 @@ extrusion_option = click.option(
 on_limit_option = click.option(
     "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
     help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
+)  # fmt: skip
+
+i_know_option = click.option(
+    "--i-know", "i_know", is_flag=True,
+    help="Compensate though the profile's plant is marked as invented, or another printer's.",
 )  # fmt: skip
 
 seed_option = click.option(

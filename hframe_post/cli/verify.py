@@ -71,9 +71,10 @@ def verify(
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
     from hframe_post.identification.verification import runs
-    from hframe_post.printer.profile import load
+    from hframe_post.printer.profile import check_identified, load
 
     profile = load(printer)
+    check_identified(profile)
     planned = runs(profile)
     write_motion(target, printer, profile, planned, chips, z)
     say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))

@@ -23,6 +23,7 @@ from hframe_post.conversion.pipeline import (
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
 from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary
+from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.atomic_file import Outputs
 from hframe_post.writers.compression import compressing
@@ -77,8 +78,10 @@ def convert(
     """Converts and writes, for the target's outputs to appear. Raises HframeError, OSError.
 
     target None: nothing is written. kind: one of ``FORMATS``. jobs: processes that compute, for
-    a format that can be computed so.
+    a format that can be computed so. A plant that is not the printer's own compensates nothing.
     """
+    if target is not None and options.strategy != "none":
+        check_identified(printer)
     chosen = FORMATS[kind]
     convert = partial(chosen.convert, jobs=jobs) if chosen.divides else chosen.convert
     conversion = convert(lines, printer, options)

@@ -175,6 +175,9 @@ class StepConversion:
         table, kinematics = printer.steps, printer.kinematics
         if table is None:
             raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
+        if not kinematics.apart:
+            cause = f"the motor of z moves with x on a {kinematics.type}: its steps are not written"
+            raise PrinterError(cause, "kinematics.type", printer.name)
         self._table = table
         self.commands = Commands(lines, printer, options)
         self._stepper = Stepper(options.strategy, kinematics, table)

@@ -6,11 +6,13 @@ type          A       B       racks                                Klipper, Marl
 hbot          x + y   x − y   yes: one belt pulls the gantry askew ``corexy``, COREXY
 corexy        x + y   x − y   no: two belts, crossed               ``corexy``, COREXY
 hybrid-corexy x − y   y       no                                   ``hybrid_corexy``, MARKFORGED_XY
+corexz        x       y       no: x and z share belts              ``corexz``, COREXZ
 cartesian     x       y       no                                   ``cartesian``, neither
 ============= ======= ======= ==================================== ===============================
 
 A is the motor of ``stepper_x``, X_STEP; B that of ``stepper_y``, Y_STEP. ``swap`` exchanges A
-and B (an H-bot whose motors stand at the other end of y); then ``signs`` turn them around.
+and B (an H-bot whose motors stand at the other end of y); then ``signs`` turn them around. A
+of a CoreXZ is x + z, so in the plane it is x; its third motor, x − z, moves with x, too.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ ROWS = {
     "hbot": ((1.0, 1.0), (1.0, -1.0)),
     "corexy": ((1.0, 1.0), (1.0, -1.0)),
     "hybrid-corexy": ((1.0, -1.0), (0.0, 1.0)),
+    "corexz": ((1.0, 0.0), (0.0, 1.0)),
     "cartesian": ((1.0, 0.0), (0.0, 1.0)),
 }
 
@@ -41,6 +44,11 @@ class Kinematics:
     def racks(self) -> bool:
         """Whether pulling in x can twist the gantry."""
         return self.type == "hbot"
+
+    @property
+    def apart(self) -> bool:
+        """Whether z has a motor of its own."""
+        return self.type != "corexz"
 
     @property
     def matrix(self) -> Array:

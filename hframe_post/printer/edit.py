@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,9 +31,13 @@ def with_windows(name_or_path: str, windows: Windows) -> str:
 def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str]) -> str:
     """The text of that profile with this plant, told about in ``notes``, and these windows.
 
-    A shipped one is extended. Raises PrinterError where the text cannot be changed safely.
+    A shipped one is extended. It is the printer's own from now on: a profile that said
+    ``invented`` says so no more, and one that compensated nothing does. Raises PrinterError
+    where the text cannot be changed safely.
     """
-    return _changed(name_or_path, windows, _plant(plant, notes))
+    before = parse(_own(name_or_path)[0], name_or_path)
+    strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
+    return _changed(name_or_path, windows, _plant(plant, notes, before.invented), strategy)
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -60,10 +64,15 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
     return changed.replace("\n", newline)
 
 
-def _changed(name_or_path: str, windows: Windows, plant: str) -> str:
-    """The profile's text with these windows and, unless empty, this table ``plant``."""
+def _changed(
+    name_or_path: str, windows: Windows, plant: str, more: Mapping[str, Any] | None = None
+) -> str:
+    """The profile's text with these windows and, unless empty, this table ``plant``.
+
+    more: of [compensation].
+    """
     text, newline = _own(name_or_path)
-    settings = _settings(windows)
+    settings = {**_settings(windows), **(more or {})}
     try:
         changed = _edited(text, settings, plant)
         if tomllib.loads(changed) != _merged(text, settings, plant):
@@ -121,7 +130,7 @@ def _merged(text: str, settings: dict[str, Any], plant: str) -> dict[str, Any]:
     return {**before, "compensation": compensation, **tomllib.loads(plant)}
 
 
-def _plant(plant: Plant, notes: Sequence[str]) -> str:
+def _plant(plant: Plant, notes: Sequence[str], was_invented: bool) -> str:
     """The table ``plant`` with notes, and its transfer functions.
 
     What does not rack says so by a gain of zero: the profile that is extended may rack.
@@ -129,7 +138,8 @@ def _plant(plant: Plant, notes: Sequence[str]) -> str:
     silent = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or silent}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
-    head = f"[plant]\n{comments}Ts = {TS}\nx_c = {plant.x_c!r}\n"
+    measured = "invented = false\n" if was_invented else ""
+    head = f"[plant]\n{comments}{measured}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     return head + "".join(_transfer_function(name, G) for name, G in functions.items())
 
 

@@ -9,7 +9,19 @@ from dataclasses import dataclass, field
 from hframe_post.errors import HframeError
 from hframe_post.printer.klipper_cfg import KlipperConfig
 
-BASES = {"hbot": "paper", "corexy": "example-corexy", "cartesian": "example-cartesian"}
+BASES = {
+    "hbot": "paper",
+    "corexy": "example-corexy",
+    "hybrid-corexy": "example-corexy",
+    "corexz": "example-cartesian",
+    "cartesian": "example-cartesian",
+}
+KLIPPERS = {  # its kinematics, and what they are here if nobody says; it knows corexy, not hbot
+    "corexy": "hbot",
+    "hybrid_corexy": "hybrid-corexy",
+    "corexz": "corexz",
+    "cartesian": "cartesian",
+}
 Range = tuple[float, float]
 
 
@@ -43,8 +55,9 @@ def from_klipper(config: KlipperConfig, description: str, kinematics: str | None
     Raises HframeError where a number is missing.
     """
     told = config.text("printer", "kinematics")
-    if told not in ("corexy", "cartesian"):
-        raise HframeError(f"[printer] kinematics: {told!r}: only corexy and cartesian can be used")
+    if told not in KLIPPERS:
+        usable = ", ".join(KLIPPERS)
+        raise HframeError(f"[printer] kinematics: {told!r}: only {usable} can be used")
     ranges = []
     for axis in "xy":
         low = config.number(f"stepper_{axis}", "position_min", 0.0)
@@ -60,7 +73,7 @@ def from_klipper(config: KlipperConfig, description: str, kinematics: str | None
     steps = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
     shaper = tuple(config.number("input_shaper", f"shaper_freq_{a}", 0.0) for a in "xy")
     return Known(
-        description, kinematics or ("cartesian" if told == "cartesian" else "hbot"),
+        description, kinematics or KLIPPERS[told],
         ranges[0], ranges[1], velocity, acceleration,
         config.number("printer", "square_corner_velocity", 5.0),
         config.number("printer", "max_z_velocity", velocity),
@@ -75,21 +88,25 @@ def from_klipper(config: KlipperConfig, description: str, kinematics: str | None
 
 
 def text(known: Known) -> str:
-    """The profile, as TOML with comments."""
-    steps = {name: step for name, step in known.steps.items() if step > 0.0}
-    told_steps = "".join(f"{name} = {step:.9g}\n" for name, step in steps.items())
-    shapers = "".join(
-        f"shaper_freq_{axis} = {hz:g}\n"
-        for axis, hz in zip("xy", known.shaper_freq, strict=True)
-        if hz > 0.0
-    )
+    """The profile, as TOML with comments. Its plant is marked: it is not that printer's yet."""
+    base = BASES[known.kinematics]
     return f"""\
 # A profile for hframe-post. Lengths in mm, times in s. What is not said here is as in the
-# profile that this one extends: 'hframe-post printers show {BASES[known.kinematics]}'.
+# profile that this one extends: 'hframe-post printers show {base}'.
 
-extends = "{BASES[known.kinematics]}"
+extends = "{base}"
 description = {json.dumps(known.description, ensure_ascii=False)}
 
+{_machine(known)}
+{_klipper(known)}
+[plant]                 # NOT YOURS yet but that of "{base}", so nothing is compensated until
+invented = true         # `hframe-post identify` has written yours here (docs/identify.md)
+"""
+
+
+def _machine(known: Known) -> str:
+    """How it moves, and how far and fast it may."""
+    return f"""\
 [kinematics]
 type = "{known.kinematics}"
 
@@ -110,14 +127,21 @@ extruder_corner_velocity = {known.extruder_corner_velocity:g}  # instantaneous_c
 # [motors]              # what no command may exceed; the base profile's until you know better
 # belt_velocity = …
 # belt_acceleration = …
-{
-        f'''
-[steps]                 # mm a step, from rotation_distance and microsteps
-{told_steps}'''
-        if told_steps
-        else ""
-    }
-[firmware]
+"""
+
+
+def _klipper(known: Known) -> str:
+    """Its steps, if they are known, and what Klipper is to be left with."""
+    told = [f"{name} = {step:.9g}\n" for name, step in known.steps.items() if step > 0.0]
+    comment = "[steps]                 # mm a step, from rotation_distance and microsteps\n"
+    steps = "".join([comment, *told, "\n"]) if told else ""
+    shapers = "".join(
+        f"shaper_freq_{axis} = {hz:g}\n"
+        for axis, hz in zip("xy", known.shaper_freq, strict=True)
+        if hz > 0.0
+    )
+    return f"""\
+{steps}[firmware]
 dialect = "klipper"
 
 [firmware.klipper]      # in force before and after the stream: those of printer.cfg
@@ -125,14 +149,7 @@ velocity = {known.velocity:g}
 acceleration = {known.acceleration:g}
 square_corner_velocity = {known.corner:g}
 minimum_cruise_ratio = {known.minimum_cruise_ratio:g}
-{shapers}
-# The plant is NOT YOURS yet but that of "{
-        BASES[known.kinematics]
-    }". So nothing is compensated until
-# you have measured yours (docs/identify.md: sweep, print it, identify) and take this line out:
-[compensation]
-strategy = "none"
-"""
+{shapers}"""
 
 
 def _given(name: str, value: float, comment: str) -> str:

@@ -137,6 +137,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Sweep, document.get("sweep", {}), "sweep"),
         digest,
         _verified(document),
+        checked_value(bool, document["plant"].get("invented", False), {}, "plant.invented"),
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
@@ -174,8 +175,19 @@ def played_by(printer: Printer, dialect: str) -> Printer:
     return other
 
 
+def check_identified(printer: Printer) -> None:
+    """Raises PrinterError where a command would be computed for a plant that is no printer's."""
+    if printer.invented:
+        raise PrinterError(
+            "this plant is not your printer's, so nothing is compensated with it: measure yours "
+            "with 'hframe-post sweep' and 'hframe-post identify' (docs/identify.md), convert "
+            "with -c none, or say --i-know",
+            "plant.invented", printer.name,
+        )  # fmt: skip
+
+
 def _plant(table: dict[str, Any]) -> Plant:
-    known_keys(table, ("Ts", "x_c", "Gxx", "Gyy", "Gxtheta"), "plant")
+    known_keys(table, ("Ts", "x_c", "invented", "Gxx", "Gyy", "Gxtheta"), "plant")
     for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
         if key not in table:
             raise PrinterError("the key is missing", f"plant.{key}")

@@ -181,7 +181,8 @@ class Printer:
     """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out.
 
     sweep: the motion by which its plant is identified, of no part in a conversion. verified:
-    None unless this very plant and window were; ``digest`` does not tell it.
+    None unless this very plant and window were; ``digest`` does not tell it. invented: the
+    plant is of no printer, or of another one.
     """
 
     name: str
@@ -197,3 +198,4 @@ class Printer:
     sweep: Sweep
     digest: str
     verified: Verified | None = None
+    invented: bool = False

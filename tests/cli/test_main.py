@@ -172,7 +172,7 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     assert b"No such file" in nowhere.stderr
     profile = run(RECTANGLE, "-n", "-p", "nobody")
     assert profile.returncode == 1
-    assert b"shipped are: example-cartesian, example-corexy, paper" in profile.stderr
+    assert b"shipped are: example-cartesian, example-corexy, example-ender," in profile.stderr
 
 
 def test_broken_profile_names_its_key(tmp_path: Path) -> None:

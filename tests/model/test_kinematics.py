@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.pipeline import (
+    Commands,
+    GcodeConversion,
+    Options,
+    StepConversion,
+)
+from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper import StreamLimits
 from hframe_post.model.kinematics import ROWS, Differences, Kinematics
+from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
+from hframe_post.stream.chunks import join
 from tests.conftest import SAMPLES
 
 ALL = [
@@ -26,6 +35,7 @@ def test_belts_of_an_h_frame_are_sum_and_difference() -> None:
     np.testing.assert_array_equal(Kinematics("corexy").belts(X, Y), [X + Y, X - Y])
     np.testing.assert_array_equal(Kinematics("cartesian").belts(X, Y), [X, Y])
     np.testing.assert_array_equal(Kinematics("hybrid-corexy").belts(X, Y), [X - Y, Y])
+    np.testing.assert_array_equal(Kinematics("corexz").belts(X, Y), [X, Y])  # while z stands
 
 
 def test_motors_are_exchanged_then_turned() -> None:
@@ -70,7 +80,7 @@ def test_stream_in_x_and_y_does_not_know_how_the_motors_are_connected(change: st
 
 
 @pytest.mark.parametrize("name", ["example-corexy", "example-cartesian"])
-@pytest.mark.parametrize("strategy", ["racking", "fbs", "none"])
+@pytest.mark.parametrize("strategy", ["racking", "none"])
 @pytest.mark.parametrize("part", ["rectangle", "cube"])
 def test_examples_convert_the_samples(name: str, strategy: str, part: str) -> None:
     lines = (SAMPLES / f"{part}.gcode").read_bytes().splitlines(keepends=True)
@@ -88,6 +98,34 @@ def test_examples_convert_the_samples(name: str, strategy: str, part: str) -> No
         assert set(error) == {"none"}
     else:
         assert error[strategy]["rms"] < error["none"]["rms"] / 8
+
+
+def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
+    text = 'extends = "example-cartesian"\n[kinematics]\ntype = "{}"\n'
+    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    streams = [
+        list(GcodeConversion(iter(lines), parse(text.format(kind), kind), Options("fbs")))[1:]
+        for kind in ("corexz", "cartesian")
+    ]
+    assert streams[0] == streams[1]
+    with pytest.raises(PrinterError, match="the motor of z moves with x"):
+        StepConversion(iter(lines), parse(text.format("corexz"), "mine"), Options("fbs"))
+
+
+def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> None:
+    """Exchanged, its two models no longer fit."""
+    printer = load("example-cartesian")
+    own = printer.plant
+    other = replace(own, Gxx=own.Gyy, Gyy=own.Gxx)
+    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    command = join(list(Commands(iter(lines), printer, Options("fbs")).computed()))
+    errors = [
+        np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
+        for plant in (own, other)
+    ]
+    right, wrong = (float(np.sqrt(np.square(error).mean())) for error in errors)
+    assert right < 0.001
+    assert wrong > 10.0 * right
 
 
 def test_without_racking_both_compensations_are_one() -> None:

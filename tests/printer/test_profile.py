@@ -194,7 +194,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
         ("[firmware.klipper]\nminimum_cruise_ratio = 1.0",
          "firmware.klipper.minimum_cruise_ratio", "below 1"),
-        ("[kinematics]\ntype = 'delta'", "kinematics.type", "hbot, corexy, hybrid-corexy, cart"),
+        ("[kinematics]\ntype = 'delta'", "kinematics.type", "hybrid-corexy, corexz, cart"),
         ("[kinematics]\nswap = 1", "kinematics.swap", "true or false"),
         ("[kinematics]\nsigns = [1, 2]", "kinematics.signs", "one of -1, 1"),
         ("[kinematics]\nsigns = [1]", "kinematics.signs", "list of two"),

@@ -15,6 +15,7 @@ from hframe_post.cli.batch.watching import watch_folder
 from hframe_post.cli.options import (
     LazyChoice,
     files_read,
+    i_know_option,
     json_option,
     limits_option,
     on_limit_option,
@@ -49,6 +50,7 @@ def address(text: str) -> str:
 @click.option("-c", "--compensation", type=LazyChoice(strategies), help="Default: the profile's.")
 @limits_option
 @on_limit_option
+@i_know_option
 @click.option(
     "--resume", is_flag=True,
     help="Skip what is there already, converted with the same settings from a file not newer.",
@@ -71,7 +73,7 @@ def address(text: str) -> str:
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, compensation: str | None, limits: str, on_limit: str, resume: bool,
+    printer: str, compensation: str | None, limits: str, on_limit: str, i_know: bool, resume: bool,
     watched: Path | None, scheduler: str | None, send: bool, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert many files at a time; one that fails does not stop the others.
@@ -84,12 +86,15 @@ def batch(
       hframe-post batch --watch uploads/ -d printable/
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
+    from hframe_post.printer.profile import check_identified, load
     from hframe_post.writers.atomic_file import Outputs
 
     _check_usage(sources, watched, folder, json_file, scheduler, send)
     stamped = first_line(printer, compensation, limits, on_limit)  # so it is a sound profile
+    if compensation != "none" and not i_know:
+        check_identified(load(printer))
     folder.mkdir(parents=True, exist_ok=True)
-    options = ["--limits", limits, "--on-limit", on_limit]
+    options = ["--limits", limits, "--on-limit", on_limit, *(["--i-know"] if i_know else [])]
     options += ["-c", compensation] if compensation else []
     place = _place(scheduler, send, jobs, printer, options, stamped)
     if watched is not None:

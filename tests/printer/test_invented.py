@@ -1,0 +1,81 @@
+"""Profiles whose plant is no printer's: nothing is compensated with them until it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import hframe_post as hp
+from hframe_post.errors import PrinterError
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.new_profile import BASES, Known, text
+from hframe_post.printer.profile import load, parse, shipped
+from tests.cli.test_main import RECTANGLE, run
+
+STARTS = ("example-voron", "example-ender", "example-hbot")
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_of_the_shipped_only_the_papers_printer_is_a_printer(name: str) -> None:
+    assert load(name).invented != name.startswith("paper")
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_a_start_is_refused_until_it_is_identified(name: str, tmp_path: Path) -> None:
+    out = tmp_path / "out.gcode"
+    printer = load(name)
+    with pytest.raises(PrinterError, match=r"plant\.invented.*hframe-post sweep.*identify"):
+        hp.convert(RECTANGLE, out, printer)
+    assert not out.exists()
+    own = tmp_path / "own.toml"
+    own.write_text(with_plant(name, printer.plant, printer.compensation.windows, ["measured"]))
+    assert not load(str(own)).invented
+    assert parse(own.read_text() + "\n", "own").plant.Gxx.gain == printer.plant.Gxx.gain
+
+
+def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Path) -> None:
+    out, folder = tmp_path / "out.gcode", tmp_path / "many"
+    line = (RECTANGLE, "-o", out, "-p", "example-corexy")
+    for refused in (run(*line), run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy"),
+                    run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
+        assert refused.returncode == 1
+        assert b"plant.invented: this plant is not your printer's" in refused.stderr
+        assert b"'hframe-post sweep' and 'hframe-post identify'" in refused.stderr
+    assert not out.exists()
+    assert not folder.exists()
+    assert run(*line, "-c", "none").returncode == 0
+    assert run(*line, "--i-know").returncode == 0
+    told = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--i-know")
+    assert told.returncode == 0, told.stderr
+    assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
+    assert b"[invented plant]" in run("printers").stdout
+    assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout
+
+
+@pytest.mark.parametrize("kind", sorted(BASES))
+def test_a_new_profile_of_each_kind_is_marked_until_it_is_identified(
+    kind: str, tmp_path: Path
+) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text(text(Known("mine", kind, (0.0, 200.0), (0.0, 200.0), 200.0, 3000.0)))
+    printer = load(str(own))
+    assert (printer.kinematics.type, printer.invented) == (kind, True)
+    found = replace(printer.plant, Gxtheta=None)
+    identified = parse(with_plant(str(own), found, printer.compensation.windows, []), "own")
+    assert not identified.invented
+    assert identified.compensation.strategy == "racking"
+
+
+def test_identification_ends_a_profile_that_compensates_nothing(tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('extends = "paper"\n[compensation]\nstrategy = "none"  # not yet\n')
+    paper = load("paper")
+    own.write_text(with_plant(str(own), paper.plant, paper.compensation.windows, []))
+    assert load(str(own)).compensation.strategy == "racking"
+
+
+def test_mark_is_true_or_false() -> None:
+    with pytest.raises(PrinterError, match=r"plant\.invented: must be true or false"):
+        parse('extends = "paper"\n[plant]\ninvented = "yes"\n', "own")
