@@ -230,7 +230,10 @@ class Marlin:
     @property
     def _planner(self) -> Planner:
         planner = PLANNERS[self.own.planner]
-        return replace(planner, own_entry=self.own.classic_jerk and not planner.development)
+        return replace(
+            planner, own_entry=self.own.classic_jerk and not planner.development,
+            s_curve=self.own.s_curve_acceleration,
+        )  # fmt: skip
 
     @property
     def _timer(self) -> Timer:

@@ -92,6 +92,7 @@ class Planner:
     development: bool = False  # its ramps are an interval shorter at the top, longer at the foot
     whole_rates: bool = True
     own_entry: bool = False  # blocks begin at their own speed: CLASSIC_JERK that limits nothing
+    s_curve: bool = False  # ramps are S_CURVE_ACCELERATION's
 
     @property
     def least_rate(self) -> float:
@@ -195,13 +196,22 @@ class Planner:
         falling = np.clip(down * shares - late, 0, after_first - rising)
         cruising = after_first - rising - falling
         first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
-        climb, top = _climb(begin, rate, a, rising, self.risen * first, shares, timer)
+        reach = self._reached(begin, rate, a, up, n - up - down)
+        climb, top = _ramp(begin, reach, a, rising, self.risen * first, shares, timer, self.s_curve)
+        top = reach if self.s_curve else top
         ahead = np.where(rising > 0, 0.0, self.fallen * first)
         if self.development:
             top = np.where(cruising > 0, rate, top)
             ahead = np.where(cruising > 0, self.fallen * cruise, ahead)
-        drop = _fall(top, end, a, falling, ahead, shares, timer)
+        top = np.maximum(top, end)
+        drop, _ = _ramp(top, end, a, falling, ahead, shares, timer, self.s_curve)
         return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
+
+    def _reached(self, begin: Array, rate: Array, a: Array, up: Array, plateau: Array) -> Array:
+        """Rates (k,) to which the ramps rise: a curve must know where it will end."""
+        if not self.s_curve:
+            return rate
+        return np.where(plateau > 0.0, rate, np.minimum(np.sqrt(begin**2 + 2.0 * a * up), rate))
 
     def _whole(self, rate: Array) -> Array:
         """Rates (k,) at which blocks begin and end, as they are rounded."""
@@ -241,36 +251,35 @@ def _dithered(rate: Array, timer: Timer) -> Array:
     return np.asarray(np.maximum(np.floor(whole), 1.0))
 
 
-def _climb(
-    begin: Array,
-    rate: Array,
+def _ramp(
+    start: Array,
+    end: Array,
     a: Array,
     interrupts: Array,
     ahead: Array,
     shares: Array,
     timer: Timer,
+    s_curve: bool,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Time (k,) of the interrupts in which speed rises, and the rate reached.
+    """Time (k,) of the interrupts in which rates go from start to end, and the rates reached.
 
     ahead (k,): ticks by which the ramp is ahead; shares (k,): interrupts a step.
     """
-    taken, t, now = np.zeros(len(rate)), ahead / timer.hz, begin
+    taken, t, now = np.zeros(len(start)), ahead / timer.hz, start
     for k in range(int(interrupts.max(initial=0.0))):
-        rising = k < interrupts
-        now = np.where(rising, np.minimum(begin + np.floor(a * t), rate), now)
+        ramping = k < interrupts
+        now = np.where(ramping, _rate_at(t, start, end, a, s_curve), now)
         ticks = timer.ticks(now * shares)
-        taken = np.where(rising, taken + timer.seconds(ticks), taken)
+        taken = np.where(ramping, taken + timer.seconds(ticks), taken)
         t = t + ticks / timer.hz
     return taken, now
 
 
-def _fall(
-    top: Array, end: Array, a: Array, interrupts: Array, ahead: Array, shares: Array, timer: Timer
-) -> Array:
-    """Time (k,) of the interrupts in which speed falls; see ``_climb``."""
-    taken, t = np.zeros(len(top)), ahead / timer.hz
-    for k in range(int(interrupts.max(initial=0.0))):
-        ticks = timer.ticks(np.maximum(top - np.floor(a * t), end) * shares)
-        taken = np.where(k < interrupts, taken + timer.seconds(ticks), taken)
-        t = t + ticks / timer.hz
-    return taken
+def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Array:
+    """Whole rates (k,) at t (k,) s: along a line, or along a Bézier curve as long as it."""
+    way = end - start
+    if not s_curve:
+        return np.asarray(start + np.sign(way) * np.minimum(np.floor(a * t), np.abs(way)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(way != 0.0, np.clip(a * t / np.abs(way), 0.0, 1.0), 1.0)
+    return np.asarray(np.floor(start + way * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)))

@@ -13,6 +13,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive
 
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
+S_CURVES = ("2.0", "2.1")  # whose S_CURVE_ACCELERATION is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +63,16 @@ class MarlinTable:
     timer_extra_tick: bool = False
     planner: str = field(default="2.1", metadata={"choices": MARLIN_PLANNERS})
     adaptive_step_smoothing: float = not_negative(0.0)
+    s_curve_acceleration: bool = False
 
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)
         if any(jerks) != all(jerks) or any(jerks) == bool(self.junction_deviation):
             cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
             raise PrinterError(cause, "firmware.marlin.junction_deviation")
+        if self.s_curve_acceleration and self.planner not in S_CURVES:
+            cause = f"is computed for planner {' and '.join(S_CURVES)}; turn it off in the build"
+            raise PrinterError(cause, "firmware.marlin.s_curve_acceleration")
 
     @property
     def classic_jerk(self) -> bool:

@@ -120,6 +120,13 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
         assert hurried.speed == speed
 
 
+@pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])
+def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
+    own = f'[firmware.marlin]\nplanner = "{planner}"\ns_curve_acceleration = true\n'
+    with pytest.raises(PrinterError, match=r"s_curve_acceleration: .*turn it off in the build"):
+        parse(f'extends = "paper-marlin"\n{own}', "mine")
+
+
 def test_retractions_keep_the_printers_acceleration_where_it_is_not_told(marlin: Printer) -> None:
     mine = mode(with_own(marlin, retract_acceleration=0.0))
     assert b"M204 P100000 T100000" in mine.begin(NOWHERE, AT)

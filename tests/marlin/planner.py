@@ -42,6 +42,7 @@ class Build:
     min_steps: int = 6
     timer_hz: float = 2e6
     planner: str = "2.1"  # 2.0, 2.1, 2.1-dev or ft-motion
+    s_curve: bool = False  # S_CURVE_ACCELERATION, of 2.0 and 2.1
     extra_tick: bool = False  # the timer counts one tick beyond what it is told
     smoothing_hz: float = 0.0  # of interrupts, up to which ADAPTIVE_STEP_SMOOTHING splits steps
     max_velocity: list[float] = field(default_factory=lambda: [300.0, 300.0, 20.0, 60.0])
@@ -351,8 +352,17 @@ def released(block: Block, build: Build) -> Array:
     counted[0] = timer.ticks(first)
     rising, falling = (counted[0] if build.planner == "2.1" else 0.0), 0.0
     reached = first
+    plateau = n - up - down > 0
+    top = nominal if plateau or not build.s_curve else min(int(_reach(first, a, up)), nominal)
     for k in range(1, n * scale):
-        if k <= up * scale:
+        if k <= up * scale and build.s_curve:
+            reached = _curve(first, top, a, rising / build.timer_hz)
+            counted[k] = timer.ticks(reached)
+            rising += counted[k]
+        elif k > (n - down) * scale and build.s_curve:
+            counted[k] = timer.ticks(_curve(top, final, a, falling / build.timer_hz))
+            falling += counted[k]
+        elif k <= up * scale:
             reached = min(first + int(a * rising / build.timer_hz), nominal)
             counted[k] = timer.ticks(reached)
             rising += counted[k]
@@ -362,6 +372,16 @@ def released(block: Block, build: Build) -> Array:
         else:
             counted[k] = timer.ticks(nominal)
     return timer.taken(counted)
+
+
+def _reach(rate: float, a: float, steps: int) -> float:
+    return math.sqrt(rate**2 + 2.0 * a * steps)
+
+
+def _curve(start: int, end: int, a: float, t: float) -> int:
+    """Rate on the Bézier curve of sixth order that lasts as long as a line would."""
+    u = min(a * t / abs(end - start), 1.0) if end != start else 1.0
+    return int(start + (end - start) * (u**3 * (10.0 - 15.0 * u + 6.0 * u**2)))
 
 
 def development(block: Block, build: Build) -> Array:

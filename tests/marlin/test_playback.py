@@ -123,6 +123,7 @@ REAL = [
     ("laps-250", {"planner": "2.1", "extra_tick": True}, 168.0),
     ("laps-250", {"planner": "2.0", "extra_tick": True}, 213.0),
     ("laps-250", {"planner": "2.1", "classic_jerk": True}, -62.4),
+    ("laps-250", {"planner": "2.1", "s_curve": True}, -51.5),
 ]
 
 
@@ -161,6 +162,7 @@ BUILDS: list[tuple[dict[str, object], dict[str, object]]] = [
     ({"planner": "2.1", "timer_extra_tick": True}, {"extra_tick": True}),
     ({"planner": "2.1-dev", "timer_hz": 25e6}, {"timer_hz": 25e6}),
     ({"planner": "2.1", "lines_per_second": 500.0}, {}),
+    ({"planner": "2.1", "s_curve_acceleration": True}, {"s_curve": True}),
 ]
 
 
