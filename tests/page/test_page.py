@@ -123,3 +123,23 @@ def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_
     assert EVIL in browser.value("document.getElementById('features').textContent")
     assert browser.value("document.documentElement.scrollWidth") <= 390
     assert browser.complaints == []
+
+
+def test_it_fits_phones_and_desks_by_day_and_by_night(
+    browser: Browser, paper: Printer, tmp_path: Path, artefacts: Path
+) -> None:
+    """And pictures of it are kept to be looked at."""
+    path = tmp_path / "report.html"
+    path.write_bytes(built(paper, (SAMPLES / "rectangle.gcode").read_bytes(), "rectangle.gcode"))
+    pictures = {}
+    for name, width, height in (("phone", 390, 844), ("desk", 1280, 900)):
+        for dark in (False, True):
+            browser.screen(width, height, dark)
+            browser.open(path)
+            assert browser.value("document.documentElement.scrollWidth") <= width
+            picture = artefacts / f"report-{name}-{'dark' if dark else 'light'}.png"
+            browser.shot(picture, whole=True)
+            pictures[name, dark] = picture.read_bytes()
+    assert all(picture.startswith(b"\x89PNG") for picture in pictures.values())
+    assert len(set(pictures.values())) == 4
+    assert browser.complaints == []
