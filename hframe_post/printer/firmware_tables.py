@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hframe_post.errors import PrinterError
-from hframe_post.printer.schema import checked, known_keys, not_negative, positive
+from hframe_post.printer.schema import checked, known_keys, not_negative, positive, within
 
+FASTEST, HARDEST = 1e4, 1e7  # mm/s and mm/s² that a setting may be
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
 S_CURVES = ("2.0", "2.1")  # whose S_CURVE_ACCELERATION is known
 
@@ -23,12 +24,12 @@ class KlipperTable:
     Macros, where named, replace the commands that set and restore limits.
     """
 
-    velocity: float = positive()
-    acceleration: float = positive()
-    square_corner_velocity: float = not_negative(5.0)
+    velocity: float = positive(most=FASTEST)
+    acceleration: float = positive(most=HARDEST)
+    square_corner_velocity: float = not_negative(5.0, most=FASTEST)
     minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
-    shaper_freq_x: float = not_negative(0.0)
-    shaper_freq_y: float = not_negative(0.0)
+    shaper_freq_x: float = not_negative(0.0, most=1e3)
+    shaper_freq_y: float = not_negative(0.0, most=1e3)
     begin_macro: str = ""
     end_macro: str = ""
 
@@ -41,28 +42,28 @@ class MarlinTable:
     (x, y) and ``jerk_e``; the others are 0.
     """
 
-    max_velocity: tuple[float, float] = positive()
-    max_acceleration: tuple[float, float] = positive()
-    acceleration: float = positive()
-    travel_acceleration: float = positive()
-    retract_acceleration: float = not_negative(0.0)
-    junction_deviation: float = not_negative(0.0)
-    jerk: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
-    jerk_e: float = not_negative(0.0)
-    min_segment_time: float = not_negative(0.02)
-    min_velocity: float = not_negative(0.0)
-    min_travel_velocity: float = not_negative(0.0)
-    linear_advance: float = not_negative(0.0)
-    shaper_freq_x: float = not_negative(0.0)
-    shaper_freq_y: float = not_negative(0.0)
-    fixed_time_motion: int = field(default=0, metadata={"least": 0.0})
-    fixed_time_shaper: tuple[float, float] = field(default=(0.0, 0.0), metadata={"least": 0.0})
+    max_velocity: tuple[float, float] = positive(most=FASTEST)
+    max_acceleration: tuple[float, float] = positive(most=HARDEST)
+    acceleration: float = positive(most=HARDEST)
+    travel_acceleration: float = positive(most=HARDEST)
+    retract_acceleration: float = not_negative(0.0, most=HARDEST)
+    junction_deviation: float = not_negative(0.0, most=1.0)
+    jerk: tuple[float, float] = not_negative((0.0, 0.0), most=1e3)
+    jerk_e: float = not_negative(0.0, most=1e3)
+    min_segment_time: float = not_negative(0.02, most=1.0)
+    min_velocity: float = not_negative(0.0, most=FASTEST)
+    min_travel_velocity: float = not_negative(0.0, most=FASTEST)
+    linear_advance: float = not_negative(0.0, most=10.0)
+    shaper_freq_x: float = not_negative(0.0, most=1e3)
+    shaper_freq_y: float = not_negative(0.0, most=1e3)
+    fixed_time_motion: int = not_negative(0, most=99)
+    fixed_time_shaper: tuple[float, float] = not_negative((0.0, 0.0), most=99.0)
     lines_per_second: float = positive(250.0, below=1001.0)
-    min_steps_per_segment: int = positive(6)
-    timer_hz: float = positive(2e6, least=1e5)
+    min_steps_per_segment: int = positive(6, most=1000)
+    timer_hz: float = within(1e5, 1e9, default=2e6)
     timer_extra_tick: bool = False
     planner: str = field(default="2.1", metadata={"choices": MARLIN_PLANNERS})
-    adaptive_step_smoothing: float = not_negative(0.0)
+    adaptive_step_smoothing: float = not_negative(0.0, most=1e7)
     s_curve_acceleration: bool = False
 
     def __post_init__(self) -> None:
@@ -87,15 +88,15 @@ class RepRapFirmwareTable:
     shaper: the type that M593 P names, empty: none is turned on again.
     """
 
-    max_velocity: tuple[float, float] = positive()
-    max_acceleration: tuple[float, float] = positive()
-    acceleration: float = positive()
-    travel_acceleration: float = positive()
-    jerk: tuple[float, float] = positive()
-    jerk_e: float = positive()
-    pressure_advance: float = not_negative(0.0)
+    max_velocity: tuple[float, float] = positive(most=FASTEST)
+    max_acceleration: tuple[float, float] = positive(most=HARDEST)
+    acceleration: float = positive(most=HARDEST)
+    travel_acceleration: float = positive(most=HARDEST)
+    jerk: tuple[float, float] = positive(most=1e3)
+    jerk_e: float = positive(most=1e3)
+    pressure_advance: float = not_negative(0.0, most=10.0)
     shaper: str = ""
-    shaper_freq: float = not_negative(0.0)
+    shaper_freq: float = not_negative(0.0, most=1e3)
     lines_per_second: float = positive(400.0, below=1001.0)
 
 

@@ -70,3 +70,11 @@ def test_old_and_new_at_once_is_an_error() -> None:
     with pytest.raises(PrinterError) as caught:
         parse(both, "mine")
     assert caught.value.key == "firmware.klipper.velocity"
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_number_of_a_firmwares_table_has_bounds(name: str) -> None:
+    for member in fields(TABLES[name].kind):
+        if "float" in str(member.type) or "int" in str(member.type):
+            assert member.metadata.keys() & {"above", "least"}, member.name
+            assert member.metadata.keys() & {"below", "most"}, member.name
