@@ -92,14 +92,15 @@ def command(line: Line) -> Command | None:
 
 def numbers(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
     """Letter → number of a command's arguments; only ``letters`` may occur, each once."""
-    found: dict[str, float] = {}
-    for letter, digits in _WORD.findall(arguments):
-        key = letter.decode().upper()
-        if key in found:
-            raise line.error(f"the word {key} occurs twice")
+    words = _words(arguments)
+    found = dict(words)
+    for key, _ in words:
         if key not in letters:
             raise line.error(f"the word {key} is not understood here")
-        found[key] = float(digits)
+    if len(found) < len(words):
+        keys = [key for key, _ in words]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise line.error(f"the word {twice} occurs twice")
     if _WORD.sub(b"", arguments).strip():
         raise line.error("a word or number cannot be read")
     return _finite(line, found)
@@ -107,12 +108,22 @@ def numbers(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
 
 def numbers_among(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
     """Letter → number of those words that are asked for, whatever else there is."""
-    found: dict[str, float] = {}
-    for letter, digits in _WORD.findall(arguments):
-        key = letter.decode().upper()
-        if key in letters:
-            found[key] = float(digits)
-    return _finite(line, found)
+    return _finite(line, {key: number for key, number in _words(arguments) if key in letters})
+
+
+def _words(arguments: bytes) -> list[tuple[str, float]]:
+    """Letters, upper case, and numbers in their order."""
+    found = _WORD.findall(arguments)
+    return [(letter.decode().upper(), float(digits)) for letter, digits in found]
+
+
+def plain_words(line: Line, groups: tuple[bytes | None, ...]) -> tuple[float | None, ...]:
+    """F, x, y, z and e of what PLAIN_MOVE has matched; None where there is none."""
+    _, f, *places, f_last = groups
+    try:
+        return tuple(float(word) if word else None for word in (f or f_last, *places))
+    except ValueError:
+        raise line.error("a number cannot be read") from None
 
 
 def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:

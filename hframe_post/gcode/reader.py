@@ -34,6 +34,7 @@ from hframe_post.gcode.lexer import (
     numbers,
     numbers_among,
     parameters,
+    plain_words,
     uncommented,
 )
 from hframe_post.gcode.limits import RequestedLimits
@@ -44,6 +45,7 @@ from hframe_post.stream.types import Handling, Item, Passthrough, Position, Stan
 
 LONGEST_DWELL = 24 * 3600.0  # s
 MOST_TURNS = 100  # of an arc
+NOWHERE = [None] * 4  # the places of a line that only sets F
 AT_THE_START = "the start"  # why the first moves' place is unknown
 
 
@@ -90,20 +92,11 @@ class _Reader:
 
     def plain_move(self, line: Line, words: tuple[bytes | None, ...]) -> None:
         """G0 or G1 with its words in the usual order: the hot path."""
-        _, f, x, y, z, e, f_last = words
-        try:
-            if f or f_last:
-                self._feed.set(line, float(f or f_last or 0), self._place.scale)
-            if x or y or z or e:
-                self._move(
-                    line,
-                    float(x) if x else None,
-                    float(y) if y else None,
-                    float(z) if z else None,
-                    float(e) if e else None,
-                )
-        except ValueError:
-            raise line.error("a number cannot be read") from None
+        f, *places = plain_words(line, words)
+        if f is not None:
+            self._feed.set(line, f, self._place.scale)
+        if places != NOWHERE:
+            self._move(line, *places)
 
     def _move(self, line: Line, x: Word, y: Word, z: Word, e: Word) -> None:
         """One straight move to the file's coordinates."""

@@ -18,7 +18,7 @@ from hframe_post.gcode import arcs
 from hframe_post.gcode.commands import MODAL, MOTION_WORDS, STAMP, Dialect, Words
 from hframe_post.gcode.coordinates import AXES, Coordinates
 from hframe_post.gcode.feed import DEFAULT_FEED
-from hframe_post.gcode.lexer import PLAIN_MOVE, Command, Line, command, numbers
+from hframe_post.gcode.lexer import PLAIN_MOVE, Command, Line, command, numbers, plain_words
 from hframe_post.gcode.reader import MOST_TURNS
 from hframe_post.stream.types import Position, frozen
 
@@ -72,21 +72,10 @@ class _Reader:
 
     def plain_move(self, line: Line, groups: tuple[bytes | None, ...]) -> None:
         """G0 or G1 with its words in the usual order."""
-        _, f, x, y, z, e, f_last = groups
-        try:
-            if f or f_last:
-                self._set_feed(line, float(f or f_last or 0))
-            self._go(
-                line,
-                self.place.target(
-                    float(x) if x else None,
-                    float(y) if y else None,
-                    float(z) if z else None,
-                    float(e) if e else None,
-                ),
-            )
-        except ValueError:
-            raise line.error("a number cannot be read") from None
+        f, *places = plain_words(line, groups)
+        if f is not None:
+            self._set_feed(line, f)
+        self._go(line, self.place.target(*places))
 
     def moves(self, line: Line) -> bool:
         """Whether any other line is a move; what it means is taken in."""
