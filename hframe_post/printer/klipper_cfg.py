@@ -109,6 +109,7 @@ def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     for name in config.missing:
         yield Finding(False, f"[include {name}]: not found beside printer.cfg, so not checked")
     yield from _kinematics(config, printer)
+    yield from _steps(config, printer)
     yield from _numbers(config, printer)
     yield from _travel(config, printer)
     yield from _stream(config, printer)
@@ -150,15 +151,6 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
             (f"{table}.shaper_freq_x", own.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
             (f"{table}.shaper_freq_y", own.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
         ]  # fmt: skip
-    if printer.steps is not None:
-        for motor in ("stepper_x", "stepper_y"):
-            step = config.step(motor)
-            if not math.isnan(step) and not math.isclose(step, printer.steps.belt, rel_tol=0.01):
-                yield Finding(
-                    True,
-                    f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is "
-                    f"{printer.steps.belt:.5g}",
-                )
     for key, wanted, section, option, default in pairs:
         has = config.number(section, option, default)
         if math.isnan(has):
@@ -170,6 +162,15 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
             yield Finding(True, f"[{section}] {option}: {has:g}{given}, but {key} = {wanted:g}")
+
+
+def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    own = printer.steps.belt if printer.steps is not None else math.nan
+    for motor in ("stepper_x", "stepper_y") if printer.steps is not None else ():
+        step = config.step(motor)
+        if not math.isnan(step) and not math.isclose(step, own, rel_tol=0.01):
+            text = f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is {own:.5g}"
+            yield Finding(True, text)
 
 
 def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
