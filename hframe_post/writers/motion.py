@@ -84,11 +84,12 @@ def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
     """For each segment that moves, the one up to which it extrudes.
 
     What is extruded in segments too short to move a step of output is extruded with it: up to
-    the next segment that moves, or the next mark. ends, marks: points of the batch.
+    the next segment that moves, or the last that ends before the next mark or at it. ends,
+    marks: points of the batch.
     """
     own = np.flatnonzero(moved)
     before_next = np.append(own[1:], len(moved)) - 1
-    at_marks = np.append(np.searchsorted(ends, marks), len(moved))
+    at_marks = np.append(np.searchsorted(ends, marks, side="right") - 1, len(moved))
     return np.asarray(np.minimum(before_next, at_marks[np.searchsorted(at_marks, own)]))
 
 
