@@ -17,7 +17,7 @@ from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lines import Lines
 
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
-MOST_FILAMENT = 1e4  # mm of one move
+MOST_FILAMENT = 2e3  # mm of one move; loading takes less
 _BEGINNINGS = (b"G1 ", b"G0 ")
 
 

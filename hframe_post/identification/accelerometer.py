@@ -18,6 +18,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.number_table import read_table
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
@@ -191,9 +192,9 @@ def _csv(path: Path, text: bytes, columns: Sequence[str] | None) -> _Table:
         if b"\n" not in text.strip():
             values = np.zeros((0, 4))
         else:
-            values = np.loadtxt(
+            values = read_table(
                 io.BytesIO(text), delimiter=delimiter, skiprows=_before(text), usecols=places,
-                comments=None, ndmin=2, encoding="latin-1",
+                encoding="latin-1",
             )  # fmt: skip
     except ValueError:
         raise _bad_line(path, text, delimiter, places) from None

@@ -9,6 +9,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.number_table import read_table
 from hframe_post.writers import digits
 
 HEAD = "t,x,y"
@@ -35,7 +36,7 @@ def read(path: Path) -> Array:
             f"{path}: line 1: not the command of a sweep, which begins with {HEAD!r}"
         )
     try:
-        rows = np.loadtxt(lines[1:], delimiter=",", comments=None, ndmin=2)
+        rows = read_table(lines[1:], delimiter=",")
     except ValueError as error:
         raise IdentificationError(f"{path}: cannot be read as numbers: {error}") from None
     if rows.shape[1:] != (len(HEAD.split(",")),) or len(rows) < FEWEST:

@@ -73,7 +73,7 @@ class Machine:
             stand = Stand(int(mark[1]), tuple(self.place), told, self.filament, modes, e)
             self.stands.append(stand)
             return
-        code = re.sub(rb"\([^)]*\)", b"", raw.split(b";")[0]).split(b"*")[0].strip()
+        code = re.sub(rb"\([^)]*\)", b"", raw).split(b";")[0].split(b"*")[0].strip()
         code = re.sub(rb"^[Nn]\s*\d+\s*", b"", code)
         head = re.match(rb"([GMgm])\s*0*(\d+)(?:\.(\d+))?", code)
         if not head:
@@ -94,7 +94,7 @@ class Machine:
 
     def _do(self, name: str, words: dict[str, float]) -> None:
         if name in ("G0", "G1", "G2", "G3", "G5"):
-            self._move(words)
+            self._move(words, straight=name in ("G0", "G1"))
         elif name in ("G90", "G91"):
             self.absolute = name == "G90"
             if self.firmware == "marlin":
@@ -112,7 +112,7 @@ class Machine:
                 if letter in words or not words.keys() & set("XYZ"):
                     self.place[axis] = None
 
-    def _move(self, words: dict[str, float]) -> None:
+    def _move(self, words: dict[str, float], straight: bool) -> None:
         if words.get("F", 0.0) > 0.0:
             self.feed = words["F"] * self.unit / 60.0
         before, filament = list(self.place), self.filament
@@ -124,6 +124,8 @@ class Machine:
         ]
         length, fed = math.hypot(*steps), self.filament - filament
         self.seconds += (length or abs(fed)) / self.feed
+        if not straight:  # its length is not known here
+            return
         if fed > UNSEEN and length < 1e-9:
             self.standing += fed
         elif fed > UNSEEN:
