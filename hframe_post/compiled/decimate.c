@@ -20,13 +20,16 @@ static double merged(const double *points, const int64_t *kept, const double *of
     return greater(off[v - 1], off[v]) + sqrt(greater(apart2[X] + apart2[Y], z_e));
 }
 
-/* Whether vertex v of n costs less than its neighbours; of equals every other one. */
-static int cheapest(const double *cost, int64_t v, int64_t n)
+/* flags (n): which vertices cost less than their neighbours; of equals every other one. */
+static void cheapest(const double *cost, int64_t n, uint8_t *flags)
 {
-    double left = v > 1 ? cost[v - 1] : INFINITY, right = v < n - 2 ? cost[v + 1] : INFINITY;
-    int odd = v % 2;
-    return isfinite(cost[v]) && (cost[v] < left || (odd && cost[v] == left))
-           && (cost[v] < right || (odd && cost[v] == right));
+    flags[0] = flags[n - 1] = 0;
+    for (int64_t v = 1; v < n - 1; v++) { /* without branches, of which half would be guessed wrong */
+        double c = cost[v], left = cost[v - 1], right = cost[v + 1];
+        int odd = v & 1;
+        flags[v] = (uint8_t)((c < INFINITY) & ((c < left) | (odd & (c == left)))
+                             & ((c < right) | (odd & (c == right))));
+    }
 }
 
 /* points (n, 4), forced (n); n vertices to begin with. Returns how many of ``kept`` (n) are.
@@ -49,12 +52,11 @@ EXPORTED int64_t breakpoints(const double *points, const uint8_t *forced, int64_
                 continue;
             joint[v] = merged(points, kept, off, v, e_weight2);
             double samples = (double)(kept[v + 1] - kept[v - 1]);
-            double c = joint[v] * sqrt(greater(samples / shorts, 1.0));
+            double c = samples > shorts ? joint[v] * sqrt(samples / shorts) : joint[v];
             cost[v] = forced[kept[v]] || c > tolerance ? INFINITY : rint(c / alike);
         }
-        for (int64_t v = 1; v < n - 1; v++)
-            flags[v] = (uint8_t)cheapest(cost, v, n);
-        flags[0] = flags[n - 1] = 0;
+        cost[0] = cost[n - 1] = INFINITY;
+        cheapest(cost, n, flags);
         int changed = 0;
         left = n, n = 0;
         for (int64_t v = 0; v < left; v++) {
