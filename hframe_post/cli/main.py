@@ -13,6 +13,7 @@ from hframe_post.cli.convert import convert
 from hframe_post.cli.cura import cura_script
 from hframe_post.cli.doctor import doctor
 from hframe_post.cli.identify import identify
+from hframe_post.cli.klipper_macros import klipper_macros
 from hframe_post.cli.new_printer import new
 from hframe_post.cli.paper import paper
 from hframe_post.cli.simulate import simulate
@@ -71,6 +72,7 @@ main.add_command(paper)
 main.add_command(sweep)
 main.add_command(tune)
 main.add_command(calibrate_marlin)
+main.add_command(klipper_macros)
 main.add_command(identify)
 main.add_command(verify)
 main.add_command(use)

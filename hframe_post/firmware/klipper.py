@@ -128,16 +128,19 @@ class Klipper:
         """See ``Player``, as all of these. A host computer is never the bound."""
         return math.inf
 
+    @property
+    def limits_of_stream(self) -> list[str]:
+        """Commands that set them, with shaping off."""
+        limits = self.limits
+        return [
+            "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+            _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
+        ]
+
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         """Macros, where the profile names them, stand for the limits."""
-        if self.own.begin_macro:
-            start = [self.own.begin_macro]
-        else:
-            limits = self.limits
-            start = [
-                "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
-                _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
-            ]
+        macro = self.own.begin_macro
+        start = [macro] if macro else self.limits_of_stream
         return [line.encode() for line in [STAND, *start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:

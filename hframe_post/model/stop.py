@@ -33,6 +33,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.blas import dsymv, dsyrk
+from scipy.linalg.lapack import dposv
 
 from hframe_post.arrays import TS, Array, Flags, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
@@ -53,11 +55,13 @@ STRIDE, SWING = 4, 64  # samples between those of a hold, and how far into it
 SOON = 25  # samples after a hold in which an extrusion begins there
 EFFORT_SHARE = 0.1  # of the effort elsewhere: a stop is short and asks for more
 LEAST_EFFORT = 1e-3
-WITHIN = 0.7  # share of the belts' acceleration that is used: firmware needs some to be in time
+WITHIN = 0.8  # share of the belts' acceleration that is used: firmware needs some to be in time
+BARELY = 0.97 / WITHIN  # times that: what is used where nothing else traces the path
 AT_HOLD = 0.5  # share of that next to the hold, where the firmware stops within one segment
-SEARCHES, TRIALS = 2, 8  # of the nearest points; of the weights of D
-MOST_MORE = 20.0  # times, in one trial
+SEARCHES, TRIALS = 2, 10  # of the nearest points; of the weights of D
+MOST_MORE = 5.0  # times, in one trial
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
+EASY, LESS = 0.4, 0.5  # share below which it gets less again, times that
 CLEAR = 0.02  # mm to the ends of the bed, for a command that would leave it
 
 STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
@@ -261,27 +265,29 @@ class StopSolver:
         D, rates = np.diff(by_p, n=2, axis=0), np.diff(known, n=2, axis=0)
         limit = np.full(len(D), self._limit)
         limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
-        best, least = np.zeros(2 * k), np.inf
+        best, least = np.zeros(2 * k), (np.inf, np.inf)
         for _ in range(TRIALS):
             full, right = H.copy(), g.copy()
             for axis, effort in enumerate(self._effort):
                 own = slice(axis * k, (axis + 1) * k)
-                for rows, weight, off in (
-                    (D, effort * pressure.effort, rates[:, axis]),
-                    (by_p, pressure.bed[:, axis], known[:, axis] - pressure.inside[:, axis]),
-                ):
+                pulled = [(D, effort * pressure.effort, rates[:, axis])]
+                if pressure.bed[:, axis].any():
+                    inside = known[:, axis] - pressure.inside[:, axis]
+                    pulled.append((by_p, pressure.bed[:, axis], inside))
+                for rows, weight, off in pulled:
                     weighted = weight[:, None] * rows
                     full[own, own] += weighted.T @ rows
                     right[own] += weighted.T @ off
             full[np.diag_indices(2 * k)] += 1e-9 * full.diagonal().max(initial=0.0) + 1e-12
-            p = np.asarray(-np.linalg.solve(full, right))
+            p = -dposv(full, right, lower=True)[1]
             added = p.reshape(2, k).T
             share = np.abs((rates + D @ added) @ self._belts.T).max(axis=1) / limit
             place = known + by_p @ added
             beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
             excess = max(float(share.max()), 1.0) + float(beyond.max())
-            if excess < least:
-                best, least = p, excess
+            cost = float(p @ (0.5 * dsymv(1.0, H, p, lower=True) + g))
+            if (known_as := (max(excess, BARELY), cost)) < least:
+                best, least = p, known_as
             if excess <= 1.0:
                 break
             pressure = pressure.raised(share, beyond, place)
@@ -321,9 +327,13 @@ class _Pressure:
         return cls(np.ones(len(known) - 2), nothing, nothing, bed[:, 0], bed[:, 1])
 
     def raised(self, share: Array, beyond: Array, place: Array) -> _Pressure:
-        """More where belts are driven to more than a STEP of their limit, or the bed is left."""
+        """More where belts are driven to more than a STEP of their limit, or the bed is left.
+
+        Less again where that has made the command more sluggish than it must be.
+        """
         more = np.minimum(2.0 * np.square(share / STEP), MOST_MORE)
-        effort = self.effort * np.where(share > STEP, more, 1.0)
+        changed = np.where(share > STEP, more, np.where(share < EASY, LESS, 1.0))
+        effort = np.maximum(self.effort * changed, 1.0)
         out = beyond > 0.0
         bed = np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed)
         inwards = np.clip(place, self.low + CLEAR, self.high - CLEAR)
@@ -355,7 +365,10 @@ class _Nozzle:
         return np.asarray(self.free + np.column_stack([self.x @ p, self.y @ p]))
 
     def normal_equations(self, p: Array, rows: _Rows, foot: Array, t: Array) -> tuple[Array, Array]:
-        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there."""
+        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there.
+
+        Of H, which is symmetric, only what is below the diagonal.
+        """
         m = len(rows.path)
         at = self.free
         across = np.sqrt(rows.weight)
@@ -370,7 +383,7 @@ class _Nozzle:
                 along * (t * (at[:m] - rows.path)).sum(axis=1),
             ]
         )
-        H, g = J.T @ J, J.T @ r
+        H, g = dsyrk(1.0, J.T, lower=True), J.T @ r
         for of_p, free, place in (
             (self.x, at[:, X], rows.hold[X]),
             (self.y, at[:, Y], rows.hold[Y]),
@@ -419,14 +432,18 @@ class _Rows:
 
     def nearest(self, at: Array) -> tuple[Array, Array]:
         """The path's nearest points to the nozzle's places, and its directions there, (m, 2)."""
-        start, step = self.candidates[:, :-1], np.diff(self.candidates, axis=1)
-        place = at[: len(self.path), None]
-        length2 = np.square(step).sum(axis=2)
-        along = ((place - start) * step).sum(axis=2) / np.maximum(length2, 1e-18)
-        feet = start + np.clip(along, 0.0, 1.0)[..., None] * step
-        best = np.square(place - feet).sum(axis=2).argmin(axis=1)
+        x, y = self.candidates[..., X], self.candidates[..., Y]
+        dx, dy = np.diff(x), np.diff(y)
+        place = at[: len(self.path)]
+        to_x, to_y = place[:, X, None] - x[:, :-1], place[:, Y, None] - y[:, :-1]
+        along = (to_x * dx + to_y * dy) / np.maximum(dx * dx + dy * dy, 1e-18)
+        along = np.clip(along, 0.0, 1.0)
+        off_x, off_y = to_x - along * dx, to_y - along * dy
+        best = (off_x * off_x + off_y * off_y).argmin(axis=1)
         row = np.arange(len(best))
-        return feet[row, best], _unit(step[row, best], self.direction)
+        foot = place - np.column_stack([off_x[row, best], off_y[row, best]])
+        step = np.column_stack([dx[row, best], dy[row, best]])
+        return foot, _unit(step, self.direction)
 
 
 def _judged(n: int) -> list[int]:

@@ -1,0 +1,37 @@
+"""The macros for printer.cfg: what they set, and that the docs show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hframe_post.errors import PrinterError
+from hframe_post.firmware.klipper import Klipper
+from hframe_post.firmware.klipper_macros import macros
+from hframe_post.printer.profile import load
+
+DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
+
+
+def test_the_beginning_sets_what_the_stream_would_set() -> None:
+    paper = load("paper")
+    begin = macros(paper).split("[gcode_macro HFRAME_BEGIN]")[1].split("\n\n")[0]
+    for line in Klipper.of(paper).limits_of_stream:
+        assert f"    {line}\n" in f"{begin}\n"
+
+
+def test_another_printer_has_other_limits() -> None:
+    paper = load("paper")
+    slower = replace(paper, motors=replace(paper.motors, belt_acceleration=2e4))
+    assert "ACCEL=14142 " in macros(slower)
+
+
+def test_the_docs_show_them() -> None:
+    assert f"```ini\n{macros(load('paper'))}```" in DOCS.read_text(encoding="utf-8")
+
+
+def test_no_other_firmware_has_them() -> None:
+    with pytest.raises(PrinterError, match="Klipper's"):
+        macros(load("paper-marlin"))
