@@ -84,7 +84,7 @@ def test_the_job_of_a_killed_worker_is_done_by_another(scheduler: str, tmp_path:
     until(lambda: bool(converting(long)))
     (killed,) = {parent(pid) for pid in converting(long)}
     os.kill(killed, signal.SIGKILL)
-    _, error = batch.communicate(timeout=WAIT)
+    _, error = batch.communicate(timeout=5 * WAIT)  # the file is begun twice
     assert batch.returncode == 0, error
     assert (tmp_path / "out" / long.name).read_bytes() == single(long, tmp_path)
     assert (tmp_path / "out" / part.name).read_bytes() == single(part, tmp_path)
