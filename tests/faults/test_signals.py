@@ -30,8 +30,14 @@ def started(*arguments: str | Path, folder: Path | None = None) -> subprocess.Po
     command = [sys.executable, "-m", "hframe_post", *map(str, arguments)]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
-        start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, preexec_fn=_heeding,
     )  # fmt: skip
+
+
+def _heeding() -> None:
+    """In the process to be: what a shell's background work ignores, this heeds."""
+    for number in TIDY:
+        signal.signal(number, signal.SIG_DFL)
 
 
 def temporary(folder: Path) -> list[Path]:
