@@ -7,7 +7,7 @@ the parent alone, so it closes when the parent is no more.
 from __future__ import annotations
 
 import os
-import subprocess
+import subprocess  # nosec B404  only this tool itself is started
 import threading
 import time
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class Leashed:
     def __init__(self, command: Sequence[str]) -> None:
         slack, self._held = os.pipe()
         try:
-            self._process = subprocess.Popen(
+            self._process = subprocess.Popen(  # nosec B603  no shell, a list
                 command, stdin=slack, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                 env={**os.environ, VARIABLE: "1"},
             )  # fmt: skip

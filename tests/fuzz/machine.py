@@ -36,7 +36,8 @@ class Machine:
     """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z.
 
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
-    while it stood, mm; steepest: filament per mm of any move that feeds more than UNSEEN.
+    while it stood, mm; sharpest: filament per mm of any move; steepest: of
+    those that feed more than UNSEEN.
     """
 
     firmware: str
@@ -55,6 +56,7 @@ class Machine:
     seconds: float = 0.0
     standing: float = 0.0
     steepest: float = 0.0
+    sharpest: float = 0.0
 
     def play(self, text: bytes) -> Machine:
         """All lines of a file."""
@@ -126,6 +128,8 @@ class Machine:
         self.seconds += (length or abs(fed)) / self.feed
         if not straight:  # its length is not known here
             return
+        if fed > 0.0 and length > 0.0:
+            self.sharpest = max(self.sharpest, fed / length)
         if fed > UNSEEN and length < 1e-9:
             self.standing += fed
         elif fed > UNSEEN:
