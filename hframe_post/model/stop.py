@@ -83,15 +83,20 @@ class Filters:
 
     def after(self, z: State, command: Array) -> State:
         """The states after the next samples of the command (n, 2)."""
-        pieces = range(0, len(command), BLOCK_SAMPLES)
-        for k in pieces:
-            u = command[k : k + BLOCK_SAMPLES]
-            lifted = (G.lifted(len(u)) for G in self.all)
-            z = tuple(
-                A @ s + R @ u[:, i]
-                for (_, _, A, R), s, i in zip(lifted, z, self.inputs, strict=True)
-            )
-        return z
+        blocks, rest = divmod(len(command), BLOCK_SAMPLES)
+        whole = blocks * BLOCK_SAMPLES
+        states = []
+        for G, s, i in zip(self.all, z, self.inputs, strict=True):
+            u = np.ascontiguousarray(command[:, i])
+            _, _, A, R = G.lifted(BLOCK_SAMPLES)
+            # block by block, so that the bits do not depend on how many there are
+            for reached in np.matmul(R, u[:whole].reshape(blocks, BLOCK_SAMPLES, 1))[..., 0]:
+                s = A @ s + reached
+            if rest:
+                _, _, A, R = G.lifted(rest)
+                s = A @ s + R @ u[whole:]
+            states.append(s)
+        return tuple(states)
 
 
 class _Lifted:
