@@ -1,7 +1,8 @@
 """A G-code file as motion in nominal time, cut where a line is anything but a move.
 
-Nominal time is length over feed rate: a firmware's ramps are left out, alike in all files.
-What compares two files needs no more, and so reads any file, compensated or not.
+Nominal time is length over feed rate: a firmware's ramps are left out, alike in all files. Inside
+a stream they are not alike, since they depend on how it was cut into segments, and its feed
+rates have them in mind; so there they count, with the limits that the stream itself sets.
 """
 
 from __future__ import annotations
@@ -13,15 +14,34 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array, E, Integers, Z
+from hframe_post.firmware import ramps
 from hframe_post.gcode import arcs
-from hframe_post.gcode.commands import MODAL, MOTION_WORDS, STAMP, Dialect, Words
+from hframe_post.gcode.commands import (
+    LIMIT_PARAMETERS,
+    LIMITS,
+    MODAL,
+    MOTION_WORDS,
+    STAMP,
+    Dialect,
+    Words,
+)
 from hframe_post.gcode.coordinates import AXES, Coordinates
 from hframe_post.gcode.feed import DEFAULT_FEED
-from hframe_post.gcode.lexer import PLAIN_MOVE, Command, Line, command, numbers, plain_words
+from hframe_post.gcode.lexer import (
+    PLAIN_MOVE,
+    Command,
+    Line,
+    command,
+    numbers,
+    parameters,
+    plain_words,
+)
 from hframe_post.gcode.reader import MOST_TURNS
+from hframe_post.model import cornering
 from hframe_post.stream.types import Position, frozen
 
+EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, by default; no file tells it
 COLUMNS = 6  # of a vertex: source line, nominal time, x, y, z, e
 
 
@@ -64,6 +84,7 @@ class _Reader:
     dialect: Dialect
     place: Coordinates
     feed: float = DEFAULT_FEED
+    limits: Words = field(default_factory=dict)  # those of SET_VELOCITY_LIMIT so far
     rows: array[float] = field(default_factory=lambda: array("d"))
 
     def __post_init__(self) -> None:
@@ -158,6 +179,32 @@ class _Reader:
     def section(self, closing: Line | None) -> Section:
         """What has been gathered, ended by this line."""
         table = np.array(self.rows).reshape(-1, COLUMNS)
+        time, places = table[:, 1].copy(), frozen(table[:, 2:].copy())
+        if self._in_stream and len(time) > 1:
+            time[1:] = np.cumsum(self._with_ramps(np.diff(places, axis=0), np.diff(time)))
+        if closing is not None and closing.text.upper().startswith(LIMITS.encode()):
+            self.limits |= parameters(closing, LIMIT_PARAMETERS)
         self._begin()
-        places = frozen(table[:, 2:].copy())
-        return Section(table[1:, 0].astype(np.int64), frozen(table[:, 1].copy()), places, closing)
+        return Section(table[1:, 0].astype(np.int64), frozen(time), places, closing)
+
+    @property
+    def _in_stream(self) -> bool:
+        """A slicer asks for no cruise ratio of 0, a stream always does."""
+        known = {"ACCEL", "SQUARE_CORNER_VELOCITY"} <= self.limits.keys()
+        return known and self.limits.get("MINIMUM_CRUISE_RATIO") == 0.0
+
+    def _with_ramps(self, delta: Array, nominal: Array) -> Array:
+        """Time (n,) that moves delta (n, 4) take instead of the nominal, s.
+
+        A line that cuts motion need not stop it; where it does, the moves beside it are slow.
+        """
+        a = np.full(len(delta), self.limits["ACCEL"])
+        d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+        moves = (delta[:, :Z] != 0.0).any(axis=1)
+        d = np.where(moves, d, 1.0)  # mm, of anything
+        deviation = cornering.deviation(self.limits["SQUARE_CORNER_VELOCITY"], a[0])
+        inner = cornering.junction_speeds(delta, d, a, deviation, EXTRUDER_CORNER_VELOCITY)
+        inside = np.where(moves[1:] & moves[:-1], inner, 0.0)
+        caps = np.concatenate([[math.inf], inside, [math.inf]])
+        taken = ramps.durations(d, d / nominal, a, caps, math.inf)
+        return np.where(moves, taken, nominal)
