@@ -34,6 +34,10 @@ LABELS = re.compile(  # of objects, by Klipper's commands and those that hosts p
     rb"EXCLUDE_OBJECT_(START|END)\b|M486\b|;\s*(stop )?printing object\b|;MESH:", re.IGNORECASE
 )
 NUDGE = 0.001  # mm
+FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
+USUAL_NOZZLE = 0.4  # mm
+THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut
+SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
 CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
 
 
@@ -196,7 +200,7 @@ class Klipper:
         """Decimated to the tolerance."""
         if self.tolerance is None:
             return np.arange(1, len(points)), points[1:]
-        ends = breakpoints(points, forced, self.tolerance)
+        ends = _thinned(points, breakpoints(points, forced, self.tolerance))
         return ends, fitted(points, ends)
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
@@ -231,6 +235,34 @@ class Klipper:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
+
+
+def _thinned(points: Array, ends: Integers) -> Integers:
+    """More ends (k,), so that no segment is one that Klipper refuses as too thick an extrusion.
+
+    Beside a stop a command may crawl where the path does not. Klipper allows a width of 4 nozzles
+    squared (``max_extrude_cross_section``), and more than that in pieces of no more filament than
+    it would take for a line as long as the nozzle is wide. That is told by how thick the
+    other segments are, of a line as wide and half as high; but it is taken to be no
+    wider than USUAL_NOZZLE, since a flow may be high.
+    """
+    start = np.append(0, ends[:-1])
+    delta = points[ends] - points[start]
+    d, e = np.sqrt(np.square(delta[:, :E]).sum(axis=1)), delta[:, E]
+    lays = (e > 0.0) & (d > 0.0)
+    if not lays.any():
+        return ends
+    usual = float(e[lays].sum() / d[lays].sum())
+    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE)
+    most = SAFELY * nozzle * 4.0 * nozzle**2 / FILAMENT
+    thick = (e > most) & (e > THICK * usual * d)
+    if not thick.any():
+        return ends
+    pieces = [ends]
+    for first, end in zip(start[thick].tolist(), ends[thick].tolist(), strict=True):  # few
+        piece = np.floor((points[first:end, E] - points[first, E]) / most)
+        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
+    return np.unique(np.concatenate(pieces))
 
 
 def _made_up(T: Array, late: Array) -> Array:

@@ -251,6 +251,27 @@ def test_restored_limits_are_those_of_the_user_to_a_thousandth() -> None:
     assert values["MINIMUM_CRUISE_RATIO"] == 0.0625
 
 
+# ---------------------------------------------------------------------- filament
+
+
+def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
+    """0.4 mm lines, then a crawl in which the path, not the command, has gone on."""
+    e = np.concatenate([np.linspace(0.0, 6.0, 601), 6.0 + np.linspace(0.0, 1.0, 101)[1:]])
+    x = np.concatenate([np.linspace(0.0, 180.0, 601), 180.0 + np.linspace(0.0, 0.6, 101)[1:]])
+    points = np.zeros((701, 4))
+    points[:, 0], points[:, 3] = x, e
+    player = Klipper(RESTORE, STREAM, tolerance=0.005)
+    ends, at = player.segments(points, np.zeros(701, dtype=bool), True)
+    assert ends[-1] == 700
+    assert (np.diff(ends) > 0).all()
+    moved = np.diff(at, axis=0, prepend=points[:1])
+    length, filament = np.abs(moved[:, 0]), moved[:, 3]
+    ratio, least = 4.0 * 0.4**2 / (math.pi * 1.75**2 / 4.0), 0.4 * 4.0 * 0.4**2 / 2.405
+    assert ((filament <= ratio * length) | (filament <= least)).all()
+    assert len(ends) < 40  # the plain lines stay long segments
+    np.testing.assert_array_equal(points[ends, 3], at[:, 3])
+
+
 # ---------------------------------------------------------------------- objects left out
 
 

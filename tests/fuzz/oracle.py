@@ -115,7 +115,7 @@ def check_same_print(text: bytes, output: bytes, firmware: str) -> None:
     total = written.filament - asked.filament
     assert abs(total) < FILAMENT, f"{total:.5f} mm of filament off at the end"
     assert written.standing < asked.standing + UNSEEN, "filament is fed in one place"
-    if asked.sharpest < PASSED / STEEPER:
+    if firmware == "klipper" and asked.sharpest < PASSED / STEEPER:  # no other has that rule
         assert written.steepest < PASSED, "filament is fed nearly so"
     travel = printer(firmware).travel
     for axis, (low, high) in enumerate((travel.x, travel.y)):
