@@ -197,7 +197,7 @@ def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[S
         begun, end = first + len(still), first + len(command)
         events = (
             _passed(first, approach, Handling.RELEASE),
-            # a move of no length: the stream, with its M400, begins here and not with the motion
+            # a move of no length: the stream, with its limits, begins here and not with the motion
             Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
             _passed(begun, "\n".join(measure), Handling.REST),
             _passed(end, "\n".join(f"{m} NAME={run.name}" for m in measure), Handling.REST),

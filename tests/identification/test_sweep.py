@@ -144,7 +144,7 @@ def test_the_stream_begins_before_each_recording_and_ends_after_it(short: Path) 
         assert lines[first - 1].startswith("G4 P2000")
         assert all(line.startswith(("G1 ", "G4 ")) for line in lines[first + 2 : last])
     for k in (calls[3], calls[7]):
-        assert lines[k + 1] == "M400"
+        assert lines[k + 1] == "G4 P0"
         assert lines[k + 2].startswith("SET_VELOCITY_LIMIT VELOCITY=300")
     assert lines[-1].startswith("RESTORE_GCODE_STATE")
 
