@@ -183,7 +183,7 @@ def until(holds: Callable[[], bool]) -> None:
 
 
 def test_signals_at_random_times(tmp_path: Path) -> None:
-    at_random(tmp_path.resolve(), 4, seed=1)
+    at_random(tmp_path.resolve(), 2, seed=1)
 
 
 @pytest.mark.slow

@@ -31,6 +31,7 @@ def check_racking(done: Result, mine: Path, taken: Recorded, paper: Printer, wit
     assert off(found.Gxtheta, paper.plant.Gxtheta, taken.x[0][0].motors) <= within
 
 
+@pytest.mark.slow
 def test_two_sensors_on_the_bridge_tell_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:

@@ -10,7 +10,7 @@ from hframe_post.errors import IdentificationError
 from tests.strangers import drawn, identified, judged, printer, swept
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)
-FEW = [0, 7, 11]  # linear; a belt that hardens; friction
+FEW = [0, 7]  # linear; a belt that hardens
 LINEAR = 1.3  # times the error of the exact model that a linear printer may have,
 SMALL = 3.0  # or µm
 
