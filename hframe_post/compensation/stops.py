@@ -18,19 +18,12 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Z
 from hframe_post.model.course import Compensator
-from hframe_post.model.stop import (
-    BESIDE,
-    BEYOND,
-    NEAREST,
-    STOPS,
-    State,
-    Stop,
-    StopSolver,
-    Surroundings,
-)
+from hframe_post.model.stop import StopSolver
+from hframe_post.model.stop_filters import State
+from hframe_post.model.stop_judged import BESIDE, BEYOND, NEAREST, Stop, Surroundings
 from hframe_post.model.strategies import strategy
 from hframe_post.model.transfer_function import BLOCK_SAMPLES
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen
 

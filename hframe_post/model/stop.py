@@ -30,29 +30,20 @@ that would leave the bed is pulled back likewise.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.blas import dsymv, dsyrk
+from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dposv
 
-from hframe_post.arrays import TS, Array, Flags, Integers, X, Y
+from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import BLOCK_SAMPLES, TransferFunction
+from hframe_post.model.stop_filters import Filters, Lifted, State, judged
+from hframe_post.model.stop_judged import BESIDE, BEYOND, Nozzle, Rows, Stop, Surroundings
 
-BESIDE = 100  # samples before and after a stop in which its command may change
-BEYOND = 100  # samples after these that are still judged: what rings, shows there
-NEAREST = 24  # samples to either side in which the path's nearest point is sought
 GROWTH = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4, 5, 6, 8, 10, 12, 14, 19)  # knots, from the stop on
 DEGREE = 3
 
-TRAVELLING = 0.03  # weight of a sample that does not extrude; of one that does: 1
-STANDING = 0.04  # weight of a sample of the hold, of which every STRIDE-th counts
-ARRIVING = 1.0  # weight of the hold's last sample where an extrusion begins there
-ALONG = 0.01  # weight of a deviation along the path; of one across: 1
-STRIDE, SWING = 4, 64  # samples between those of a hold, and how far into it
-SOON = 25  # samples after a hold in which an extrusion begins there
 EFFORT_SHARE = 0.1  # of the effort elsewhere: a stop is short and asks for more
 LEAST_EFFORT = 1e-3
 WITHIN = 0.8  # share of the belts' acceleration that is used: firmware needs some to be in time
@@ -63,88 +54,6 @@ MOST_MORE = 5.0  # times, in one trial
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
 EASY, LESS = 0.4, 0.5  # share below which it gets less again, times that
 CLEAR = 0.02  # mm to the ends of the bed, for a command that would leave it
-
-STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
-
-DURATIONS = 128  # of holds, that are remembered
-
-State = tuple[Array, ...]
-
-
-class Filters:
-    """The plant's transfer functions with their states: x, y and, where it racks, θ."""
-
-    def __init__(self, plant: Plant) -> None:
-        self.x_c = plant.x_c
-        racks = (plant.Gxtheta,) if plant.Gxtheta is not None else ()
-        self.all = tuple(_Lifted(G) for G in (plant.Gxx, plant.Gyy, *racks))
-        self.inputs = (X, Y, X)[: len(self.all)]
-        self.rest: State = tuple(np.zeros(G.order) for G in self.all)
-
-    def after(self, z: State, command: Array) -> State:
-        """The states after the next samples of the command (n, 2)."""
-        blocks, rest = divmod(len(command), BLOCK_SAMPLES)
-        whole = blocks * BLOCK_SAMPLES
-        states = []
-        for G, s, i in zip(self.all, z, self.inputs, strict=True):
-            u = np.ascontiguousarray(command[:, i])
-            _, _, A, R = G.lifted(BLOCK_SAMPLES)
-            # block by block, so that the bits do not depend on how many there are
-            for reached in np.matmul(R, u[:whole].reshape(blocks, BLOCK_SAMPLES, 1))[..., 0]:
-                s = A @ s + reached
-            if rest:
-                _, _, A, R = G.lifted(rest)
-                s = A @ s + R @ u[whole:]
-            states.append(s)
-        return tuple(states)
-
-
-class _Lifted:
-    """One transfer function over blocks of samples, and while its input stands (remembered)."""
-
-    def __init__(self, G: TransferFunction) -> None:
-        self.order, self.lifted = G.order, lru_cache(maxsize=BLOCK_SAMPLES + 2)(G.lifted)
-        self._A, B, self._C, self._D = G.state_space
-        self._equilibrium = np.linalg.solve(np.eye(G.order) - self._A, B)
-        self.standing = lru_cache(maxsize=DURATIONS)(self._stood)
-        self.held_output = lru_cache(maxsize=DURATIONS)(self._held_output)
-
-    def _stood(self, n: int) -> tuple[Array, Array]:
-        """State after n samples at an input h: first @ state + second · h."""
-        ring = np.linalg.matrix_power(self._A, n)
-        return ring, self._equilibrium - ring @ self._equilibrium
-
-    def _held_output(self, n: int) -> tuple[Array, Array]:
-        """Output at the judged samples of a hold of n: (r, d) by the state, (r,) by the input."""
-        stood = [self.standing(samples) for samples in _judged(n)]
-        by_state = np.array([self._C @ ring for ring, _ in stood]).reshape(len(stood), self.order)
-        by_input = np.array([self._C @ step + self._D for _, step in stood])
-        return by_state, by_input
-
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """A stop in a stretch of samples: the command stands from sample a to b − 1.
-
-    before, after: samples on either side that may change; held: whether the place of the hold
-    may. ends: the first sample after b that counts no more, since another stop begins there.
-    """
-
-    a: int
-    b: int
-    before: int
-    after: int
-    held: bool
-    ends: int
-
-
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """n samples of a stretch: path (n, 2) from its origin (2,), mm; extruding (n,)."""
-
-    path: Array
-    origin: Array
-    extruding: Flags
 
 
 class StopSolver:
@@ -178,7 +87,7 @@ class StopSolver:
         these samples. The path must be known for NEAREST samples more on either side, and for
         BEYOND after.
         """
-        rows = _Rows.of(around, stop)
+        rows = Rows.of(around, stop)
         columns = self._columns(stop)
         nozzle = self._nozzle(around, command, z, stop, columns)
         by_p, known = self._sequence(command, stop, columns)
@@ -200,7 +109,7 @@ class StopSolver:
 
     # ------------------------------------------------------------------ the nozzle
 
-    def _moving(self, G: _Lifted) -> tuple[Array, Array, Array]:
+    def _moving(self, G: Lifted) -> tuple[Array, Array, Array]:
         """Outputs and state of the splines before the hold, outputs of those after it."""
         lifted, _, _, R = G.lifted(BESIDE)
         later = G.lifted(BESIDE + BEYOND)[0][:, :BESIDE]
@@ -208,11 +117,11 @@ class StopSolver:
 
     def _nozzle(
         self, around: Surroundings, command: Array, z: State, stop: Stop, columns: Integers
-    ) -> _Nozzle:
+    ) -> Nozzle:
         """Where it goes, known and by p: rows before, after, and in the hold."""
         a, b, n = stop.a, stop.b, stop.b - stop.a
         k = len(self._reach)
-        hold = _judged(n)
+        hold = judged(n)
         index = np.concatenate([np.arange(a - BESIDE, a), np.arange(b, b + BESIDE + BEYOND)])
         outputs = []
         for G, s, i, (before, reached, after) in zip(
@@ -243,7 +152,7 @@ class StopSolver:
             outputs.append((by_p[:, columns], free))
         where = np.concatenate([index, np.full(len(hold), a)])
         lever = around.path[where, X] + around.origin[X] - self.filters.x_c
-        return _Nozzle.of(outputs, lever)
+        return Nozzle.of(outputs, lever)
 
     # ------------------------------------------------------------------ the command
 
@@ -343,123 +252,6 @@ class _Pressure:
         bed = np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed)
         inwards = np.clip(place, self.low + CLEAR, self.high - CLEAR)
         return replace(self, effort=effort, bed=bed, inside=np.where(out, inwards, self.inside))
-
-
-@dataclass(frozen=True, slots=True)
-class _Nozzle:
-    """x and y of the nozzle: free (r, 2), and by p (r, 2k) each."""
-
-    free: Array
-    x: Array
-    y: Array
-
-    @classmethod
-    def of(cls, outputs: list[tuple[Array, Array]], lever: Array) -> _Nozzle:
-        """From the filters' outputs: eq. 1 and 2 of the paper with the lever arm of the path."""
-        (x, free_x), (y, free_y), *racking = outputs
-        across = np.zeros_like(x)
-        for theta, free in racking:
-            across, free_y = lever[:, None] * theta, free_y + lever * free
-        nothing = np.zeros_like(y)
-        return cls(
-            np.column_stack([free_x, free_y]), np.hstack([x, nothing]), np.hstack([across, y])
-        )
-
-    def at(self, p: Array) -> Array:
-        """Places (r, 2)."""
-        return np.asarray(self.free + np.column_stack([self.x @ p, self.y @ p]))
-
-    def normal_equations(self, p: Array, rows: _Rows, foot: Array, t: Array) -> tuple[Array, Array]:
-        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there.
-
-        Of H, which is symmetric, only what is below the diagonal.
-        """
-        m = len(rows.path)
-        at = self.free
-        across = np.sqrt(rows.weight)
-        along = np.sqrt(ALONG) * across
-        x, y = self.x[:m], self.y[:m]
-        tx, ty = t[:, X, None], t[:, Y, None]
-        J = np.vstack([across[:, None] * (tx * y - ty * x), along[:, None] * (tx * x + ty * y)])
-        off = at[:m] - foot
-        r = np.concatenate(
-            [
-                across * (t[:, X] * off[:, Y] - t[:, Y] * off[:, X]),
-                along * (t * (at[:m] - rows.path)).sum(axis=1),
-            ]
-        )
-        H, g = dsyrk(1.0, J.T, lower=True), J.T @ r
-        for of_p, free, place in (
-            (self.x, at[:, X], rows.hold[X]),
-            (self.y, at[:, Y], rows.hold[Y]),
-        ):
-            weighted = rows.holding[:, None] * of_p[m:]
-            H += weighted.T @ of_p[m:]
-            g += weighted.T @ (free[m:] - place)
-        return H, g
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """What is judged: path, direction (m, 2), weight (m,) of the samples around the hold.
-
-    wide (m + …, 2): the path around each, of which ``window`` tells the rows; hold (2,): where
-    the path stands; holding: weights of the rows in the hold.
-    """
-
-    path: Array
-    direction: Array
-    weight: Array
-    candidates: Array
-    hold: Array
-    holding: Array
-
-    @classmethod
-    def of(cls, around: Surroundings, stop: Stop) -> _Rows:
-        """Of that stop."""
-        a, b = stop.a, stop.b
-        index = np.concatenate([np.arange(a - BESIDE, a), np.arange(b, b + BESIDE + BEYOND)])
-        weight = np.where(around.extruding[index], 1.0, TRAVELLING)
-        weight[index >= stop.ends] = 0.0
-        weight[: BESIDE - stop.before] = 0.0
-        if not stop.after:
-            weight[BESIDE:] = 0.0
-        near = index[:, None] + np.arange(-NEAREST, NEAREST + 1)
-        candidates = around.path[near]
-        ahead = candidates[:, NEAREST + 1] - candidates[:, NEAREST]
-        holding = np.full(len(_judged(b - a)), STANDING)
-        if around.extruding[b : b + SOON].any():
-            holding[-1:] = ARRIVING
-        return cls(
-            around.path[index], _unit(ahead, np.array([1.0, 0.0])), weight, candidates,
-            around.path[a], holding,
-        )  # fmt: skip
-
-    def nearest(self, at: Array) -> tuple[Array, Array]:
-        """The path's nearest points to the nozzle's places, and its directions there, (m, 2)."""
-        x, y = self.candidates[..., X], self.candidates[..., Y]
-        dx, dy = np.diff(x), np.diff(y)
-        place = at[: len(self.path)]
-        to_x, to_y = place[:, X, None] - x[:, :-1], place[:, Y, None] - y[:, :-1]
-        along = (to_x * dx + to_y * dy) / np.maximum(dx * dx + dy * dy, 1e-18)
-        along = np.clip(along, 0.0, 1.0)
-        off_x, off_y = to_x - along * dx, to_y - along * dy
-        best = (off_x * off_x + off_y * off_y).argmin(axis=1)
-        row = np.arange(len(best))
-        foot = place - np.column_stack([off_x[row, best], off_y[row, best]])
-        step = np.column_stack([dx[row, best], dy[row, best]])
-        return foot, _unit(step, self.direction)
-
-
-def _judged(n: int) -> list[int]:
-    """Samples of a hold of n that count: how far the nozzle swings, and where it is at last."""
-    return [*range(STRIDE - 1, min(n, SWING) - 1, STRIDE), n - 1] if n else []
-
-
-def _unit(vector: Array, otherwise: Array) -> Array:
-    """Directions (m, 2); where there is none, another's."""
-    length = np.hypot(vector[:, X], vector[:, Y])[:, None]
-    return np.asarray(np.where(length > 1e-7, vector / np.maximum(length, 1e-7), otherwise))
 
 
 def _graded_splines() -> tuple[Array, Array]:

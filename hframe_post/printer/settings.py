@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.stop import STOPS
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.firmware_tables import Firmware
 from hframe_post.printer.schema import not_negative, positive, within
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
+STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
 LONGEST_RAMP = 60.0  # s
 LONGEST_PREVIEW = 2000  # samples; a window is solved with a matrix of its square
 HIGHEST_HZ = 200.0  # of a sweep: five samples a period, which are played as straight lines
