@@ -244,7 +244,9 @@ def layers_of_cube(last: int) -> list[bytes]:
     return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
-@pytest.mark.parametrize("planner", ["2.0", "2.1", "2.1-dev", "ft-motion"])
+@pytest.mark.parametrize(
+    "planner", [pytest.param("2.0", marks=pytest.mark.slow), "2.1", "2.1-dev", "ft-motion"]
+)
 def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     marlin: Printer, planner: str
 ) -> None:
