@@ -14,7 +14,7 @@ ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", 
 
 
 def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
-    """The template ``name.html`` with ``page.css``, ``name.js``, and further parts by their names.
+    """``frame.html`` with ``name.html``, ``page.css``, ``name.js``, and further parts by name.
 
     A part of the template stands between two pairs of @.
     """
@@ -28,5 +28,6 @@ def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
         "DATA": told,
         **more,
     }
-    pieces = (folder / f"{name}.html").read_text("utf-8").split("@@")
+    frame, body = ((folder / f"{file}.html").read_text("utf-8") for file in ("frame", name))
+    pieces = frame.replace("@@BODY@@", body).split("@@")
     return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8", "replace")
