@@ -506,7 +506,10 @@ def slow_giant(n: int) -> Moves:
     return replace(gentle_spiral(n, 500.0, 0.05, 300.0), acceleration=np.full(n, 100.0))
 
 
-@pytest.mark.parametrize("size", [100, 10_000])
+TINY = [pytest.param(size, marks=pytest.mark.slow) for size in (1, 7)]
+
+
+@pytest.mark.parametrize("size", [*TINY, 100, 10_000])
 def test_queue_that_must_grow_does_not_depend_on_cuts(size: int) -> None:
     whole = slow_giant(20_000)
     speed = whole.speed.copy()
@@ -516,12 +519,6 @@ def test_queue_that_must_grow_does_not_depend_on_cuts(size: int) -> None:
     assert max(len(p.line) for p in expected) > lookahead.BATCH
     assert_continuous(expected, whole)
     assert bits(plans(cut(whole, size))) == bits(expected)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [1, 7])
-def test_queue_that_must_grow_does_not_depend_on_tiny_cuts(size: int) -> None:
-    test_queue_that_must_grow_does_not_depend_on_cuts(size)
 
 
 def test_longest_queue_does_not_depend_on_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
