@@ -12,7 +12,7 @@ import click
 import numpy as np
 import pytest
 
-from hframe_post.cli import main
+from hframe_post.cli.main import COMMANDS, main
 from hframe_post.identification import command_file
 from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES
@@ -208,7 +208,9 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
     for line in CALL.findall(page.read_text("utf-8").replace("\\\n", "")):
         words = line.split()
         names = [word for word in words if not word.startswith("-")]
-        chosen = main.main.commands.get(names[0] if names else "", main.main.commands["convert"])
+        name = names[0] if names and names[0] in COMMANDS else "convert"
+        chosen = main.get_command(click.Context(main), name)
+        assert chosen is not None
         if isinstance(chosen, click.Group):
             continue
         known = {option for parameter in chosen.params for option in parameter.opts}

@@ -32,8 +32,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.blas import dsymv
-from scipy.linalg.lapack import dposv
 
 from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
@@ -193,13 +191,13 @@ class StopSolver:
                     full[own, own] += weighted.T @ rows
                     right[own] += weighted.T @ off
             full[np.diag_indices(2 * k)] += 1e-9 * full.diagonal().max(initial=0.0) + 1e-12
-            p = -dposv(full, right, lower=True)[1]
+            p = -np.linalg.solve(full, right)
             added = p.reshape(2, k).T
             share = np.abs((rates + D @ added) @ self._belts.T).max(axis=1) / limit
             place = known + by_p @ added
             beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
             excess = max(float(share.max()), 1.0) + float(beyond.max())
-            cost = float(p @ (0.5 * dsymv(1.0, H, p, lower=True) + g))
+            cost = float(p @ (0.5 * (H @ p) + g))
             if (known_as := (max(excess, BARELY), cost)) < least:
                 best, least = p, known_as
             if excess <= 1.0:

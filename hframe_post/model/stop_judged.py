@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
 from hframe_post.arrays import Array, Flags, X, Y
 from hframe_post.model.stop_filters import judged
@@ -73,10 +72,7 @@ class Nozzle:
         return np.asarray(self.free + np.column_stack([self.x @ p, self.y @ p]))
 
     def normal_equations(self, p: Array, rows: Rows, foot: Array, t: Array) -> tuple[Array, Array]:
-        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there.
-
-        Of H, which is symmetric, only what is below the diagonal.
-        """
+        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there."""
         m = len(rows.path)
         at = self.free
         across = np.sqrt(rows.weight)
@@ -91,7 +87,7 @@ class Nozzle:
                 along * (t * (at[:m] - rows.path)).sum(axis=1),
             ]
         )
-        H, g = dsyrk(1.0, J.T, lower=True), J.T @ r
+        H, g = J.T @ J, J.T @ r
         for of_p, free, place in (
             (self.x, at[:, X], rows.hold[X]),
             (self.y, at[:, Y], rows.hold[Y]),

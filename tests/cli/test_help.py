@@ -16,7 +16,10 @@ EXAMPLE = re.compile(r"^ *hframe-post (.+?)(?:  .*)?$", re.MULTILINE)
 def commands(group: click.Group, name: str = "") -> dict[str, click.Command]:
     """All of them, by the words that call them; groups, too."""
     found: dict[str, click.Command] = {}
-    for word, command in group.commands.items():
+    context = click.Context(group)
+    for word in group.list_commands(context):
+        command = group.get_command(context, word)
+        assert command is not None
         found[f"{name} {word}".strip()] = command
         if isinstance(command, click.Group):
             found |= commands(command, f"{name} {word}".strip())
