@@ -11,10 +11,10 @@ lint:
 	lint-imports
 
 test:
-	$(PYTHON) -m pytest -n auto --dist loadfile
+	$(PYTHON) -m pytest -n auto --dist worksteal
 
 slow:
-	$(PYTHON) -m pytest -m slow -n auto --dist loadfile
+	$(PYTHON) -m pytest -m slow -n auto --dist worksteal
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

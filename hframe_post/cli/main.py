@@ -9,7 +9,6 @@ import click
 
 from hframe_post.version import __version__
 
-
 COMMANDS = {  # module of hframe_post.cli, its function
     "convert": "convert.convert",
     "batch": "batch.command.batch",

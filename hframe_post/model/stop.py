@@ -30,14 +30,16 @@ that would leave the bed is pulled back likewise.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
-from hframe_post.model.stop_filters import Filters, Lifted, State, judged
-from hframe_post.model.stop_judged import BESIDE, BEYOND, Nozzle, Rows, Stop, Surroundings
+from hframe_post.model.stop_filters import Filters, State, judged
+from hframe_post.model.stop_judged import BESIDE, BEYOND, Nozzle, Rows, Stop, Surroundings, sampled
+from hframe_post.model.stop_response import Response
 
 GROWTH = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4, 5, 6, 8, 10, 12, 14, 19)  # knots, from the stop on
 DEGREE = 3
@@ -51,6 +53,8 @@ SEARCHES, TRIALS = 2, 10  # of the nearest points; of the weights of D
 MOST_MORE = 5.0  # times, in one trial
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
 EASY, LESS = 0.4, 0.5  # share below which it gets less again, times that
+SEEN = 2  # samples of a hold, by second differences
+USUAL = 64  # choices of splines that are remembered
 CLEAR = 0.02  # mm to the ends of the bed, for a command that would leave it
 
 
@@ -76,7 +80,8 @@ class StopSolver:
         self._bed = np.array(bed)
         away, self._reach = _graded_splines()
         self._N_before, self._N_after = away[::-1], away
-        self._forced = [self._moving(G) for G in self.filters.all]
+        self._responses = [Response(G, self._N_before, self._N_after) for G in self.filters.all]
+        self._splines = lru_cache(maxsize=USUAL)(self._splines_of)
 
     def solve(self, around: Surroundings, command: Array, z: State, stop: Stop) -> Array:
         """The command (n, 2) of samples a − BESIDE … b + BESIDE − 1, from the origin.
@@ -86,110 +91,68 @@ class StopSolver:
         BEYOND after.
         """
         rows = Rows.of(around, stop)
-        columns = self._columns(stop)
-        nozzle = self._nozzle(around, command, z, stop, columns)
-        by_p, known = self._sequence(command, stop, columns)
+        splines = self._splines(stop.before, stop.after, stop.held, min(stop.b - stop.a, SEEN))
+        nozzle = self._nozzle(around, command, z, stop, splines.columns)
+        known = _sequence(command, stop)
         pressure = _Pressure.none(known, self._bed - around.origin[:, None])
-        p = np.zeros(2 * len(columns))
+        p = np.zeros(2 * len(splines.columns))
         for search in range(SEARCHES):
-            at = nozzle.at(p)
-            foot, t = rows.nearest(at) if search else (rows.path, rows.direction)
-            H, g = nozzle.normal_equations(p, rows, foot, t)
-            p, pressure = self._within_limits(H, g, by_p, known, pressure)
-        return self._changed(command, stop, columns, p)
+            foot, t = rows.nearest(nozzle.at(p)) if search else (rows.path, rows.direction)
+            H, g = nozzle.normal_equations(rows, foot, t)
+            p, pressure = self._within_limits(H, g, splines, known, pressure)
+        return self._changed(command, stop, splines.columns, p)
 
-    def _columns(self, stop: Stop) -> Integers:
-        """Splines (before, hold, after) that this stop may use."""
+    def _splines_of(self, before: int, after: int, held: bool, seen: int) -> _Splines:
+        """Those that a stop may use which changes so many samples; the hold is as long as seen."""
         k = len(self._reach)
-        before, after = (np.flatnonzero(self._reach <= n) for n in (stop.before, stop.after))
-        hold = [k] if stop.held else []
-        return np.concatenate([before, hold, k + 1 + after]).astype(np.int64)
+        first, last = (np.flatnonzero(self._reach <= n) for n in (before, after))
+        columns = np.concatenate([first, [k] if held else [], k + 1 + last]).astype(np.int64)
+        by_p = np.zeros((BESIDE + seen + BESIDE + 4, 2 * k + 1))
+        by_p[2 : 2 + BESIDE, :k] = self._N_before
+        by_p[2 + BESIDE : 2 + BESIDE + seen, k] = 1.0
+        by_p[2 + BESIDE + seen : -2, k + 1 :] = self._N_after
+        return _Splines.of(columns, by_p[:, columns])
 
     # ------------------------------------------------------------------ the nozzle
-
-    def _moving(self, G: Lifted) -> tuple[Array, Array, Array]:
-        """Outputs and state of the splines before the hold, outputs of those after it."""
-        lifted, _, _, R = G.lifted(BESIDE)
-        later = G.lifted(BESIDE + BEYOND)[0][:, :BESIDE]
-        return lifted @ self._N_before, R @ self._N_before, later @ self._N_after
 
     def _nozzle(
         self, around: Surroundings, command: Array, z: State, stop: Stop, columns: Integers
     ) -> Nozzle:
         """Where it goes, known and by p: rows before, after, and in the hold."""
         a, b, n = stop.a, stop.b, stop.b - stop.a
-        k = len(self._reach)
-        hold = judged(n)
-        index = np.concatenate([np.arange(a - BESIDE, a), np.arange(b, b + BESIDE + BEYOND)])
         outputs = []
-        for G, s, i, (before, reached, after) in zip(
-            self.filters.all, z, self.filters.inputs, self._forced, strict=True
-        ):
-            u, h = command[:, i], command[a, i]
-            first, O, A, R = G.lifted(BESIDE)
-            moved = u[a - BESIDE : a]
-            state = A @ s + R @ moved
-            forced = np.zeros((len(state), 2 * k + 1))  # state at a, by p
-            forced[:, :k] = reached
-            by_p = np.zeros((len(index) + len(hold), 2 * k + 1))
-            free = np.empty(len(by_p))
-            by_p[:BESIDE, :k], free[:BESIDE] = before, first @ moved + O @ s
-            if n:
-                by_state, by_input = G.held_output(n)
-                by_p[len(index) :] = by_state @ forced
-                by_p[len(index) :, k] = by_input
-                free[len(index) :] = by_state @ state + by_input * h
-            ring, step = G.standing(n)
-            last, O, _, _ = G.lifted(BESIDE + BEYOND)
-            forced = ring @ forced
-            forced[:, k] = step
-            later = slice(BESIDE, len(index))
-            by_p[later] = O @ forced
-            by_p[later, k + 1 :] += after
-            free[later] = last @ u[b : b + BESIDE + BEYOND] + O @ (ring @ state + step * h)
-            outputs.append((by_p[:, columns], free))
-        where = np.concatenate([index, np.full(len(hold), a)])
+        for response, s, i in zip(self._responses, z, self.filters.inputs, strict=True):
+            u = command[:, i]
+            known = response.known(s, u[a - BESIDE : a], u[a], u[b : b + BESIDE + BEYOND], n)
+            outputs.append((response.by_splines(n)[:, columns], known))
+        index = sampled(stop)
+        where = np.concatenate([index, np.full(len(judged(n)), a)])
         lever = around.path[where, X] + around.origin[X] - self.filters.x_c
         return Nozzle.of(outputs, lever)
 
     # ------------------------------------------------------------------ the command
 
-    def _sequence(self, command: Array, stop: Stop, columns: Integers) -> tuple[Array, Array]:
-        """The command by p (r, k), and known (r, 2), from two samples before to two after.
-
-        Of the hold, as many as second differences see.
-        """
-        a, b, k = stop.a, stop.b, len(self._reach)
-        held = min(b - a, 2)
-        by_p = np.zeros((BESIDE + held + BESIDE + 4, 2 * k + 1))
-        by_p[2 : 2 + BESIDE, :k] = self._N_before
-        by_p[2 + BESIDE : 2 + BESIDE + held, k] = 1.0
-        by_p[2 + BESIDE + held : -2, k + 1 :] = self._N_after
-        hold = np.repeat(command[a : a + 1], held, axis=0)
-        known = [command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]]
-        return by_p[:, columns], np.vstack(known)
-
     def _within_limits(
-        self, H: Array, g: Array, by_p: Array, known: Array, pressure: _Pressure
+        self, H: Array, g: Array, splines: _Splines, known: Array, pressure: _Pressure
     ) -> tuple[Array, _Pressure]:
         """The p with which belts and bed are kept to, and the pressure that it took."""
+        by_p, D, rates = splines.by_p, splines.D, np.diff(known, n=2, axis=0)
         k = by_p.shape[1]
-        D, rates = np.diff(by_p, n=2, axis=0), np.diff(known, n=2, axis=0)
         limit = np.full(len(D), self._limit)
         limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
         best, least = np.zeros(2 * k), (np.inf, np.inf)
         for _ in range(TRIALS):
             full, right = H.copy(), g.copy()
+            weighted = pressure.effort[:, None] * D
+            square = weighted.T @ D if (pressure.effort != 1.0).any() else splines.square
             for axis, effort in enumerate(self._effort):
                 own = slice(axis * k, (axis + 1) * k)
-                pulled = [(D, effort * pressure.effort, rates[:, axis])]
+                full[own, own] += effort * square
+                right[own] += effort * (weighted.T @ rates[:, axis])
                 if pressure.bed[:, axis].any():
-                    inside = known[:, axis] - pressure.inside[:, axis]
-                    pulled.append((by_p, pressure.bed[:, axis], inside))
-                for rows, weight, off in pulled:
-                    weighted = weight[:, None] * rows
-                    full[own, own] += weighted.T @ rows
-                    right[own] += weighted.T @ off
+                    pulled = pressure.bed[:, axis, None] * by_p
+                    full[own, own] += pulled.T @ by_p
+                    right[own] += pulled.T @ (known[:, axis] - pressure.inside[:, axis])
             full[np.diag_indices(2 * k)] += 1e-9 * full.diagonal().max(initial=0.0) + 1e-12
             p = -np.linalg.solve(full, right)
             added = p.reshape(2, k).T
@@ -216,6 +179,26 @@ class StopSolver:
             changed[BESIDE : len(changed) - BESIDE, axis] = command[a, axis] + added[k]
             changed[len(changed) - BESIDE :, axis] += self._N_after @ added[k + 1 :]
         return changed
+
+
+@dataclass(frozen=True, slots=True)
+class _Splines:
+    """The command by p, (r, k), from two samples before to two after, and what follows from it.
+
+    columns: which of all splines and the hold these are; D (r − 2, k): second differences;
+    square: DᵀD.
+    """
+
+    columns: Integers
+    by_p: Array
+    D: Array
+    square: Array
+
+    @classmethod
+    def of(cls, columns: Integers, by_p: Array) -> _Splines:
+        """With these columns."""
+        D = np.diff(by_p, n=2, axis=0)
+        return cls(columns, by_p, D, D.T @ D)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +233,13 @@ class _Pressure:
         bed = np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed)
         inwards = np.clip(place, self.low + CLEAR, self.high - CLEAR)
         return replace(self, effort=effort, bed=bed, inside=np.where(out, inwards, self.inside))
+
+
+def _sequence(command: Array, stop: Stop) -> Array:
+    """The command (r, 2) from two samples before to two after, of the hold no more than SEEN."""
+    a, b = stop.a, stop.b
+    hold = np.repeat(command[a : a + 1], min(b - a, SEEN), axis=0)
+    return np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
 
 
 def _graded_splines() -> tuple[Array, Array]:

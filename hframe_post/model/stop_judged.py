@@ -9,17 +9,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, X, Y
+from hframe_post.arrays import Array, Flags, Integers, X, Y
 from hframe_post.model.stop_filters import judged
 
 BESIDE = 100  # samples before and after a stop in which its command may change
 BEYOND = 100  # samples after these that are still judged: what rings, shows there
+EACH, SECOND = 24, 60  # samples from a stop up to which each is judged, every second; then each 4th
 NEAREST = 24  # samples to either side in which the path's nearest point is sought
 TRAVELLING = 0.03  # weight of a sample that does not extrude; of one that does: 1
 STANDING = 0.04  # weight of a sample of the hold, of which every STRIDE-th counts
 ARRIVING = 1.0  # weight of the hold's last sample where an extrusion begins there
 ALONG = 0.01  # weight of a deviation along the path; of one across: 1
 SOON = 25  # samples after a hold in which an extrusion begins there
+
+
+def _spread(n: int) -> tuple[Integers, Array]:
+    """Which of n samples on one side of a stop are judged, nearest first; for how many each."""
+    near, middle = np.arange(EACH), np.arange(EACH, SECOND, 2)
+    far = np.arange(SECOND, n, 4)
+    counted = np.repeat([1.0, 2.0, 4.0], [len(near), len(middle), len(far)])
+    return np.concatenate([near, middle, far]), counted
+
+
+BEFORE, FOR_BEFORE = (of[::-1] for of in _spread(BESIDE))
+BEFORE = BESIDE - 1 - BEFORE  # of the samples from a − BESIDE on
+AFTER, FOR_AFTER = _spread(BESIDE + BEYOND)  # of those from b on
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +63,14 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True)
 class Nozzle:
-    """x and y of the nozzle: free (r, 2), and by p (r, 2k) each."""
+    """x and y of the nozzle: free (r, 2), and by p, whose halves are those of x and y.
+
+    x, y (r, k): by their own halves; across (r, k): y by that of x, where the gantry racks.
+    """
 
     free: Array
     x: Array
+    across: Array
     y: Array
 
     @classmethod
@@ -62,48 +80,48 @@ class Nozzle:
         across = np.zeros_like(x)
         for theta, free in racking:
             across, free_y = lever[:, None] * theta, free_y + lever * free
-        nothing = np.zeros_like(y)
-        return cls(
-            np.column_stack([free_x, free_y]), np.hstack([x, nothing]), np.hstack([across, y])
-        )
+        return cls(np.column_stack([free_x, free_y]), x, across, y)
 
     def at(self, p: Array) -> Array:
         """Places (r, 2)."""
-        return np.asarray(self.free + np.column_stack([self.x @ p, self.y @ p]))
+        of_x, of_y = p.reshape(2, -1)
+        moved = np.column_stack([self.x @ of_x, self.across @ of_x + self.y @ of_y])
+        return np.asarray(self.free + moved)
 
-    def normal_equations(self, p: Array, rows: Rows, foot: Array, t: Array) -> tuple[Array, Array]:
-        """H and g of ½pᵀHp + gᵀp, around p with the feet and directions (m, 2) found there."""
-        m = len(rows.path)
+    def normal_equations(self, rows: Rows, foot: Array, t: Array) -> tuple[Array, Array]:
+        """H and g of ½pᵀHp + gᵀp, with the feet and directions (m, 2) that were found."""
+        m, k = len(rows.path), self.x.shape[1]
         at = self.free
-        across = np.sqrt(rows.weight)
-        along = np.sqrt(ALONG) * across
-        x, y = self.x[:m], self.y[:m]
-        tx, ty = t[:, X, None], t[:, Y, None]
-        J = np.vstack([across[:, None] * (tx * y - ty * x), along[:, None] * (tx * x + ty * y)])
-        off = at[:m] - foot
-        r = np.concatenate(
-            [
-                across * (t[:, X] * off[:, Y] - t[:, Y] * off[:, X]),
-                along * (t * (at[:m] - rows.path)).sum(axis=1),
-            ]
-        )
-        H, g = J.T @ J, J.T @ r
-        for of_p, free, place in (
-            (self.x, at[:, X], rows.hold[X]),
-            (self.y, at[:, Y], rows.hold[Y]),
+        normal = np.sqrt(rows.weight)
+        along = np.sqrt(ALONG) * normal
+        x, across, y = self.x[:m], self.across[:m], self.y[:m]
+        J, r = np.empty((2 * m, 2 * k)), np.empty(2 * m)
+        for half, nx, ny in (
+            (slice(0, m), -normal * t[:, Y], normal * t[:, X]),
+            (slice(m, None), along * t[:, X], along * t[:, Y]),
         ):
-            weighted = rows.holding[:, None] * of_p[m:]
-            H += weighted.T @ of_p[m:]
-            g += weighted.T @ (free[m:] - place)
+            J[half, :k] = nx[:, None] * x + ny[:, None] * across
+            J[half, k:] = ny[:, None] * y
+            off = at[:m] - (rows.path if half.start else foot)
+            r[half] = nx * off[:, X] + ny * off[:, Y]
+        H, g = J.T @ J, J.T @ r
+        held_y = np.hstack([self.across[m:], self.y[m:]])
+        for own, of_p, place, hold in (
+            (slice(0, k), self.x[m:], at[m:, X], rows.hold[X]),
+            (slice(None), held_y, at[m:, Y], rows.hold[Y]),
+        ):
+            weighted = rows.holding[:, None] * of_p
+            H[own, own] += weighted.T @ of_p
+            g[own] += weighted.T @ (place - hold)
         return H, g
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What is judged: path, direction (m, 2), weight (m,) of the samples around the hold.
+    """What is judged: path, direction (m, 2), weight (m,) of samples around the hold.
 
-    wide (m + …, 2): the path around each, of which ``window`` tells the rows; hold (2,): where
-    the path stands; holding: weights of the rows in the hold.
+    candidates (m, 2·NEAREST + 1, 2): the path around each; hold (2,): where the path stands;
+    holding: weights of the rows in the hold.
     """
 
     path: Array
@@ -117,12 +135,10 @@ class Rows:
     def of(cls, around: Surroundings, stop: Stop) -> Rows:
         """Of that stop."""
         a, b = stop.a, stop.b
-        index = np.concatenate([np.arange(a - BESIDE, a), np.arange(b, b + BESIDE + BEYOND)])
-        weight = np.where(around.extruding[index], 1.0, TRAVELLING)
-        weight[index >= stop.ends] = 0.0
-        weight[: BESIDE - stop.before] = 0.0
-        if not stop.after:
-            weight[BESIDE:] = 0.0
+        index = sampled(stop)
+        counted = np.concatenate([FOR_BEFORE, FOR_AFTER if stop.after else 0.0 * FOR_AFTER])
+        weight = np.where(around.extruding[index], counted, TRAVELLING * counted)
+        weight[(index >= stop.ends) | (index < a - stop.before)] = 0.0
         near = index[:, None] + np.arange(-NEAREST, NEAREST + 1)
         candidates = around.path[near]
         ahead = candidates[:, NEAREST + 1] - candidates[:, NEAREST]
@@ -148,6 +164,11 @@ class Rows:
         foot = place - np.column_stack([off_x[row, best], off_y[row, best]])
         step = np.column_stack([dx[row, best], dy[row, best]])
         return foot, _unit(step, self.direction)
+
+
+def sampled(stop: Stop) -> Integers:
+    """Which samples of a stretch are judged around its hold."""
+    return np.concatenate([stop.a - BESIDE + BEFORE, stop.b + AFTER])
 
 
 def _unit(vector: Array, otherwise: Array) -> Array:
