@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.studies.speed import Bound, Fastest
 
-DRAWS, SEED = 8, 0  # printers that are off by the model error, on which a bound must hold too
+DRAWS, SEED = 40, 0  # printers that are off by the model error, on which a bound must hold too
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 _BOUND = re.compile(r"(?:([a-z-]+)=)?(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)")
 

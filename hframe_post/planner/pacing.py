@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers
-from hframe_post.stream.features import FEATURE, NEW_LAYER, OTHER, TRAVEL, kind
+from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
 from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, frozen
 
 NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
+NAMES = (*KINDS, OTHER, TRAVEL)
+SAME_HEIGHT = 1e-3  # mm; what the next object's first layer may be off the first one's
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +33,16 @@ class Pace:
     feed: float = 1.0
 
 
+AS_ASKED = Pace(math.inf, math.inf)
+
+
 @dataclass(frozen=True, slots=True)
 class Paces:
     """The pace of each kind of feature; a kind without one keeps what the file has.
 
     flow: mm of filament a second, at most, where the feed is raised. first_layers: how many keep
-    what the file has. layers: factor on the feed of a layer, by its number from 0, where it is
-    not 1.
+    what the file has, and with them all that lies as low, where objects are printed one by one.
+    layers: factor on the feed of a layer, by its place in the print from 1, where it is not 1.
     """
 
     kinds: dict[str, Pace]
@@ -46,69 +51,98 @@ class Paces:
     layers: dict[int, float] = field(default_factory=dict)
 
 
-def pace(items: Iterable[Item], paces: Paces) -> Iterator[Item]:
-    """The items with the limits and speeds of their moves changed."""
-    pacer = _Pacer(paces)
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a print, or a piece of it, begins. floor: z of what its first layers laid down."""
+
+    place: Place = field(default_factory=Place)
+    floor: float = -math.inf
+
+
+def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Iterator[Item]:
+    """The items with the limits and speeds of their moves changed. start: of the first of them."""
+    pacer = _Pacer(paces, start or Start())
     for item in items:
         if isinstance(item, Moves):
             yield pacer.moves(item)
         else:
             if isinstance(item, Passthrough):
-                pacer.mark(item.text)
+                pacer.labeller.mark(item.text)
             yield item
 
 
-class _Pacer:
-    """The feature and the layer in force."""
+class Labeller:
+    """Which kind of feature and which layer each move belongs to."""
 
-    def __init__(self, paces: Paces) -> None:
-        self._paces = paces
-        self._kind, self._layer = OTHER, -1
+    def __init__(self, start: Start) -> None:
+        self._place, self._floor = replace(start.place), start.floor
+        self._kind = NAMES.index(kind(start.place.feature))
 
     def mark(self, text: bytes) -> None:
         """A line between moves."""
-        if match := FEATURE.match(text):
-            self._kind = kind(match[1].decode("utf-8", "replace"))
-        elif NEW_LAYER.match(text):
-            self._layer += 1
+        if self._place.mark(text):
+            self._kind = NAMES.index(kind(self._place.feature))
 
-    def moves(self, moves: Moves) -> Moves:
-        """The moves at their paces. The file's limits by axis become limits of each move."""
-        n, starts = len(moves.line), [0]
-        spans: list[tuple[str, int]] = [(self._kind, self._layer)]
+    @property
+    def start(self) -> Start:
+        """Of what comes next."""
+        return Start(replace(self._place), self._floor)
+
+    def of(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:
+        """Number in NAMES of each move's kind, its layer, and whether that is a first one, (n,).
+
+        A first layer is one of the first of the print, or lies as low.
+        """
+        starts, kinds, layers = [0], [self._kind], [self._place.layer]
         for mark in moves.marks:
             self.mark(mark.text)
             starts.append(mark.index)
-            spans.append((self._kind, self._layer))
-        which = np.searchsorted(starts, np.arange(n), side="right") - 1
+            kinds.append(self._kind)
+            layers.append(self._place.layer)
+        times = np.diff([*starts, len(moves.line)])
+        number, layer = np.repeat(kinds, times), np.repeat(layers, times)
+        laying, z = np.diff(moves.points[:, E]) > 0.0, moves.points[1:, Z]
+        number[~laying] = NAMES.index(TRAVEL)
+        lowest = laying & (layer > 0) & (layer <= first_layers)
+        self._floor = float(z[lowest].max(initial=self._floor))
+        first = (layer <= first_layers) | (laying & (z <= self._floor + SAME_HEIGHT))
+        return number, layer, first
+
+
+class _Pacer:
+    """How each kind is driven."""
+
+    def __init__(self, paces: Paces, start: Start) -> None:
+        self._paces, self.labeller = paces, Labeller(start)
+        own = [paces.kinds.get(name) for name in NAMES]
+        self._paced = np.array([pace is not None for pace in own])
+        self._limits = np.array([astuple(pace or AS_ASKED) for pace in own]).T  # (3, kinds)
+
+    def moves(self, moves: Moves) -> Moves:
+        """The moves at their paces. The file's limits by axis become limits of each move."""
+        kinds, layer, first = self.labeller.of(moves, self._paces.first_layers)
         delta = np.diff(moves.points, axis=0)
         length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
-        speed, acceleration = _by_axis(moves, np.abs(delta) / length[:, None])
-        corner = moves.corner.copy()
-        travels = delta[:, E] <= 0.0
-        for number, (feature, layer) in enumerate(spans):
-            here = np.flatnonzero(which == number)
-            if len(here):
-                for part, name in ((here[travels[here]], TRAVEL), (here[~travels[here]], feature)):
-                    self._set(part, name, layer, speed, acceleration, corner, delta[:, E] / length)
-        return replace(
-            moves, speed=frozen(speed), acceleration=frozen(acceleration), corner=frozen(corner),
-            limits=NO_LIMITS,
-        )  # fmt: skip
-
-    def _set(
-        self, which: Integers, name: str, layer: int, speed: Array, acceleration: Array,
-        corner: Array, per_mm: Array,
-    ) -> None:  # fmt: skip
-        """Changes the moves ``which`` (k,); per_mm (n,): filament in a mm of path."""
-        chosen = self._paces.kinds.get(name)
-        if chosen is None or layer < self._paces.first_layers or not len(which):
-            return
-        acceleration[which], corner[which] = chosen.acceleration, chosen.corner
-        asked = speed[which] * chosen.feed * self._paces.layers.get(layer, 1.0)
+        chosen = self._paced[kinds] & ~first
+        acceleration, corner, feed = self._limits[:, kinds]
+        speed, own_acceleration = _by_axis(moves, np.abs(delta) / length[:, None])
+        asked = speed * feed * self._factors(layer)
         with np.errstate(divide="ignore"):
-            melts = self._paces.flow / np.maximum(per_mm[which], 0.0)
-        speed[which] = np.minimum(asked, np.maximum(melts, np.minimum(asked, speed[which])))
+            melts = self._paces.flow / np.maximum(delta[:, E] / length, 0.0)
+        asked = np.minimum(asked, np.maximum(melts, np.minimum(asked, speed)))
+        return replace(
+            moves,
+            speed=frozen(np.where(chosen, asked, speed)),
+            acceleration=frozen(np.where(chosen, acceleration, own_acceleration)),
+            corner=frozen(np.where(chosen, corner, moves.corner)),
+            limits=NO_LIMITS,
+        )
+
+    def _factors(self, layer: Integers) -> Array:
+        """Of the feed, (n,)."""
+        first, slowed = int(layer[0]), self._paces.layers
+        factors = [slowed.get(number, 1.0) for number in range(first, int(layer[-1]) + 1)]
+        return np.array(factors)[layer - first]
 
 
 def _by_axis(moves: Moves, share: Array) -> tuple[Array, Array]:

@@ -1,11 +1,22 @@
-"""What slicers call the parts of a layer, and which of a few kinds each name means."""
+"""What slicers call layers and the parts of one, and which of a few kinds each name means."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
-FEATURE = re.compile(rb"\s*;\s*(?:TYPE|FEATURE):\s*(.*\S)")
-NEW_LAYER = re.compile(rb"\s*;\s*(?:LAYER:\s*-?\d|LAYER_CHANGE\s*$|CHANGE_LAYER\s*$)")
+_LAYER = re.compile(
+    rb"\s*;[\s;(<\[-]*(?:layer[\s:#]+(?P<number>-?\d{1,9})(?![\d.])"  # Cura, ideaMaker, Kiri:Moto
+    rb"|layer num/total_layer_count:\s*(?P<counted>\d{1,9})(?!\d)"  # Bambu Studio, from 1
+    rb"|(?:LAYER_CHANGE|CHANGE_LAYER)\s*$"  # PrusaSlicer and its relatives
+    rb"|BEGIN_LAYER_OBJECT z=|layer:\d+\.\d)"  # KISSlicer; FlashPrint, by height
+    rb"|\s*[;(]\s*Slice (?P<slice>\d{1,9})(?=[, ])",  # MakerBot and Sailfish
+    re.IGNORECASE,
+)
+_FEATURE = re.compile(
+    rb"\s*;\s*(?:(?:TYPE|FEATURE):|feature (?=[a-z])|structure:)\s*(.*\S)"  # also Simplify3D
+    rb"|\s*;\s*'([^']+)', [\d.]+ \[feed"  # KISSlicer
+)
 
 TRAVEL = "travel"  # lays down nothing
 OTHER = "other"  # of no known name
@@ -30,3 +41,43 @@ def kind(name: str) -> str:
     """The kind of a feature by the name that a slicer gives it; ``OTHER`` if that says nothing."""
     plain = re.sub(r"[^a-z]", "", name.lower())
     return next((kind for kind, words in _KINDS if any(w in plain for w in words)), OTHER)
+
+
+def feature(text: bytes) -> str | None:
+    """The name of the feature that a line says begins; None if it says nothing of it."""
+    if match := _FEATURE.match(text):
+        return (match[1] or match[2]).decode("utf-8", "replace")
+    return None
+
+
+@dataclass
+class Place:
+    """Where in a print: its layer, by place in the print from 1, and its feature.
+
+    layer: 0 before the first. name: of the layer, its number as the slicer gives it, or counted
+    from 0 where it only says that a layer begins (``;LAYER_CHANGE``). Printed one object at a
+    time, several layers have one name. feature: as the slicer calls it.
+    """
+
+    layer: int = 0
+    name: str = ""
+    feature: str = ""
+
+    def mark(self, text: bytes) -> bool:
+        """Takes a line; whether it says where the print is."""
+        if named := feature(text):
+            self.feature = named
+            return True
+        match = _LAYER.match(text)
+        if match is None:
+            return False
+        number = match["number"] or match["slice"]
+        if match["counted"] is not None:
+            name = str(int(match["counted"]) - 1)
+        elif number is not None:
+            name = number.decode()
+        else:
+            name = str(int(self.name) + 1) if self.name else "0"
+        self.layer += name != self.name  # Bambu Studio says it twice
+        self.name = name
+        return True

@@ -1,36 +1,49 @@
-"""A print driven in some way: each kind of feature as hard as is said, and judged by its error."""
+"""A print driven in some way: each kind of feature as hard as is said, and judged by its error.
+
+print, or pieces of it ──► paces ──► plan ──► commands ──► error of each kind on each plant
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from hframe_post.arrays import TS, E, Integers
+from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.compensation.stops import rests
 from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.conversion.stages import Stages
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import Pace, Paces
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.pacing import NAMES, Pace, Paces, pace
+from hframe_post.planner.sampling import sample
 from hframe_post.prediction.labels import TRAVEL as NOT_LAID
 from hframe_post.prediction.labels import Labels
-from hframe_post.prediction.predict import judge
+from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.features import TRAVEL, kind
-from hframe_post.stream.types import Samples
+from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
+from hframe_post.stream.types import Item, Samples
+from hframe_post.studies.excerpt import Piece, excerpt
 
 Measure = Literal["rms", "p95", "peak"]
+Lines = Callable[[], Iterable[bytes]]  # the file's lines anew at each call
 
-ACCELERATION, CORNER = 1e4, 5.0  # mm/s² and mm/s of a drive of 1
-GENTLEST, HARDEST = 0.02, 4.0  # drives
-OF_BELTS = 0.5  # of the belts' acceleration that the path may have; compensation needs the rest
 KEPT = ("bridge", "ironing", "interface", "skirt")  # kinds that keep what the file has
-JUDGED_EVERY = 8  # samples
-FIRST = 1  # number that ``Labels`` gives the first layer, which keeps what the file has
-AT_LIMIT = 0.95  # share of the flow that counts as all of it
+DRIVEN = tuple(name for name in (*KINDS, OTHER) if name not in KEPT)
+OF_BELTS = 0.5  # of the belts' acceleration that the path may have; compensation needs the rest
+CORNER_AT = 1e4  # mm/s²; speeds at corners grow with the acceleration, which keeps their shape
+JUDGED_EVERY = 4  # samples
+CAUSES = ("file", "cooling", "travel", "flow", "feed", "motors", "error")  # the first counts
+FIRST = 1  # layers that keep what the file has
 FEW = 50  # judged samples below which a kind says nothing of itself
+AT_LIMIT = 0.95  # share of the flow that counts as all of it
+STEADY = 0.02  # share of a pace's acceleration below which the path is at cruise speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,132 +62,229 @@ AS_IT_IS = Freedom()  # feed rates of the file
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """One way to drive each kind, and what it gave.
+class Driven:
+    """How hard a print is driven.
 
-    errors: by kind (mm), of each plant that it was judged on, the model first; seconds: of the
-    print, and of its layers by number; held: seconds by what kept them from being fewer.
+    acceleration: of each kind (mm/s²); feed: times the file's, of each kind; jerk: of the path
+    (mm/s³); corner: mm/s at square corners of what has CORNER_AT; travel: times the acceleration
+    of the gentlest kind; slowed: factor on the feed of layers, by place in the print from 1.
     """
 
-    drives: dict[str, float]
-    slowed: dict[int, float]
+    acceleration: dict[str, float]
+    feed: dict[str, float]
+    jerk: float
+    corner: float = 5.0
+    travel: float = 1.0
+    slowed: dict[int, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One way to drive a print, and what it gave.
+
+    errors: by kind (mm), of each plant that it was judged on, the model first; seconds: of it
+    all, and of its layers by place; held (NAMES, CAUSES): seconds by kind and by what kept them
+    from being fewer; clamped: samples at which a command had to be taken back.
+    """
+
+    driven: Driven
     errors: dict[str, list[float]]
     seconds: float
     layers: dict[int, float]
-    held: dict[str, float]
+    held: Array
+    clamped: int
+
+    @property
+    def held_by(self) -> dict[str, float]:
+        """Seconds by what kept them from being fewer."""
+        return dict(zip(CAUSES, self.held.sum(axis=0).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class Original:
-    """The print as the file has it, without compensation: seconds, and errors by kind (mm)."""
+    """The print as the file has it, without compensation: seconds, of layers too, and errors."""
 
     seconds: float
+    layers: dict[int, float]
     errors: dict[str, float]
 
 
 class Drive:
     """A print on a printer, to be driven. measure: what of the error is told."""
 
-    def __init__(self, printer: Printer, options: Options, measure: Measure, free: Freedom) -> None:
-        self._printer, self._options, self._measure = printer, options, measure
-        self._free = free
+    def __init__(
+        self, lines: Lines, printer: Printer, options: Options, measure: Measure, free: Freedom
+    ) -> None:
+        self._lines, self._printer, self._measure, self._free = lines, printer, measure, free
+        self._options = replace(options, predict=(), clamp=True, paces=None)
+        self._asked = options
+        self._reading = ReadOptions.of(printer, options.limits, options.extrusion)
         self._compensator = prepared(printer)
-        self._top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.reach
+        self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.reach
 
-    def settings(
-        self, jerk: float, drives: dict[str, float], slowed: dict[int, float]
-    ) -> tuple[Printer, Options]:
+    def settings(self, driven: Driven) -> tuple[Printer, Options]:
         """A printer and options under which the print is driven so."""
         kinds = {
-            name: Pace(min(drive * ACCELERATION, self._top), drive * CORNER, self._free.speed_up)
-            for name, drive in drives.items()
-            if name not in KEPT
+            name: self._pace(driven, a, driven.feed[name])
+            for name, a in driven.acceleration.items()
         }
-        hardest = max(kinds.values(), key=lambda p: p.acceleration)
-        kinds[TRAVEL] = min(kinds.values(), key=lambda p: p.acceleration)  # it rings on after
+        gentlest = min(driven.acceleration.values())  # what rings at a travel's end is printed
+        kinds[TRAVEL] = self._pace(driven, driven.travel * gentlest, self._free.speed_up)
         own = self._printer.limits
         limits = replace(
-            own, jerk=jerk, acceleration=max(own.acceleration, hardest.acceleration),
-            square_corner_velocity=max(own.square_corner_velocity, hardest.corner),
+            own, jerk=driven.jerk,
+            acceleration=max(own.acceleration, *(p.acceleration for p in kinds.values())),
+            square_corner_velocity=max(
+                own.square_corner_velocity, *(p.corner for p in kinds.values())
+            ),
         )  # fmt: skip
-        paces = Paces(kinds, self._free.flow, layers=slowed)
-        digest = f"{self._printer.digest} jerk {jerk:g}"
+        paces = Paces(kinds, self._free.flow, FIRST, driven.slowed)
+        digest = f"{self._printer.digest} jerk {driven.jerk:g}"
         printer = replace(self._printer, limits=limits, digest=digest)
-        return printer, replace(self._options, paces=paces)
+        return printer, replace(self._asked, paces=paces)
 
-    def trial(
-        self, lines: Iterable[bytes], jerk: float, drives: dict[str, float],
-        slowed: dict[int, float], plants: tuple[Plant, ...],
-    ) -> Trial:  # fmt: skip
-        """The print driven so, judged on each plant."""
-        printer, options = self.settings(jerk, drives, slowed)
-        options = replace(options, predict=(), clamp=True)
-        commands = Commands(lines, printer, options, compensator=self._compensator)
+    def _pace(self, driven: Driven, acceleration: float, feed: float) -> Pace:
+        acceleration = min(acceleration, self.top)
+        corner = driven.corner * acceleration / CORNER_AT
+        return Pace(acceleration, corner, feed)
+
+    # ------------------------------------------------------------------ trials
+
+    def excerpt(self) -> list[Piece]:
+        """Pieces that stand for the print."""
+        return excerpt(read(self._lines(), self._reading), FIRST)
+
+    def of_pieces(
+        self, pieces: Iterable[Piece], driven: Driven, plants: tuple[Plant, ...]
+    ) -> Trial:
+        """Pieces driven so, judged on each plant."""
+        printer, options = self.settings(driven)
+        seen = _Seen(driven, self._free, self._measure, self.top)
+        stages = Stages(printer, self._options, self._compensator, self._options.strategies)
+        for piece in pieces:
+            items = self._paced(piece.items, options, piece)
+            commands = stages.computed(plan(items, printer.limits))
+            seen.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
+        return seen.trial(stages.summary.clamped.samples)
+
+    def of_all(self, driven: Driven, plants: tuple[Plant, ...]) -> Trial:
+        """The whole print driven so, judged on each plant."""
+        printer, options = self.settings(driven)
+        options = replace(self._options, paces=options.paces)
+        commands = Commands(self._lines(), printer, options, compensator=self._compensator)
+        seen = _Seen(driven, self._free, self._measure, self.top)
+        seen.add(commands, Labels(by_name=False), plants)
+        return seen.trial(commands.report().clamped.samples)
+
+    def layers(self, driven: Driven) -> dict[int, float]:
+        """Seconds of each layer, by place in the print: planned, not compensated."""
+        printer, options = self.settings(driven)
+        items = self._paced(read(self._lines(), self._reading), options, None)
+        waits = rests(printer.compensation.stops, options.strategy)
+        labels, layers = Labels(by_name=False), dict[int, float]()
+        for chunk in sample(plan(items, printer.limits), printer.limits, waits):
+            _count(layers, labels.of(chunk)[0])
+        return layers
+
+    def original(self) -> Original:
+        """The print as the file has it."""
+        options = replace(self._options, strategy="none")
+        commands = Commands(self._lines(), self._printer, options, compensator=self._compensator)
+        labels, layers = Labels(by_name=False), dict[int, float]()
+        statistics: dict[str, ErrorStatistics] = {}
+        for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
+            layer, feature = labels.of(judgement.chunk)
+            _count(layers, layer)
+            for name, here in _driven(judgement, layer, feature, labels):
+                of = statistics.setdefault(name, ErrorStatistics())
+                of.add(judgement.contour["none"][here])
+        told = {name: measured(of, self._measure) for name, of in statistics.items()}
+        return Original(commands.report().time.before, layers, told)
+
+    @staticmethod
+    def _paced(items: Iterable[Item], options: Options, piece: Piece | None) -> Iterator[Item]:
+        assert options.paces is not None
+        return pace(items, options.paces, piece.start if piece else None)
+
+
+class _Seen:
+    """What is seen of a print, or of one piece after another."""
+
+    def __init__(self, driven: Driven, free: Freedom, measure: Measure, top: float) -> None:
+        self._driven, self._free, self._measure, self._top = driven, free, measure, top
+        self._statistics: dict[str, list[ErrorStatistics]] = {}
+        self._samples = 0
+        self._layers: dict[int, float] = {}
+        self._held = np.zeros((len(NAMES), len(CAUSES)))
+
+    def add(self, commands: Iterable[Samples], labels: Labels, plants: tuple[Plant, ...]) -> None:
+        """Takes a stream of commands of one strategy."""
         streams = branches(commands, len(plants))
         judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
-        labels, layers, held = Labels(), dict[int, float](), dict[str, float]()
-        statistics: dict[str, list[ErrorStatistics]] = {}
         for judgements in zip(*judged, strict=True):
-            chunk, at = judgements[0].chunk, judgements[0].at
-            layer, feature = labels.of(chunk)
-            for number in np.unique(layer).tolist():
-                layers[number] = layers.get(number, 0.0) + TS * float((layer == number).sum())
-            for cause, seconds in self._held(chunk, labels, layer, feature, drives, slowed):
-                held[cause] = held.get(cause, 0.0) + seconds
-            for number in np.unique(feature[at]).tolist():
-                name = labels.features[number]
-                if name == NOT_LAID or kind(name) in KEPT:
-                    continue
-                here = (feature[at] == number) & (layer[at] > FIRST)
-                of = statistics.setdefault(kind(name), [ErrorStatistics() for _ in plants])
+            layer, feature = labels.of(judgements[0].chunk)
+            self._samples += len(layer)
+            _count(self._layers, layer)
+            self._held += self._causes(judgements[0].chunk, labels, layer, feature)
+            for name, here in _driven(judgements[0], layer, feature, labels):
+                of = self._statistics.setdefault(name, [ErrorStatistics() for _ in plants])
                 for judgement, errors in zip(judgements, of, strict=True):
-                    errors.add(judgement.contour[options.strategy][here])
-        told = {
-            name: [self._measured(errors) for errors in of]
-            for name, of in statistics.items()
+                    (contour,) = judgement.contour.values()
+                    errors.add(contour[here])
+
+    def trial(self, clamped: int) -> Trial:
+        """Of all that was taken."""
+        errors = {
+            name: [measured(errors, self._measure) for errors in of]
+            for name, of in self._statistics.items()
             if of[0].count >= FEW
         }
-        later = {number - FIRST: s for number, s in layers.items() if number > FIRST}
-        return Trial(drives, slowed, told, commands.duration, later, held)
+        seconds = self._samples * TS
+        return Trial(self._driven, errors, seconds, self._layers, self._held, clamped)
 
-    def _held(
-        self, chunk: Samples, labels: Labels, layer: Integers, feature: Integers,
-        drives: dict[str, float], slowed: dict[int, float],
-    ) -> Iterator[tuple[str, float]]:  # fmt: skip
-        """Seconds of a chunk by what kept them from being fewer, the first that holds."""
-        kinds = [kind(name) for name in labels.features]
-        file = np.array([name in KEPT for name in kinds])[feature] | (layer <= FIRST)
-        cooled = np.isin(layer, [number + FIRST for number in slowed])
+    def _causes(self, chunk: Samples, labels: Labels, layer: Integers, feature: Integers) -> Array:
+        """Seconds of a chunk, (NAMES, CAUSES): by kind, and by the first cause that holds."""
+        names = [TRAVEL if name == NOT_LAID else kind(name) for name in labels.features]
+        kinds = np.array([NAMES.index(name) for name in names])[feature]
+        of_kind = [min(self._driven.acceleration.get(name, np.inf), self._top) for name in NAMES]
+        acceleration = np.array(of_kind)[kinds]
+        speed = np.sqrt(np.square(np.diff(chunk.xyze[:, :E], axis=0)).sum(axis=1)) / TS
+        change = np.abs(np.diff(speed, prepend=speed[:1])) / TS
         rate = np.diff(chunk.xyze[:, E], prepend=chunk.xyze[:1, E]) / TS
-        melting = rate >= AT_LIMIT * self._free.flow
-        hard = [min(drives.get(name, 0.0) * ACCELERATION / self._top, 1.0) for name in kinds]
-        driven = np.array([share >= 1.0 or drives.get(name, 0.0) >= HARDEST
-                           for name, share in zip(kinds, hard, strict=True)])[feature]  # fmt: skip
-        travels = np.array([name == NOT_LAID for name in labels.features])[feature]
-        left = np.ones(len(layer), dtype=bool)
-        for cause, holds in (
-            ("file", file), ("cooling", cooled), ("flow", melting), ("travel", travels),
-            ("motors", driven), ("error", left),
-        ):  # fmt: skip
-            yield cause, TS * float((left & holds).sum())
-            left = left & ~holds
+        holds = {
+            "file": np.isin(NAMES, KEPT)[kinds] | (layer <= FIRST),
+            "cooling": np.isin(layer, list(self._driven.slowed)),
+            "travel": kinds == NAMES.index(TRAVEL),
+            "flow": rate >= AT_LIMIT * self._free.flow,
+            "feed": np.append(change < STEADY * acceleration[1:], True)[: len(layer)],
+            "motors": acceleration >= self._top,
+        }
+        cause = np.select(list(holds.values()), range(len(holds)), len(holds))
+        shape = len(NAMES), len(CAUSES)
+        count = np.bincount(kinds * len(CAUSES) + cause, minlength=len(NAMES) * len(CAUSES))
+        return np.asarray(TS * count.reshape(shape))
 
-    def original(self, lines: Iterable[bytes]) -> Original:
-        """The print as the file has it."""
-        options = replace(self._options, strategy="none", predict=(), clamp=True)
-        commands = Commands(lines, self._printer, options, compensator=self._compensator)
-        labels, statistics = Labels(), dict[str, ErrorStatistics]()
-        for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
-            _, feature = labels.of(judgement.chunk)
-            for number in np.unique(feature[judgement.at]).tolist():
-                if (name := labels.features[number]) != NOT_LAID:
-                    here = feature[judgement.at] == number
-                    errors = statistics.setdefault(kind(name), ErrorStatistics())
-                    errors.add(judgement.contour["none"][here])
-        told = {n: self._measured(e) for n, e in statistics.items() if e.count >= FEW}
-        return Original(commands.report().time.before, told)
 
-    def _measured(self, errors: ErrorStatistics) -> float:
-        if self._measure == "rms":
-            return errors.rms
-        return errors.peak if self._measure == "peak" else errors.percentile(0.95)
+def _count(seconds: dict[int, float], layer: Integers) -> None:
+    """Adds the time of samples, (n,), to their layers'."""
+    for number, samples in enumerate(np.bincount(layer)):
+        if samples:
+            seconds[number] = seconds.get(number, 0.0) + TS * float(samples)
+
+
+def _driven(
+    judgement: Judgement, layer: Integers, feature: Integers, labels: Labels
+) -> Iterator[tuple[str, Flags]]:
+    """Kinds that can be driven, and which of the judged samples (k,) are theirs."""
+    here, later = feature[judgement.at], layer[judgement.at] > FIRST
+    for number in np.unique(here).tolist():
+        name = labels.features[number]
+        if name != NOT_LAID and kind(name) in DRIVEN:
+            yield kind(name), (here == number) & later
+
+
+def measured(errors: ErrorStatistics, measure: Measure) -> float:
+    """What is told of errors, mm."""
+    if measure == "rms":
+        return errors.rms
+    return errors.peak if measure == "peak" else errors.percentile(0.95)

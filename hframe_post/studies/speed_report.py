@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from hframe_post.studies.drive import KEPT
 from hframe_post.studies.speed import Fastest
 from hframe_post.writers.print_time import duration
 
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
 CAUSES = {
-    "file": "the file's own speeds", "cooling": "least time of a layer", "flow": "the hot end",
-    "travel": "travel", "motors": "the motors", "error": "the error allowed, or the file's feed",
+    "file": "what keeps the file's speeds", "cooling": "least time of a layer",
+    "travel": "travel", "flow": "the hot end", "feed": "feed rates", "motors": "the motors",
+    "error": "the error allowed",
 }  # fmt: skip
 NOTHING = 1e-5  # mm; straight lines at one speed, such as those that prime
 HARDLY = 0.01  # of the time; a cause of less is not told
@@ -25,19 +25,21 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             "before": round(original.seconds, 3), "after": round(trial.seconds, 3),
         },
         "measure": found.bound.measure,
-        "jerk": found.jerk,
+        "jerk": trial.driven.jerk,
+        "corner": trial.driven.corner,
+        "travel": trial.driven.travel,
         "features": {
             name: {
                 "bound_um": round(found.bound.of(name) * 1e3, 4),
                 "predicted_um": round(errors[0] * 1e3, 4),
-                "under_model_error_um": round(found.growth.get(name, 1.0) * errors[0] * 1e3, 4),
+                "under_model_error_um": round(max(errors) * 1e3, 4),
                 "uncompensated_um": round(original.errors.get(name, 0.0) * 1e3, 4),
-                "drive": round(trial.drives[name], 4),
+                "acceleration": round(trial.driven.acceleration[name], 1),
+                "feed": round(trial.driven.feed[name], 3),
             }
             for name, errors in trial.errors.items()
-            if name not in KEPT
         },
-        "held_by_s": {cause: round(seconds, 3) for cause, seconds in trial.held.items()},
+        "held_by_s": {cause: round(seconds, 3) for cause, seconds in trial.held_by.items()},
     }  # fmt: skip
 
 
@@ -52,17 +54,17 @@ def speed_as_text(found: Fastest) -> str:
     for name, errors in sorted(trial.errors.items()):
         if errors[0] < NOTHING:
             continue
-        um, worse = errors[0] * 1e3, found.growth.get(name, 1.0) * errors[0] * 1e3
+        um, worse = errors[0] * 1e3, max(errors) * 1e3
         before = original.errors.get(name, 0.0) * 1e3
         lines.append(
             f"within      {name} {um:.0f} µm {MEASURES[found.bound.measure]}, {worse:.0f} if the "
             f"model is off; {found.bound.of(name) * 1e3:.0f} allowed; {before:.0f} as the file "
             "has it, uncompensated"
         )
-    total = sum(trial.held.values()) or 1.0
+    total = sum(trial.held_by.values()) or 1.0
     held = [
         f"{CAUSES[cause]} {100.0 * seconds / total:.0f} %"
-        for cause, seconds in sorted(trial.held.items(), key=lambda item: -item[1])
+        for cause, seconds in sorted(trial.held_by.items(), key=lambda item: -item[1])
         if seconds > HARDLY * total
     ]
     lines.append(f"held by     {', '.join(held)} of the time")

@@ -25,7 +25,7 @@ G1 X0 Y0 Z0.2 F6000
 ;TYPE:WALL-OUTER
 G1 X10 E0.5 F1800
 ;LAYER:1
-G1 X20 E0.5
+G1 X20 Z0.21 E0.5
 ;TYPE:FILL
 G1 X30 E0.5
 G0 X40 F9000
@@ -33,7 +33,7 @@ G0 X40 F9000
 G1 Y10 E5 F1800
 ;LAYER:2
 ;TYPE:BRIDGE
-G1 X0 E0.5
+G1 X0 Z0.22 E0.5
 """.splitlines(keepends=True)
 
 WALL, FILL, GONE = Pace(8000.0, 8.0, 2.0), Pace(20000.0, 10.0, 4.0), Pace(15000.0, 9.0, 1.0)
@@ -49,7 +49,8 @@ def paced(paces: Paces) -> Moves:
 def test_each_kind_has_its_pace_and_the_rest_is_the_files() -> None:
     moves = paced(Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}))
     # the first layer and the bridge are the file's: 3000, of which M201 leaves 1000 in x
-    assert moves.acceleration.tolist() == [1000.0, 8000.0, 20000.0, 15000.0, 8000.0, 1000.0]
+    asked = [1000.0, 8000.0, 20000.0, 15000.0, 8000.0, 1000.0]
+    np.testing.assert_allclose(moves.acceleration, asked, rtol=1e-6)
     assert moves.speed.tolist() == [30.0, 60.0, 120.0, 150.0, 60.0, 30.0]
     assert moves.corner.tolist() == [math.inf, 8.0, 10.0, 9.0, 8.0, math.inf]
     assert set(moves.limits.acceleration) == {math.inf}
@@ -63,12 +64,21 @@ def test_no_faster_than_the_hot_end_melts_but_never_slower_than_the_file() -> No
 
 
 def test_a_layer_can_be_slowed() -> None:
-    moves = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={1: 0.5}))
+    moves = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={2: 0.5}))
     assert moves.speed.tolist() == [30.0, 30.0, 60.0, 150.0, 30.0, 30.0]
 
 
+def test_what_lies_as_low_as_the_first_layer_keeps_what_the_file_has() -> None:
+    """The first layer of a second object, whatever the slicer counts."""
+    text = [line.encode() for line in PRINT]
+    text += [b";LAYER:0\n", b";TYPE:FILL\n", b"G1 X5 Z0.2 E0.5\n", b"G1 X9 Z0.21 E0.5\n"]
+    items = pace(read(text, ReadOptions(dialect("klipper"))), Paces({"infill": FILL}))
+    (moves,) = (item for item in items if isinstance(item, Moves))
+    assert moves.acceleration[-2:].tolist() == [3000.0, 20000.0]
+
+
 def test_filament_and_path_stay_and_cuts_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    chosen = Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}, 4.0, 1, {1: 0.7})
+    chosen = Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}, 4.0, 1, {2: 0.7})
     whole = paced(chosen)
     bare = paced(Paces({}))
     np.testing.assert_array_equal(whole.points, bare.points)

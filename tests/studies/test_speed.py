@@ -11,12 +11,13 @@ import pytest
 
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
+from hframe_post.model.plant import Plant
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import kind
-from hframe_post.studies.drive import FIRST, KEPT, Freedom
+from hframe_post.studies.drive import FIRST, JUDGED_EVERY, KEPT, Freedom
 from hframe_post.studies.speed import Bound, Fastest, fastest
 from hframe_post.studies.speed_report import speed_as_text
 from hframe_post.studies.uncertainty import draws
@@ -26,25 +27,27 @@ from tests.conftest import SAMPLES
 MODEL_ERROR = 0.05
 
 
-def cube(last: int) -> list[bytes]:
+def cube() -> list[bytes]:
+    """The first and two later layers; extrusion is relative."""
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    return lines[: lines.index(b";LAYER:%d\n" % last)]
+    second, fifth, seventh = (lines.index(b";LAYER:%d\n" % number) for number in (1, 4, 6))
+    return [*lines[:second], *lines[fifth:seventh]]
 
 
 def found(paper: Printer, error: float, speed_up: float = 1.0) -> Fastest:
     freedom = Freedom(speed_up, paper.limits.filament_velocity, paper.limits.min_layer_time)
-    drawn = tuple(draws(paper.plant, MODEL_ERROR, 8, 0))
-    return fastest(lambda: cube(5), paper, Options("racking"), Bound(error), freedom, drawn)
+    drawn = tuple(draws(paper.plant, MODEL_ERROR, 20, 0))
+    return fastest(cube, paper, Options("racking"), Bound(error), freedom, drawn)
 
 
 @pytest.fixture(scope="module")
 def loose(paper: Printer) -> Fastest:
-    return found(paper, 0.1)
+    return found(paper, 0.2, 2.0)
 
 
 @pytest.fixture(scope="module")
 def tight(paper: Printer) -> Fastest:
-    return found(paper, 0.03)
+    return found(paper, 0.08, 2.0)
 
 
 def test_less_error_takes_more_time_and_both_less_than_the_file(
@@ -54,57 +57,54 @@ def test_less_error_takes_more_time_and_both_less_than_the_file(
     assert loose.original.seconds == tight.original.seconds
 
 
+def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, float]]:
+    """Seconds, and by kind what 95 % of the way stay below (mm), of the print computed anew."""
+    commands = Commands(cube(), fast.printer, fast.options)
+    labels, errors = Labels(), dict[str, ErrorStatistics]()
+    for judgement in judge(commands, plant, every):
+        layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
+        for number in np.unique(feature).tolist():
+            contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
+            errors.setdefault(kind(labels.features[number]), ErrorStatistics()).add(contour)
+    return commands.duration, {name: of.percentile(0.95) for name, of in errors.items()}
+
+
 @pytest.mark.parametrize("which", ["loose", "tight"])
 def test_the_bound_holds_when_the_print_is_computed_anew(
     which: str, request: pytest.FixtureRequest
 ) -> None:
     fast: Fastest = request.getfixturevalue(which)
-    commands = Commands(cube(5), fast.printer, fast.options)
-    labels, errors = Labels(), dict[str, ErrorStatistics]()
-    for judgement in judge(commands, fast.printer.plant):
-        layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
-        for number in np.unique(feature).tolist():
-            name = kind(labels.features[number])
-            contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
-            errors.setdefault(name, ErrorStatistics()).add(contour)
-    assert commands.duration == pytest.approx(fast.trial.seconds)
-    for name in fast.trial.errors:
-        p95 = errors[name].percentile(0.95) * fast.growth.get(name, 1.0)
-        assert p95 <= 1.05 * fast.bound.of(name)  # judged at every sample, not every fourth
+    seconds, errors = judged(fast, fast.printer.plant, JUDGED_EVERY)
+    assert seconds == pytest.approx(fast.trial.seconds)
+    for name, (of_model, *of_drawn) in fast.trial.errors.items():
+        assert errors[name] == pytest.approx(of_model)
+        assert max(of_model, *of_drawn) <= fast.bound.of(name)
 
 
-def test_the_promise_is_kept_on_most_printers_that_are_a_little_off(tight: Fastest) -> None:
-    plants = draws(tight.printer.plant, MODEL_ERROR, 10, 1)
+@pytest.mark.slow
+def test_the_promise_is_kept_on_printers_that_are_a_little_off(tight: Fastest) -> None:
+    """None of them among those that were drawn in the search."""
     kept = 0
-    for plant in plants:
-        commands = Commands(cube(5), tight.printer, tight.options)
-        labels, errors = Labels(), dict[str, ErrorStatistics]()
-        for judgement in judge(commands, plant, 4):
-            layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
-            for number in np.unique(feature).tolist():
-                contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
-                name = kind(labels.features[number])
-                errors.setdefault(name, ErrorStatistics()).add(contour)
-        kept += all(
-            errors[name].percentile(0.95) <= tight.bound.of(name) for name in tight.trial.errors
-        )
-    assert kept >= 7
+    for plant in draws(tight.printer.plant, MODEL_ERROR, 12, 1):
+        _, errors = judged(tight, plant, 4)
+        kept += all(errors[name] <= tight.bound.of(name) for name in tight.trial.errors)
+    assert kept >= 11
 
 
-def test_speed_up_pays_and_no_layer_is_too_short(paper: Printer, loose: Fastest) -> None:
-    fast = found(paper, 0.1, 3.0)
-    assert fast.trial.seconds < loose.trial.seconds
+def test_no_layer_is_too_short_and_what_held_it_back_is_told(
+    paper: Printer, loose: Fastest
+) -> None:
     least = paper.limits.min_layer_time
-    later = {n: s for n, s in fast.trial.layers.items() if n < 4}  # the last is cut off
-    assert min(later.values()) > 0.95 * least
-    assert sum(fast.trial.held.values()) == pytest.approx(fast.trial.seconds, rel=0.01)
-    assert fast.trial.held["file"] > 0.0
-    assert re.search(r"faster .*\(-\d+ %\)", speed_as_text(fast))
+    for number, seconds in loose.trial.layers.items():
+        assert seconds > 0.97 * min(least, loose.original.layers[number])
+    assert loose.trial.held.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
+    assert loose.trial.held_by["file"] > 0.0
+    assert re.search(r"faster .*\(-\d+ %\)", speed_as_text(loose))
 
 
 def test_what_cannot_be_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="allow more"):
-        fastest(lambda: cube(3), paper, Options("racking"), Bound(1e-4))
+        fastest(cube, paper, Options("racking"), Bound(1e-4))
 
 
 def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
@@ -114,7 +114,7 @@ def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
 
 def test_convert_within_an_error(tmp_path: Path) -> None:
     part, out = tmp_path / "in.gcode", tmp_path / "out.gcode"
-    part.write_bytes(b"".join(cube(3)))
+    part.write_bytes(b"".join(cube()))
     bounds = "outer-wall=30um,infill=0.2mm"
     done = run(part, "-o", out, "--max-error", bounds, "--json", tmp_path / "s.json")
     assert done.returncode == 0
