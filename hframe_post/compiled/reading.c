@@ -69,7 +69,8 @@ static const char *words(const char *c, const char *last, double *value, int *gi
 /* text (size), ends with a line feed and a 0; lines from ``offset`` on are looked at. state: x, y, z, e (mm), the
  * offset of each from what the file calls it, feed rate and speed (mm/s). rules: mm in the file's
  * unit, factor on the speed, least feed rate, greatest coordinate, greatest filament of a move,
- * least x, y, z, greatest x, y, z, whether E is relative, acceleration, corner velocity. rows (most,
+ * least x, y, z, greatest x, y, z, whether E is relative, acceleration, corner velocity, greatest
+ * filament per mm of path. rows (most,
  * ROW): line, x, y, z, e, speed, and these two, of each move in which x or y travels. taken: lines, bytes. Returns how many rows there are. */
 EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64_t first_line,
                              int64_t most, double *state, const double *rules, double *rows, int64_t *taken)
@@ -98,7 +99,10 @@ EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int
             inside &= least[k] <= to[k] && to[k] <= greatest[k];
         int travels = to[X] != at[X] || to[Y] != at[Y];
         int moves = (given & 15) != 0;
-        if (moves && (!inside || !travels || fabs(to[E] - at[E]) > rules[4]))
+        double dx = to[X] - at[X], dy = to[Y] - at[Y], dz = to[Z] - at[Z], de = fabs(to[E] - at[E]);
+        if (moves && (!inside || !travels || de > rules[4]))
+            break;
+        if (moves && de > rules[14] * sqrt(dx * dx + dy * dy + dz * dz))
             break;
         state[8] = rate, state[9] = speed;
         if (!moves)

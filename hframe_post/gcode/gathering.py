@@ -27,7 +27,10 @@ PER_LINE = 200  # bytes that a carried line takes beside its text
 
 
 class Gathering:
-    """The moves gathered since the last item, and items that are ready in ``out``."""
+    """The moves gathered since the last item, and items that are ready in ``out``.
+
+    any_motion: whether there has been a move since the start of the file.
+    """
 
     def __init__(self, limits: RequestedLimits) -> None:
         self._limits = limits
@@ -37,6 +40,7 @@ class Gathering:
         self._tables: list[Array] = []  # those before
         self._marks: list[Mark] = []
         self._carried = 0  # bytes since the last move or stop
+        self.any_motion = False
         self.out: list[Item] = []
 
     @property
@@ -72,7 +76,7 @@ class Gathering:
     def _begin(self, start: Position) -> None:
         if not self._count:
             self._start = start
-        self._carried = 0
+        self._carried, self.any_motion = 0, True
 
     def _tabulate(self) -> None:
         if self._rows:
@@ -85,7 +89,7 @@ class Gathering:
         length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
         if length > LONGEST_MOVE * move.speed:
             raise _endless(length / move.speed, move.line)
-        self._carried = 0
+        self._carried, self.any_motion = 0, True
         self.out.append(move)
 
     def pass_through(self, item: Passthrough) -> None:

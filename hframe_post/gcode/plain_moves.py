@@ -2,7 +2,8 @@
 
 What it does with a line is what the reader does with it, to the bit. It stops before the first
 line that is not a plain move in which x or y travels, or that is to be looked at with care: too
-far, too slow, off the bed, a number of many digits. That line is the reader's.
+far, too slow, off the bed, too much filament for its path, a number of many digits. That line is
+the reader's.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from hframe_post.gcode.lines import Lines
 
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 MOST_FILAMENT = 2e3  # mm of one move; loading takes less
+STEEPEST = 100.0  # mm of filament per mm of path; Klipper refuses more than a quarter
 _BEGINNINGS = (b"G1 ", b"G0 ")
 
 
@@ -33,7 +35,7 @@ class PlainMoves:
         self._source, self._place, self._feed, self._items = source, place, feed, items
         self._edges = (*bed.least, *bed.greatest)
         self._run = kernel("plain_moves")
-        self._state, self._rules = np.empty(10), np.empty(14)
+        self._state, self._rules = np.empty(10), np.empty(15)
         self._rows, self._lines = np.empty((items.room, 8)), np.empty(2, dtype=np.int64)
         arrays = (self._state, self._rules, self._rows, self._lines)
         self._addresses = tuple(array.ctypes.data for array in arrays)
@@ -50,7 +52,7 @@ class PlainMoves:
         self._state[:] = (*place.position, *place.offset, feed.rate, feed.speed)
         self._rules[:] = (
             place.scale, feed.multiplier, SLOWEST, FARTHEST, MOST_FILAMENT, *self._edges,
-            not place.absolute_e, *self._items.limits,
+            not place.absolute_e, *self._items.limits, 0.99 * STEEPEST,
         )  # fmt: skip
         state, rules, rows, lines = self._addresses
         count = self._run(

@@ -40,12 +40,15 @@ from hframe_post.gcode.lexer import (
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, PlainMoves
+from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, STEEPEST, PlainMoves
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 LONGEST_DWELL = 24 * 3600.0  # s
 MOST_TURNS = 100  # of an arc
+SHORTEST = 1e-3  # mm that can be written
+IMPOSSIBLE = 1e3  # mm of filament per mm of path
 NOWHERE = [None] * 4  # the places of a line that only sets F
+OUT_OF_BOUNDS = "a coordinate is out of all bounds"
 AT_THE_START = "the start"  # why the first moves' place is unknown
 
 
@@ -120,14 +123,14 @@ class _Reader:
         new = self._place.target(x, y, z, e)
         self._moved = True
         if not (min(new) > -FARTHEST and max(new) < FARTHEST):
-            raise line.error("a coordinate is out of all bounds")
+            raise line.error(OUT_OF_BOUNDS)
         if abs(new[3] - self._place.position[3]) > MOST_FILAMENT:
             raise line.error(f"more than {MOST_FILAMENT:g} mm of filament in one move")
         return new
 
     def _travel(self, line: Line, new: Position) -> None:
         """A move in which x or y travels joins the gathered ones."""
-        x, y, z, _ = new
+        x, y, z, e = new
         least, greatest = self._bed.least, self._bed.greatest
         if not (
             least[0] <= x <= greatest[0]
@@ -136,7 +139,15 @@ class _Reader:
         ):
             for axis in range(3):
                 self._bed.check(line, axis, new[axis])
-        self.items.travel(line.number, self._place.position, new, self._feed.speed)
+        old = self._place.position
+        path, filament = math.dist(old[:3], new[:3]), abs(e - old[3])
+        if path < SHORTEST and filament > STEEPEST * path:  # then it is fed in one place
+            speed = min(self._feed.speed, self._limits.axes.velocity[3])
+            self.items.stand(Standing(line.number, old, (*old[:3], e), speed))
+        elif filament > IMPOSSIBLE * path:
+            raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
+        else:
+            self.items.travel(line.number, old, new, self._feed.speed)
         self._place.position = new
 
     def _as_it_stands(
@@ -180,6 +191,8 @@ class _Reader:
         arc = arcs.arc(*ends, centre, ccw, int(turns)) if centre else None
         if arc is None:
             raise line.error("the arc's centre or radius does not fit its ends")
+        if not arc.length < FARTHEST:
+            raise line.error(OUT_OF_BOUNDS)
         self._curve(line, new, *arc.chords())
 
     def _spline(self, line: Line, words: Words) -> None:
@@ -196,6 +209,8 @@ class _Reader:
         i, j, p, q = (words.get(letter, 0.0) * place.scale for letter in "IJPQ")
         ends = (start[0], start[1]), (new[0], new[1])
         first, second = (ends[0][0] + i, ends[0][1] + j), (ends[1][0] + p, ends[1][1] + q)
+        if max(map(abs, (*first, *second))) > FARTHEST:
+            raise line.error(OUT_OF_BOUNDS)
         self._curve(line, new, *arcs.spline(ends[0], first, second, ends[1]))
 
     def _curve(self, line: Line, new: Position, points: Array, share: Array) -> None:
@@ -318,7 +333,14 @@ class _Reader:
         path: float = 0.0,
         cause: str = "",
     ) -> None:
-        """A line that passes as it stands, with what the file believes of the firmware."""
+        """A line that passes as it stands, with what the file believes of the firmware.
+
+        The stream has modes of its own. To leave it those of the file must be known, which a
+        macro before the first motion may have set.
+        """
+        guessed = self._ran_macro and not self._place.e_told
+        if guessed and self.items.any_motion and handling is Handling.RELEASE:
+            self._place.tell_e(self._e_is_absolute(line))
         state = self._place.state(self._feed.rate)
         item = Passthrough(line.number, line.text, handling, state, seconds, filament, path, cause)
         self.items.pass_through(item)

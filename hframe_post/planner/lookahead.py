@@ -38,6 +38,7 @@ ROUNDING = 1e-15  # of a sum of v² + 2as, relative
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
 BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
 CREEP = 0.01  # mm/s; a junction that allows less is a stop
+MELTED = 50.0  # mm/s of filament; none melts more, and beside it lines keep their place
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
 
 
@@ -163,6 +164,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
     cruise = np.minimum(moves.speed, limits.velocity)
     acceleration = np.minimum(moves.acceleration, limits.acceleration)
     retracting = np.where(delta[:, E] < 0.0, share[:, E], 0.0)
+    extruding = share[:, E] - retracting
     with np.errstate(divide="ignore"):
         for axis, asked in enumerate(moves.limits.velocity):
             if math.isfinite(asked):
@@ -172,6 +174,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
                 acceleration = np.minimum(acceleration, asked / share[:, axis])
         cruise = np.minimum(cruise, limits.z_velocity / share[:, Z])
         cruise = np.minimum(cruise, limits.extruder_velocity / retracting)
+        cruise = np.minimum(cruise, MELTED / extruding)
         by_z = Z_SHARE * limits.z_acceleration / share[:, Z]
         by_e = Z_SHARE * limits.extruder_acceleration / retracting
     acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))

@@ -6,6 +6,7 @@ A seed gives the same case anywhere; what fails is written into the folder of --
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -31,6 +32,8 @@ def main() -> int:
             one = partial(run, kind, folders, given.played)
             for seed, outcome in pool.map(one, cases, chunksize=5):
                 found[outcome.word] += 1
+                if found.total() % 500 == 0:
+                    print(f"{kind}: {found.total()} cases", file=sys.stderr, flush=True)
                 slowest = max(slowest, (outcome.seconds, seed))
                 largest = max(largest, (outcome.memory, seed))
                 if outcome.defect:

@@ -15,12 +15,14 @@ MARK = re.compile(rb"^\s*(?:;|M117 |UNHEARD_OF )@(\d+)")
 WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 INCH = 25.4
 UNSEEN = 0.1  # mm of filament that Klipper lets any move feed
+SHORT = 2e-3  # mm; ends that are no further apart are one place, as they are written
 
 
 class Stand(NamedTuple):
     """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
 
-    place: of the machine; told: as the firmware would tell it, after G92.
+    place: of the machine; told: as the firmware would tell it, after G92; step: filament of the
+    next line that moves it.
     """
 
     number: int
@@ -29,6 +31,7 @@ class Stand(NamedTuple):
     filament: float
     modes: tuple[bool, bool]
     e: float
+    step: float = 0.0
 
 
 @dataclass
@@ -36,8 +39,9 @@ class Machine:
     """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z.
 
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
-    while it stood, mm; sharpest: filament per mm of any move; steepest: of
-    those that feed more than UNSEEN.
+    while it stood, mm; nearly: between ends no further apart than SHORT; sharpest: filament per
+    mm of any straight move; steepest: of those that feed more than UNSEEN; flow: the fastest
+    filament of any move, mm/s.
     """
 
     firmware: str
@@ -51,10 +55,12 @@ class Machine:
     stands: list[Stand] = field(default_factory=list)
     least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    most: float = 0.0  # filament in one line
+    waiting: int = 0  # the first stand whose step is not known
     feed: float = 25.0  # mm/s
     seconds: float = 0.0
     standing: float = 0.0
+    nearly: float = 0.0
+    flow: float = 0.0
     steepest: float = 0.0
     sharpest: float = 0.0
 
@@ -126,6 +132,13 @@ class Machine:
         ]
         length, fed = math.hypot(*steps), self.filament - filament
         self.seconds += (length or abs(fed)) / self.feed
+        if words.keys() & set("XYZE"):
+            waiting = self.stands[self.waiting :]
+            self.stands[self.waiting :] = [stand._replace(step=fed) for stand in waiting]
+            self.waiting = len(self.stands)
+            self.flow = max(self.flow, abs(fed) * self.feed / (length or SHORT))
+        if fed > UNSEEN and length < SHORT:
+            self.nearly += fed  # or along a circle
         if not straight:  # its length is not known here
             return
         if fed > 0.0 and length > 0.0:
@@ -152,7 +165,6 @@ class Machine:
             step = value - self.e if self._e_absolute else value
             self.e += step
             self.filament += step
-            self.most = max(self.most, abs(step))
 
     def _set(self, words: dict[str, float]) -> None:
         if self.firmware == "klipper" and not words.keys() & set("XYZE"):

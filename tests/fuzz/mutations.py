@@ -6,18 +6,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 from pathlib import Path
 from random import Random
 
+from tests.fuzz import grammar
+from tests.fuzz.grammar import NUMBERS
+
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 WORD = re.compile(rb"[A-Za-z]\s*[-+]?(?:\d+\.?\d*|\.\d+)")
-NUMBERS = (
-    b"0", b"-0", b"1e9", b"-1", b"0.00001", b"999999", b"-3.5", b"nan", b"inf", b"1e400", b"1.",
-    b".5", b"+2", b"--3", b"1.2.3", b"0x10", b"9" * 400, b"1" * 5000, b"", b"1e-300", b"0.0349",
-    b"1,5", b"00010", b"+.5", b"-.0", b".", b"-", b"1_0", b"1e3", b" 7", b"279.999", b"280.001",
-    b"0.0005", b"2147483648", b"4294967297", b"1.0000000000000000001", "\uff11".encode(),
-)  # fmt: skip
 LINES = (
     # modes and places
     b"G91", b"G90", b"M82", b"M83", b"G92 E0", b"G92 X10 Y10", b"G92", b"G92 Z0.2", b"G92 E0 X5",
@@ -80,8 +78,10 @@ def gcode(rng: Random, seeds: list[bytes]) -> bytes:
         if not lines:
             break
         rng.choices(MUTATIONS, WEIGHTS)[0](rng, lines, rng.randrange(len(lines)))
-    if rng.random() < 0.15:
+    for _ in range(rng.choice((0, 0, 0, 0, 1, 3))):
         _splice(rng, lines, rng.choice(seeds))
+    if rng.random() < 0.05:
+        lines = _numbered(rng, lines)
     return encoded(rng, _marked(rng, lines))
 
 
@@ -109,7 +109,7 @@ def _swap(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _insert(rng: Random, lines: Lines, k: int) -> None:
-    lines.insert(k, rng.choice(LINES))
+    lines.insert(k, rng.choice(LINES) if rng.random() < 0.5 else grammar.line(rng))
 
 
 def _around(rng: Random, lines: Lines, k: int) -> None:
@@ -122,6 +122,19 @@ def _around(rng: Random, lines: Lines, k: int) -> None:
     )  # fmt: skip
     lines.insert(min(k + rng.randrange(1, 8), len(lines)), closed)
     lines.insert(k, opened)
+
+
+def _flip_modes(rng: Random, lines: Lines, k: int) -> None:
+    """Modes and units that change inside an object, and are not all taken back."""
+    block = lines[k : k + rng.randrange(1, 15)]
+    for _ in range(rng.randrange(1, 5)):
+        block.insert(rng.randrange(len(block) + 1), rng.choice(grammar.FLIPS))
+    opened, closed = rng.choice(grammar.OBJECTS)
+    lines[k : k + len(block)] = [opened, *block, closed]
+
+
+def _picture(rng: Random, lines: Lines, k: int) -> None:
+    lines[k:k] = grammar.thumbnail(rng)
 
 
 def _move_block(rng: Random, lines: Lines, k: int) -> None:
@@ -201,6 +214,13 @@ def _break(rng: Random, lines: Lines, k: int) -> None:
         lines[k : k + 2] = [b"".join(lines[k : k + 2])]
 
 
+def _pierce(rng: Random, lines: Lines, k: int) -> None:
+    """A bracket, quote, control or foreign character somewhere in some lines."""
+    for j in range(k, min(k + rng.randrange(1, 4), len(lines))):
+        at = rng.randrange(len(lines[j]) + 1)
+        lines[j] = lines[j][:at] + rng.choice(grammar.BREAKS) + lines[j][at:]
+
+
 def _restyle(rng: Random, lines: Lines, k: int) -> None:
     lines[k] = lines[k].swapcase().replace(b" ", rng.choice((b"", b"  ", b"\t")))
 
@@ -211,24 +231,28 @@ def _append(rng: Random, lines: Lines, k: int) -> None:
 
 def _number_lines(rng: Random, lines: Lines, k: int) -> None:
     """Numbers and checksums, as a host sends them; some are wrong."""
-    for j in range(k, min(k + rng.randrange(1, 10), len(lines))):
-        line = b"N%d %b" % (j, lines[j].partition(b";")[0])
-        total = 0
-        for byte in line:
-            total ^= byte
-        lines[j] = b"%b*%d" % (line, total ^ (rng.random() < 0.05))
+    end = min(k + rng.randrange(1, 10), len(lines))
+    lines[k:end] = _numbered(rng, lines[k:end], 0.05)
+
+
+def _numbered(rng: Random, lines: Lines, wrong: float = 0.0) -> Lines:
+    numbered = []
+    for j, text in enumerate(lines):
+        line = b"N%d %b" % (j, text.partition(b";")[0])
+        numbered.append(b"%b*%d" % (line, reduce(xor, line) ^ (rng.random() < wrong)))
+    return numbered
 
 
 MUTATIONS: tuple[Mutation, ...] = (
     _insert, _renumber, _scale, _scale_words, _reword, _flip, _lose, _repeat, _swap, _around,
-    _move_block, _jitter, _break, _restyle, _append, _number_lines,
+    _move_block, _jitter, _break, _restyle, _append, _number_lines, _flip_modes, _pierce, _picture,
 )  # fmt: skip
-WEIGHTS = (5, 3, 1, 1, 2, 1, 1, 1, 1, 2, 1, 1, 1, 1, 1, 1)
+WEIGHTS = (5, 2, 1, 1, 2, 1, 1, 1, 1, 2, 1, 1, 1, 1, 1, 1, 2, 1, 0.3)
 
 
 def encoded(rng: Random, lines: Lines) -> bytes:
     """The file's bytes: line ends, and now and then what an editor makes of it."""
-    kind = rng.randrange(40)
+    kind = rng.randrange(30)
     if kind == 0:
         return b"\xef\xbb\xbf" + b"\r\n".join(lines) + b"\r\n"
     if kind == 1:

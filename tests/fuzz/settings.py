@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from tests.fuzz.mutations import FACTORS, NUMBERS, renumbered, scaled
+from tests.fuzz.grammar import NUMBERS
+from tests.fuzz.mutations import FACTORS, renumbered, scaled
 
 VALUES = (
     *NUMBERS,

@@ -110,7 +110,7 @@ def test_hundreds_of_arcs_lose_no_filament() -> None:
 
 def test_arcs_without_room_are_points() -> None:
     """Chords never vanish, whatever the radius."""
-    (block,) = moves("G2 X0.001 Y0.001 I0.001 J0 E1")
+    (block,) = moves("G2 X0.001 Y0.001 I0.001 J0 E0.01")
     assert (np.hypot(*np.diff(block.points[:, :2], axis=0).T) > 0.0).all()
 
 

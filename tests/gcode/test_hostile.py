@@ -7,13 +7,14 @@ from itertools import repeat
 
 import pytest
 
+from hframe_post.compiled import kernels
 from hframe_post.errors import GcodeError, LimitError
 from hframe_post.gcode import gathering, lines
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.gcode.options import Extrusion, ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.printer.settings import Travel
-from hframe_post.stream.types import Handling, Item, Moves, Passthrough
+from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
 from tests.gcode.test_reader import HOME, carried, items, moves
 
 BED = ReadOptions(KLIPPER, travel=Travel((0.0, 200.0), (0.0, 100.0), (-1.0, 50.0)))
@@ -28,7 +29,8 @@ def on_bed(*text: str) -> list[Item]:
     [
         "G1 X9 F0.01", "M203 Y0.001", "M204 S0.0000001", "G1 E219414", "M220 S0.01",
         "SET_VELOCITY_LIMIT VELOCITY=1e-3", "G4 P-5000", "G4 P" + "9" * 400,
-        "G3 X0 Y0 I1 J0 P1000000", "G3 X0 Y0 I1 J0 P1.5", "G1 X" + "9" * 5000,
+        "G3 X0 Y0 I1 J0 P1000000", "G3 X0 Y0 I900000 J0", "G5 I2 J3 P-2 Q4294967297 X90 Y60",
+        "G3 X0 Y0 I1 J0 P1.5", "G1 X" + "9" * 5000,
         "G1 X" + "5" * 2_000_000,
     ],
     ids=lambda line: line[:24],
@@ -44,6 +46,27 @@ def test_a_move_of_many_hours_is_an_error_with_its_line() -> None:
     for line in ("G1 Z250 F1", "G1 X500 F1.5", "G1 E900 F1"):
         with pytest.raises(GcodeError, match=r"line 5: this move would take .* h"):
             items(*HOME, "G1 X1", line, "G1 X3 F6000")
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_filament_without_a_path_is_fed_at_rest(
+    monkeypatch: pytest.MonkeyPatch, compiled: bool
+) -> None:
+    """Where the path can be written, so much is nothing that a nozzle lays: an error."""
+    if not compiled:
+        monkeypatch.setattr(kernels, "built", lambda: None)
+    text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
+    found = [i for i in items(*text) if isinstance(i, Moves | Standing)]
+    assert [type(i).__name__ for i in found] == ["Moves", "Standing", "Moves"]
+    _, fed, further = found
+    assert isinstance(fed, Standing)
+    assert isinstance(further, Moves)
+    assert fed.start[:3] == fed.end[:3] == (5.0, 1.0, 1.0)
+    assert fed.end[3] - fed.start[3] == pytest.approx(6.0)
+    assert further.points[0].tolist() == pytest.approx([5.0004, 1.0, 1.0, 6.3])
+    for line in ("G1 X5.005 E6", "G1 X4.999 E-2", "G3 X5.002 Y1 I-2 J0 E9"):
+        with pytest.raises(GcodeError, match=f"line {len(text) - 1}: .* mm of filament along"):
+            items(*text[:-2], line)
 
 
 def test_marlin_ignores_a_feed_rate_of_zero() -> None:
@@ -159,6 +182,15 @@ def test_what_shows_nothing_must_be_told(text: tuple[str, ...]) -> None:
     e = float(sum(line.startswith("G1") and "E1" in line for line in text))
     assert filament(*text, extrusion="relative") == e
     assert filament(*text, extrusion="absolute") == 1.0
+
+
+def test_a_macro_may_have_set_what_the_next_one_finds() -> None:
+    """What E is when the stream is left, before the file has a single E."""
+    text = [*START, "G1 X12", "CHANGE_COLOUR", "G1 X14 Y10", *EQUAL]
+    for first, absolute in ((START[0], False), ("G28", True)):
+        found = read([t.encode() for t in (first, *text[1:])], ReadOptions(KLIPPER))
+        [left] = [i for i in found if isinstance(i, Passthrough) and i.text == b"CHANGE_COLOUR"]
+        assert left.state.absolute_e == absolute
 
 
 def test_one_e_is_the_same_either_way() -> None:

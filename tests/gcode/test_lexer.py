@@ -48,7 +48,7 @@ def test_comments_take_linear_time() -> None:
         (b"G 91", "G91"), (b"M 82", "M82"), (b"(c) G91", "G91"), (b"N 5 G91", "G91"),
         (b"n5g091", "G91"), (b"G1X5", "G1"), (b"G92.1", "G92.1"), (b"T0", "T0"),
         (b"G" + b"9" * 5000, None), (b"G92." + b"9" * 5000, "G92"), (b"GOTO 1", None),
-        (b"T0_PARK", None), (b"N5", None), (b"", None),
+        (b"T0_PARK", "T0"), (b"G1_0 X5", "G1"), (b"N5", None), (b"", None),
     ],
 )  # fmt: skip
 def test_coded_commands(text: bytes, name: str | None) -> None:

@@ -283,8 +283,10 @@ def test_retraction_while_moving_is_limited() -> None:
     assert acceleration == pytest.approx(2000.0 / 3.0 * 2.0)
 
 
-def test_extrusion_while_moving_is_not_limited() -> None:
-    assert limited((10, 0, 0, 5), speed=300.0) == (300.0, 1e4)
+def test_extrusion_while_moving_is_limited_by_what_melts_alone() -> None:
+    assert limited((10, 0, 0, 1.6), speed=300.0) == (300.0, 1e4)
+    cruise, _ = limited((10, 0, 0, 5), speed=300.0)
+    assert cruise == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(
@@ -344,6 +346,8 @@ def move_limits(step: Array, speed: float, asked: float) -> tuple[float, float]:
     if step[E] < 0.0:
         cruise = min(cruise, LIMITS.extruder_velocity * length / -step[E])
         a = min(a, LIMITS.extruder_acceleration / 3.0 * length / -step[E])
+    elif step[E]:
+        cruise = min(cruise, lookahead.MELTED * length / step[E])
     return cruise, a
 
 
