@@ -6,7 +6,9 @@ LONGEST is two: the command comes to rest on the path, and later begins from the
 of a stretch, where the machine must stand where the file believes it.
 
 What is decided at a stop depends on nothing but the samples around it and on the true state of
-the plant before it, which is carried from stop to stop.
+the plant before it. That is carried from stop to stop where these are near one another; a plant
+that has not stopped for long is followed from REMEMBERED samples before, since it has forgotten
+all else.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen
 
 ASIDE = 80  # samples around a stop that is two, on whose path the command must stand
-LONGEST = 1000  # samples of a stop that is one; any plant has forgotten its state then
+REMEMBERED = 32 * BLOCK_SAMPLES  # after so many, any plant has forgotten its state
+LONGEST = 1000  # samples of a stop that is one: likewise
 BEFORE = BESIDE + NEAREST + 2  # samples that a solution may look at before a stop
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
@@ -99,7 +102,7 @@ class _Course:
             name: _Command(solver, np.zeros((BEFORE, 2)), solver.filters.rest)
             for name, solver in solvers.items()
         }
-        self._since = 0  # where in the arrays the commands' states are those of
+        self._since = 0  # the sample of the arrays before which the commands' states are
         self._stands = [(-FOREVER, chunk.first + 1)]
         self._left = True  # the first of the stands has been come to rest on
         self._solved = chunk.first + 1  # end of the last stand that is behind
@@ -152,12 +155,13 @@ class _Course:
             name: frozen(command.samples[at] + self._origin)
             for name, command in self._commands.items()
         }
-        self._forget((end - self._zero) // BLOCK_SAMPLES * BLOCK_SAMPLES)
+        self._forget((end - self._zero - REMEMBERED) // BLOCK_SAMPLES * BLOCK_SAMPLES)
         yield replace(ready, commands={**ready.commands, **commands})
 
     def _forget(self, n: int) -> None:
         """The first n samples of the arrays."""
-        self._carry(n)
+        if n <= 0:
+            return
         for command in self._commands.values():
             command.samples = command.samples[n:]
         self._path, self._extruding = self._path[n:], self._extruding[n:]
@@ -165,6 +169,10 @@ class _Course:
 
     def _carry(self, n: int) -> None:
         """The plant's states up to the block that begins at n, beyond which all may change."""
+        if n - REMEMBERED > self._since:
+            self._since = n - REMEMBERED
+            for command in self._commands.values():
+                command.state = command.solver.filters.at_rest(command.samples[self._since])
         if n > self._since:
             for command in self._commands.values():
                 done = command.samples[self._since : n]

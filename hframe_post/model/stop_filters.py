@@ -26,6 +26,12 @@ class Filters:
         self.inputs = (X, Y, X)[: len(self.all)]
         self.rest: State = tuple(np.zeros(G.order) for G in self.all)
 
+    def at_rest(self, command: Array) -> State:
+        """The states of a plant that has long stood at a command (2,)."""
+        return tuple(
+            G.equilibrium * command[i] for G, i in zip(self.all, self.inputs, strict=True)
+        )
+
     def after(self, z: State, command: Array) -> State:
         """The states after the next samples of the command (n, 2)."""
         blocks, rest = divmod(len(command), BLOCK_SAMPLES)
@@ -50,14 +56,14 @@ class Lifted:
     def __init__(self, G: TransferFunction) -> None:
         self.order, self.lifted = G.order, lru_cache(maxsize=BLOCK_SAMPLES + 2)(G.lifted)
         self._A, B, self._C, self._D = G.state_space
-        self._equilibrium = np.linalg.solve(np.eye(G.order) - self._A, B)
+        self.equilibrium = np.linalg.solve(np.eye(G.order) - self._A, B)
         self.standing = lru_cache(maxsize=DURATIONS)(self._stood)
         self.held_output = lru_cache(maxsize=DURATIONS)(self._held_output)
 
     def _stood(self, n: int) -> tuple[Array, Array]:
         """State after n samples at an input h: first @ state + second · h."""
         ring = np.linalg.matrix_power(self._A, n)
-        return ring, self._equilibrium - ring @ self._equilibrium
+        return ring, self.equilibrium - ring @ self.equilibrium
 
     def _held_output(self, n: int) -> tuple[Array, Array]:
         """Output at the judged samples of a hold of n: (r, d) by the state, (r,) by the input."""
