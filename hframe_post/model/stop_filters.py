@@ -28,9 +28,7 @@ class Filters:
 
     def at_rest(self, command: Array) -> State:
         """The states of a plant that has long stood at a command (2,)."""
-        return tuple(
-            G.equilibrium * command[i] for G, i in zip(self.all, self.inputs, strict=True)
-        )
+        return tuple(G.equilibrium * command[i] for G, i in zip(self.all, self.inputs, strict=True))
 
     def after(self, z: State, command: Array) -> State:
         """The states after the next samples of the command (n, 2)."""
