@@ -27,7 +27,7 @@ from hframe_post.cli.options import (
     strategies,
 )
 from hframe_post.cli.progress import progress
-from hframe_post.cli.speed import hastened, speed_options, told, told_as_json
+from hframe_post.cli.speed import asked, hastened, speed_options, told, told_as_json
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
@@ -92,9 +92,9 @@ def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, i_know: bool, tolerance: float | None,
-    every_sample: bool, predict: str, max_error: dict[str, float] | None, error_measure: str,
-    speed_up: float, model_error: float, jobs: int | None, json_file: Path | None,
-    report_file: Path | None, dry_run: bool, quiet: bool,
+    every_sample: bool, predict: str, max_error: dict[str, float] | None,
+    error_measure: str | None, speed_up: float | None, model_error: float | None,
+    jobs: int | None, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
@@ -117,17 +117,17 @@ def convert(
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file is not None and report_file.suffix == ".html"
     _check_streams(to_stdout, json_file, report_file, source, html)
-    _check_speed(source, max_error, speed_up)
     kind = _kind(source, output, to_stdout, asked_format, dry_run)
     finely = tolerance is not None or every_sample
     profile = _profile(printer, firmware, kind, finely)
+    fast = asked(profile.speed, source, max_error, error_measure, speed_up, model_error)
     profile = replace(profile, invented=profile.invented and not i_know)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip
     log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")
     found = None
-    if max_error is not None:
-        found = hastened(source, profile, options, max_error, error_measure, speed_up, model_error)
+    if fast is not None:
+        found = hastened(source, profile, options, fast)
         profile, options = found.printer, found.options
         log("the quickest print within the error is found")
     with (
@@ -177,13 +177,6 @@ def _check_streams(
         raise click.UsageError("only one of output, JSON and report can go to standard output")
     if html and str(source) == "-":
         raise click.UsageError("a page needs a file to read twice, not standard input")
-
-
-def _check_speed(source: Path, max_error: dict[str, float] | None, speed_up: float) -> None:
-    if max_error is None and speed_up != 1.0:
-        raise click.UsageError("--speed-up needs --max-error")
-    if max_error is not None and str(source) == "-":
-        raise click.UsageError("--max-error reads the file several times: name one")
 
 
 def _kind(

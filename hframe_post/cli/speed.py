@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,8 +14,8 @@ from hframe_post.cli.options import share
 
 if TYPE_CHECKING:
     from hframe_post.conversion.pipeline import Options
-    from hframe_post.printer.settings import Printer
-    from hframe_post.studies.speed import Bound, Fastest
+    from hframe_post.printer.settings import Printer, Speed
+    from hframe_post.studies.speed import Fastest
 
 DRAWS, SEED = 40, 0  # printers that are off by the model error, on which a bound must hold too
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
@@ -28,6 +29,8 @@ def bounds(text: str) -> dict[str, float]:
     from hframe_post.stream.features import KINDS
 
     found: dict[str, float] = {}
+    if text == "off":
+        return found
     for part in text.split(","):
         match = _BOUND.fullmatch(part.strip())
         if match is None:
@@ -61,21 +64,24 @@ def speed_options(command: F) -> F:
             click.option(
                 "--max-error", type=bounds, metavar="ERROR",
                 help="Print as fast as this contour error allows where filament is laid, such as "
-                "30um or outer-wall=15um,infill=80um.",
+                "30um or outer-wall=15um,infill=80um; 'off': as fast as the file. Default: "
+                "speed.max_error of the profile, else off.",
             ),
             click.option(
-                "--error-measure", type=click.Choice(["p95", "rms", "peak"]), default="p95",
-                show_default=True, help="What of the error must stay within --max-error.",
+                "--error-measure", type=click.Choice(["p95", "rms", "peak"]),
+                help="What of the error must stay within --max-error. Default: the profile's, "
+                "else p95.",
             ),
             click.option(
-                "--speed-up", type=factor, metavar="N|max", default="1", show_default=True,
+                "--speed-up", type=factor, metavar="N|max",
                 help="With --max-error: times the file's feed rates, at most. The hot end "
-                "(limits.flow) and limits.min_layer_time bound it, too.",
+                "(limits.flow) and limits.min_layer_time bound it, too. Default: the profile's, "
+                "else 1.",
             ),
             click.option(
-                "--model-error", type=share, metavar="PERCENT", default="5%", show_default=True,
+                "--model-error", type=share, metavar="PERCENT",
                 help="With --max-error: by how much the printer may differ from its model while "
-                "the error must still hold.",
+                "the error must still hold. Default: the profile's, else 5%.",
             ),
         )
     ):  # fmt: skip
@@ -83,31 +89,50 @@ def speed_options(command: F) -> F:
     return command
 
 
-def hastened(
-    source: Path, printer: Printer, options: Options, given: dict[str, float], measure: str,
-    speed_up: float, model_error: float,
-) -> Fastest:  # fmt: skip
+def asked(
+    own: Speed, source: Path, max_error: dict[str, float] | None, measure: str | None,
+    speed_up: float | None, model_error: float | None,
+) -> Speed | None:  # fmt: skip
+    """What is asked for by options and, where they say nothing, by the profile; None: nothing.
+
+    Raises UsageError.
+    """
+    options: dict[str, Any] = {
+        "max_error": max_error, "error_measure": measure, "speed_up": speed_up,
+        "model_error": model_error,
+    }  # fmt: skip
+    given = {name: value for name, value in options.items() if value is not None}
+    chosen = replace(own, **given)
+    if not chosen.max_error:
+        if given.keys() - {"max_error"}:
+            names = ", ".join("--" + name.replace("_", "-") for name in given)
+            raise click.UsageError(f"{names} without --max-error")
+        return None
+    if str(source) == "-":
+        raise click.UsageError(
+            "--max-error (or speed.max_error of the profile) reads the file several times: name "
+            "one, or say --max-error off"
+        )
+    return chosen
+
+
+def hastened(source: Path, printer: Printer, options: Options, asked: Speed) -> Fastest:
     """How that file is printed in the least time. Raises HframeError."""
     from hframe_post.studies.drive import Freedom
-    from hframe_post.studies.speed import fastest
+    from hframe_post.studies.speed import Bound, fastest
     from hframe_post.studies.uncertainty import draws
 
     def lines() -> Iterator[bytes]:
         with source.open("rb") as file:
             yield from file
 
-    limits = printer.limits
-    drawn = draws(printer.plant, model_error, DRAWS if model_error else 0, SEED)
-    freedom = Freedom(speed_up, limits.filament_velocity, limits.min_layer_time)
-    return fastest(lines, printer, options, _bound(given, measure), freedom, tuple(drawn))
-
-
-def _bound(given: dict[str, float], measure: str) -> Bound:
-    from hframe_post.studies.speed import Bound
-
-    others = given.get("", max(given.values()))
-    kinds = {name: error for name, error in given.items() if name}
-    return Bound(others, kinds, measure)  # type: ignore[arg-type]
+    limits, errors = printer.limits, asked.max_error
+    drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
+    freedom = Freedom(asked.speed_up, limits.filament_velocity, limits.min_layer_time)
+    others = errors.get("", max(errors.values()))
+    kinds = {name: error for name, error in errors.items() if name}
+    bound = Bound(others, kinds, asked.error_measure)  # type: ignore[arg-type]
+    return fastest(lines, printer, options, bound, freedom, tuple(drawn))
 
 
 def told(found: Fastest | None) -> Iterable[str]:

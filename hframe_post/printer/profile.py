@@ -27,6 +27,7 @@ from hframe_post.printer.settings import (
     Limits,
     Motors,
     Printer,
+    Speed,
     Steps,
     Sweep,
     Travel,
@@ -110,7 +111,7 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps", "sweep", "verified")
+    optional = ("kinematics", "steps", "sweep", "speed", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -138,6 +139,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         digest,
         _verified(document),
         checked_value(bool, document["plant"].get("invented", False), {}, "plant.invented"),
+        checked(Speed, document.get("speed", {}), "speed"),
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer

@@ -67,7 +67,7 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
         if member.name in table:
             hint = hints[member.name]
             values[member.name] = checked_value(hint, table[member.name], member.metadata, key)
-        elif member.default is MISSING:
+        elif member.default is MISSING and member.default_factory is MISSING:
             raise PrinterError("the key is missing", key)
     try:
         return kind(**values)
@@ -79,6 +79,8 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     """One value of the type ``hint``, within the rules of its field."""
     if hint == tuple[float, float]:
         return _range(value, rules, key)
+    if hint == dict[str, float]:
+        return _by_name(value, rules, key)
     if hint in (int, float):
         value = _number(hint, value, rules, key)
     elif hint in (str, bool) and not isinstance(value, hint):
@@ -98,6 +100,16 @@ def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
     if rules.get("ascending") and not low < high:
         raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
     return low, high
+
+
+def _by_name(value: Any, rules: Rules, key: str) -> dict[str, float]:
+    """Numbers by name, of ``rules["names"]``; one alone goes under none."""
+    table = value if isinstance(value, dict) else {"": value}
+    known_keys(table, ("", *rules["names"]), key)
+    return {
+        name: checked_value(float, number, rules, f"{key}.{name}".rstrip("."))
+        for name, number in table.items()
+    }
 
 
 def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:

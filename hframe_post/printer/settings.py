@@ -11,6 +11,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.firmware_tables import Firmware
 from hframe_post.printer.schema import not_negative, positive, within
+from hframe_post.stream.features import KINDS
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
@@ -166,6 +167,23 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True)
+class Speed:
+    """How accuracy is spent on speed where no option says so.
+
+    max_error: mm that may not be exceeded, by kind of feature, of all others under no name;
+    empty: prints keep the file's speeds. error_measure: what of the error that is. speed_up:
+    times the file's feed rates, at most. model_error: share by which the printer may be off.
+    """
+
+    max_error: dict[str, float] = field(
+        default_factory=dict, metadata={"names": KINDS, "least": 1e-4, "most": 10.0}
+    )
+    error_measure: str = field(default="p95", metadata={"choices": ("p95", "rms", "peak")})
+    speed_up: float = within(1.0, 20.0, default=1.0)
+    model_error: float = within(0.0, 0.99, default=0.05)
+
+
+@dataclass(frozen=True, slots=True)
 class Verified:
     """What `verify` found on the machine. date: of the recording, ISO; reduction: share of the
     contour error that compensation took away; model: digest of the plant and window it was of."""
@@ -182,7 +200,7 @@ class Printer:
 
     sweep: the motion by which its plant is identified, of no part in a conversion. verified:
     None unless this very plant and window were; ``digest`` does not tell it. invented: the
-    plant is of no printer, or of another one.
+    plant is of no printer, or of another one. speed: of conversions alone.
     """
 
     name: str
@@ -199,3 +217,4 @@ class Printer:
     digest: str
     verified: Verified | None = None
     invented: bool = False
+    speed: Speed = Speed()

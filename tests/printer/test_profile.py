@@ -363,6 +363,23 @@ def test_name_is_one_printable_line(tmp_path: Path, stem: str) -> None:
     assert str(failing(path)).isprintable()
 
 
+def test_speed_is_one_number_or_a_table_by_kind_of_feature() -> None:
+    def asked(text: str) -> dict[str, float]:
+        return parse(f'extends = "paper"\n[speed]\nmax_error = {text}\n', "mine").speed.max_error
+
+    assert parse('extends = "paper"\n', "mine").speed.max_error == {}
+    assert asked("0.03") == {"": 0.03}
+    assert asked("{ outer-wall = 0.015, infill = 1 }") == {"outer-wall": 0.015, "infill": 1.0}
+    for wrong, cause in (
+        ("{ nose = 0.1 }", r"nearest known"),
+        ("{ infill = 0.0 }", r"speed.max_error.infill: must be at least 0.0001"),
+        ("11", r"speed.max_error: must be at most 10"),
+        ('"30um"', r"must be a number"),
+    ):
+        with pytest.raises(PrinterError, match=cause):
+            asked(wrong)
+
+
 def test_travel_of_z_is_optional() -> None:
     assert load("paper").travel.z == (float("-inf"), float("inf"))
     assert parse(extending("[travel]\nz = [0.0, 250]"), "mine").travel.z == (0.0, 250.0)

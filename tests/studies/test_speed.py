@@ -123,6 +123,24 @@ def test_convert_within_an_error(tmp_path: Path) -> None:
     assert told["print_time_s"]["after"] == pytest.approx(told["speed"]["print_time_s"]["after"])
 
 
+def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
+    """As a slicer calls it: no option, the file in place."""
+    part, mine = tmp_path / "in.gcode", tmp_path / "mine.toml"
+    mine.write_text(
+        'extends = "paper"\n[speed]\nmax_error = { outer-wall = 0.05, infill = 0.3 }\n'
+        "speed_up = 2.0\nmodel_error = 0.0\n"
+    )
+    for options, faster in ((), True), (("--max-error", "off"), False):
+        part.write_bytes(b"".join(cube()))
+        done = run(part, "-p", mine, *options, "--json", tmp_path / "s.json")
+        assert done.returncode == 0, done.stderr
+        told = json.loads((tmp_path / "s.json").read_text())
+        assert ("speed" in told) == faster
+    piped = run("-", "-p", mine)
+    assert piped.returncode == 2
+    assert b"--max-error off" in piped.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "cause"),
     [
