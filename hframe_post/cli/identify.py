@@ -121,6 +121,7 @@ def identify(
     """
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError
+    from hframe_post.identification.heard import STEP
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
     from hframe_post.identification.page import identification_page
@@ -144,8 +145,9 @@ def identify(
             runs = [reading.nozzle(*files) for files in nozzle]
             runs += [reading.bridge(*files) for files in bridge]
             _check_bed(runs, profile)
-            racks = profile.kinematics.racks
-            found = identified(runs, Settings(band, estimator, L_G, dict(orders), racks, offset))
+            racks, step = profile.kinematics.racks, profile.steps.belt if profile.steps else STEP
+            settings = Settings(band, estimator, L_G, dict(orders), racks, offset, step)
+            found = identified(runs, settings)
             if folder is not None:
                 _draw(found, folder, findings)
             middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c

@@ -31,6 +31,8 @@ from hframe_post.identification.frequency_response import (
 )
 from hframe_post.identification.linearity import Harmonics, harmonics
 
+STEP = 0.02  # mm of belt, of motors of which nothing is known
+
 
 @dataclass(frozen=True, slots=True)
 class Run:
@@ -64,6 +66,7 @@ class Settings:
     """How to identify. L_G: mm between P1 and P2. orders: of what is not to be chosen.
 
     racks: whether the kinematics can. offset: from the nozzle to its sensor in x and y, mm.
+    step: mm of belt, of the motors.
     """
 
     band_hz: tuple[float, float]
@@ -72,6 +75,7 @@ class Settings:
     orders: dict[str, int] = field(default_factory=dict)
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
+    step: float = STEP
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from hframe_post.arrays import X, Y
 from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.along_x import Moving, moving
-from hframe_post.identification.fit import Fit, fit, with_gain
+from hframe_post.identification.fit import Fit, at_one_time, fit, with_gain
 from hframe_post.identification.frequency_response import FrequencyResponse, average, spread
 from hframe_post.identification.heard import (
     Heard,
@@ -27,7 +27,7 @@ from hframe_post.identification.heard import (
     by_nozzle,
 )
 from hframe_post.identification.lever_arm import Line, centre, line
-from hframe_post.identification.linearity import Nonlinearity, clean, nonlinearity
+from hframe_post.identification.linearity import Nonlinearity, nonlinearity
 from hframe_post.model.plant import Plant
 
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
@@ -37,6 +37,7 @@ RACKS = 3.0  # times its noise, in power, from which racking is one
 DISAGREE = 0.2  # relative, of racking by both ways, that deserves a word
 UNSURE = 1e-3  # s of a start that deserve a word
 USELESS = 0.35  # of the measurement that a model may leave unexplained at the most
+NEARLY = 0.04  # harmonics, of the answer, up to which any model may be fitted
 NONLINEAR = 0.25  # the same of a printer that is not linear
 MOST_GAIN = 0.075  # of a sensor, relative: what it may read wrong
 AXES = "xy"
@@ -123,19 +124,15 @@ class Identified:
 @one_thread()
 def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     """Transfer functions and x_c from runs of both axes. Raises IdentificationError."""
-    x_runs, y_runs = (
-        by_nozzle([run for run in runs if run.nozzle and run.axis == axis], settings)
-        for axis in (X, Y)
-    )
-    for name, heard in zip(AXES, (x_runs, y_runs), strict=True):
-        if not heard.runs:
-            raise IdentificationError(f"no run of the nozzle's sensor sweeps {name}")
+    x_runs, y_runs = (_swept(runs, axis, settings) for axis in (X, Y))
     ends = by_bridge([run for run in runs if run.bridge], settings)
     measured = {"Gxx": _measured(x_runs, settings), "Gyy": _measured(y_runs, settings)}
-    linear = all(
-        clean([run.harmonics for run in heard.runs if run.harmonics]) for heard in (x_runs, y_runs)
-    )
-    fits = {name: _fit(name, one, settings, linear) for name, one in measured.items()}
+    fits = {name: _fit(name, one, settings) for name, one in measured.items()}
+    nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step)
+    linear = nonlinear is None or nonlinear.share < NEARLY
+    if not linear:
+        fits = {name: _fit(name, one, settings, linear) for name, one in measured.items()}
+    fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
     along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)
     racking = arms is not None and arms.over_noise > RACKS
@@ -151,8 +148,16 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     x_c = centre(arms, measured["Gxx"].mean.H)[0] if arms and racking else None
     return Identified(
         measured, fits, x_c, arms if racking else None, _warnings(arms, ends, measured),
-        settings.racks, arms is not None and not racking, along_x, _nonlinear(x_runs, y_runs, fits),
+        settings.racks, arms is not None and not racking, along_x, nonlinear,
     )  # fmt: skip
+
+
+def _swept(runs: Sequence[Run], axis: int, settings: Settings) -> Together:
+    """What the nozzle's sensor heard of the runs along an axis, of which there must be one."""
+    heard = by_nozzle([run for run in runs if run.nozzle and run.axis == axis], settings)
+    if not heard.runs:
+        raise IdentificationError(f"no run of the nozzle's sensor sweeps {AXES[axis]}")
+    return heard
 
 
 def _warnings(arms: Line | None, ends: Together, measured: dict[str, Measured]) -> list[str]:
@@ -166,13 +171,15 @@ def _warnings(arms: Line | None, ends: Together, measured: dict[str, Measured]) 
     return warnings
 
 
-def _nonlinear(x_runs: Together, y_runs: Together, fits: dict[str, Fit]) -> Nonlinearity | None:
+def _nonlinear(
+    x_runs: Together, y_runs: Together, fits: dict[str, Fit], step: float
+) -> Nonlinearity | None:
     axes = {}
     for axis, name, heard in (("x", "Gxx", x_runs), ("y", "Gyy", y_runs)):
         known = [run.harmonics for run in heard.runs if run.harmonics is not None]
         if known:
             axes[axis] = (known, fits[name].G, fits[name].lag)
-    return nonlinearity(axes)
+    return nonlinearity(axes, step)
 
 
 def _agreement(arms: Line | None, measured: dict[str, Measured]) -> list[str]:
@@ -237,7 +244,7 @@ def _exchanged(places: list[float], responses: list[FrequencyResponse], off: flo
     return "Are files of two places exchanged, or was the sensor moved between runs?"
 
 
-def _fit(name: str, measured: Measured, settings: Settings, linear: bool) -> Fit:
+def _fit(name: str, measured: Measured, settings: Settings, linear: bool = True) -> Fit:
     runs = [response for _, response in measured.places]
     return fit(
         runs, measured.mean, settings.orders.get(name), AT_REST[name], settings.band_hz,

@@ -4,16 +4,21 @@ A linear printer answers a sine by a sine. The sweep's phase φ(t) is known, so 
 apart into A_k(t) e^{jkφ} in short windows. What lies at half-way orders, k + ½, is noise.
 
 ===========  =============================================  ========================================
-cause        force or motion                                its harmonic A_3
+cause        force or motion                                its harmonic
 ===========  =============================================  ========================================
-friction     −F·sign(v) on the carriage                     4F/3π·(1 − G(3f))·e^{3j(α − π/2)}
-backlash     −b/2·sign(v of the motor) of the motor's way   −2b/3π·(3ω)²·G(3f)·e^{−3jπ/2}
-hardening    a belt that gets stiffer when it is pulled     ∝ |A_1|³·(1 − G(3f))·e^{3jα}
-one-sided    one that is stiffer one way than the other     A_2, which the others hardly have
+friction     −F·sign(v) on the carriage                     A_3 = 4F/3π·(1 − G(3f))·e^{3j(α − π/2)}
+backlash     −b/2·sign(v of the motor) of the motor's way   A_3 = −2b/3π·(3ω)²·G(3f)·e^{−3jπ/2}
+hardening    a belt that gets stiffer when it is pulled     A_3 ∝ |A_1|³·(1 − G(3f))·e^{3jα}
+one-sided    one that is stiffer one way than the other     A_2 ∝ |A_1|²·(1 − G(2f))·e^{2jα}
 ===========  =============================================  ========================================
 
 α is the phase of A_1. Friction and backlash go along alike with frequency, and differ in phase:
 the carriage turns around later than the motor.
+
+Motors step, and a sine in whole steps has harmonics, too: 1 to 2.6 % of the answer where a step is
+20 µm, more than 10 µm of backlash make. But their phases are those of the place on the motor's
+grid, and the sway takes the sweep across many steps: from window to window they go along with no
+cause. So a harmonic counts as far as it goes along with one.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, hilbert, sosfiltfilt
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import TS, Array, Complex, Flags
 from hframe_post.identification.clock_sync import QUIETEST, marks_of
 from hframe_post.model.transfer_function import TransferFunction
 
@@ -33,8 +38,9 @@ LOWEST_HZ = 5.0  # of the sweep, from which orders are apart
 SWAY_HZ = 1.5  # below it lies the sway, which is no part of the sweep
 HIGHEST_HZ = 240.0  # to which recordings are flat
 CLEAR = 3.0  # times the noise, from which a harmonic is one
-TOLD = 0.01  # of the answer, from which harmonics are worth a word
-CLEAN = 0.04  # up to which any model may be fitted: whole motor steps alone make 0.026
+TOLD = 0.004  # of the answer, from which harmonics that go along with a cause are worth a word:
+LIKE = 0.5  # correlation with it, at least. Of whole steps it is 0.05 to 0.25, of a cause 0.7 to 1
+STEPPED = 2.0  # of the answer by mm of a step: harmonics beyond these no steps explain
 CAUSES = {
     "friction": "Coulomb friction of at least {size:.0f} mm/s²: clean and grease the rails, and "
     "see that no belt is too tight",
@@ -43,6 +49,7 @@ CAUSES = {
     "is loose",
     "one-sided": "a belt or mount that is stiffer one way than the other: set the belts' tension",
 }
+ORDER = {"friction": 3, "backlash": 3, "hardening": 3, "one-sided": 2}  # of the harmonic
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +59,16 @@ class Harmonics:
     hz: Array
     amplitude: Complex
     noise: Array
+
+    def share(self, order: int) -> float:
+        """Of the answer's amplitude that a harmonic is; 0 where noise may be all of it."""
+        used = _used(self.hz, order)
+        if not used.any():
+            return 0.0
+        power, first = (np.abs(self.amplitude[used][:, [order - 1, 0]]) ** 2).mean(axis=0)
+        quiet = float(np.median(self.noise[used, order - 1]) / np.log(2.0))
+        heard = float(power) - quiet
+        return float(np.sqrt(heard / first)) if heard > CLEAR * quiet / np.sqrt(used.sum()) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,85 +121,97 @@ def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
 
 
 def nonlinearity(
-    axes: Mapping[str, tuple[Sequence[Harmonics], TransferFunction, float]],
+    axes: Mapping[str, tuple[Sequence[Harmonics], TransferFunction, float]], step: float
 ) -> Nonlinearity | None:
     """What the harmonics tell, of the runs of each axis, its model and the delay (s) in that.
 
-    None: nothing to tell.
+    step: mm of belt, of the motors. None: nothing to tell.
     """
     shares: dict[str, float] = {}
-    likeness = dict.fromkeys(("friction", "backlash", "hardening"), 0.0)
-    even, size = 0.0, 0.0
+    likeness = dict.fromkeys(CAUSES, 0.0)
+    size = 0.0
     for name, (runs, G, lag) in axes.items():
-        hz, amplitude, noise = (
-            np.concatenate([getattr(run, part) for run in runs])
-            for part in ("hz", "amplitude", "noise")
-        )
-        second, third = (_share(hz, amplitude, noise, k) for k in (2, 3))
-        if np.hypot(second, third) < TOLD:
+        heard = _together(runs)
+        own = {k: heard.share(k) for k in (2, 3)}
+        likely = _likeness(heard, G, lag)
+        along = {cause: own[ORDER[cause]] * like for cause, like in likely.items()}
+        best = max(along, key=lambda cause: along[cause])
+        whole = float(np.hypot(own[2], own[3]))
+        if not (along[best] > max(TOLD, LIKE * own[ORDER[best]]) or whole > STEPPED * step):
             continue
-        shares[name] = float(np.hypot(second, third))
-        even += second**2 - third**2
-        used = _used(hz, 3)
-        for cause, value in _odd(hz[used], amplitude[used], G, lag).items():
-            likeness[cause] += third * value
-        size = max(size, _friction(hz[used], amplitude[used], G, lag))
+        shares[name] = whole
+        for cause, value in along.items():
+            likeness[cause] += value**2
+        size = max(size, _friction(heard, G, lag))
     if not shares:
         return None
-    cause = "one-sided" if even > 0.0 else max(likeness, key=lambda name: likeness[name])
-    return Nonlinearity(cause, shares, size)
+    return Nonlinearity(max(likeness, key=lambda name: likeness[name]), shares, size)
 
 
-def clean(runs: Sequence[Harmonics]) -> bool:
-    """Whether the runs, at least one, show no harmonics worth a word."""
-    if not runs:
-        return False
+def _together(runs: Sequence[Harmonics]) -> Harmonics:
+    """The windows of all runs."""
     hz, amplitude, noise = (
         np.concatenate([getattr(run, part) for run in runs])
         for part in ("hz", "amplitude", "noise")
     )
-    second, third = (_share(hz, amplitude, noise, order) for order in (2, 3))
-    return bool(np.hypot(second, third) < CLEAN)
+    return Harmonics(hz, amplitude, noise)
 
 
-def _share(hz: Array, amplitude: Complex, noise: Array, order: int) -> float:
-    """Of the answer's amplitude that a harmonic is; 0 where noise may be all of it."""
-    used = _used(hz, order)
-    if not used.any():
-        return 0.0
-    power, first = (np.abs(amplitude[used][:, [order - 1, 0]]) ** 2).mean(axis=0)
-    quiet = float(np.median(noise[used, order - 1]) / np.log(2.0))
-    heard = float(power) - quiet
-    return float(np.sqrt(heard / first)) if heard > CLEAR * quiet / np.sqrt(used.sum()) else 0.0
-
-
-def _used(hz: Array, order: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _used(hz: Array, order: int) -> Flags:
     return np.asarray((hz > LOWEST_HZ) & (order * hz < HIGHEST_HZ))
 
 
-def _odd(hz: Array, amplitude: Complex, G: TransferFunction, lag: float) -> dict[str, float]:
-    """How well the third harmonic goes along with each cause, 0 … 1."""
-    first, heard = amplitude[:, 0], amplitude[:, 2]
+def _likeness(heard: Harmonics, G: TransferFunction, lag: float) -> dict[str, float]:
+    """How well harmonics go along with each cause, 0 … 1: correlation, without the noise."""
     shapes = {
-        "friction": _of_friction(hz, first, G, lag),
-        "backlash": hz**2 * G.response(6.0 * np.pi * hz * TS),
-        "hardening": -1j * np.abs(first) ** 3 * _of_friction(hz, first, G, lag),
+        "friction": _of_friction,
+        "backlash": _of_backlash,
+        "hardening": _of_hardening,
+        "one-sided": _of_one_side,
     }
-    return {
-        name: float(abs(np.vdot(shape, heard)) / (np.linalg.norm(shape) * np.linalg.norm(heard)))
-        for name, shape in shapes.items()
-    }
+    told = {}
+    for name, shape in shapes.items():
+        order = ORDER[name]
+        used = _used(heard.hz, order)
+        values, own = heard.amplitude[used, order - 1], shape(heard, used, G, lag)
+        size = heard.share(order) * np.linalg.norm(heard.amplitude[used, 0])
+        length = float(np.linalg.norm(own)) * float(size)
+        told[name] = min(float(abs(np.vdot(own, values))) / length, 1.0) if length else 0.0
+    return told
 
 
-def _friction(hz: Array, amplitude: Complex, G: TransferFunction, lag: float) -> float:
+def _friction(heard: Harmonics, G: TransferFunction, lag: float) -> float:
     """mm/s² of friction that the third harmonic would be of."""
-    shape = _of_friction(hz, amplitude[:, 0], G, lag)
-    return float(abs(np.vdot(shape, amplitude[:, 2])) / np.vdot(shape, shape).real)
+    used = _used(heard.hz, 3)
+    shape = _of_friction(heard, used, G, lag)
+    return float(abs(np.vdot(shape, heard.amplitude[used, 2])) / np.vdot(shape, shape).real)
 
 
-def _of_friction(hz: Array, first: Complex, G: TransferFunction, lag: float) -> Complex:
+def _of_friction(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
     """The third harmonic of a unit of friction: on the carriage, behind no delay."""
-    omega = 6.0 * np.pi * hz
+    return np.asarray(4.0 / (3.0 * np.pi) * 1j * _on_carriage(heard, used, G, lag, 3))
+
+
+def _of_backlash(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+    hz = heard.hz[used]
+    return np.asarray(hz**2 * G.response(6.0 * np.pi * hz * TS))
+
+
+def _of_hardening(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+    size = np.abs(heard.amplitude[used, 0])
+    return np.asarray(size**3 * _on_carriage(heard, used, G, lag, 3))
+
+
+def _of_one_side(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+    size = np.abs(heard.amplitude[used, 0])
+    return np.asarray(size**2 * _on_carriage(heard, used, G, lag, 2))
+
+
+def _on_carriage(
+    heard: Harmonics, used: Flags, G: TransferFunction, lag: float, order: int
+) -> Complex:
+    """The harmonic of a unit of force on the carriage, in phase with the answer's own."""
+    omega = 2.0 * np.pi * order * heard.hz[used]
     prompt = G.response(omega * TS) * np.exp(1j * omega * lag)
-    turn = (first / np.abs(first)) ** 3
-    return np.asarray(4.0 / (3.0 * np.pi) * 1j * (1.0 - prompt) * turn)
+    first = heard.amplitude[used, 0]
+    return np.asarray((1.0 - prompt) * (first / np.abs(first)) ** order)

@@ -29,7 +29,7 @@ from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.hold import Term, delayed, held
-from hframe_post.identification.weighting import GAIN_PRIOR, INSIDE
+from hframe_post.identification.weighting import INSIDE, SENSOR
 from hframe_post.model.transfer_function import TransferFunction
 
 DAMPING = (0.004, 1.0)  # of a mode
@@ -65,13 +65,17 @@ class Structure:
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """What is fitted, (k,) each; weight is one over the standard deviation of H."""
+    """What is fitted, (k,) each; weight is one over the standard deviation of H.
+
+    gain: of the sensor, as expected: mean and standard deviation.
+    """
 
     hz: Array
     H: Complex
     weight: Array
     band_hz: tuple[float, float]
     delay_bounds: tuple[float, float]
+    gain: tuple[float, float] = SENSOR
 
     @property
     def s(self) -> Complex:
@@ -260,8 +264,9 @@ def _solve(data: Data, structure: Structure, place: Place) -> tuple[Array, Array
     rows, wanted = np.vstack([A.real, A.imag]), np.append(target.real, target.imag)
     at_rest = _at_rest(structure)
     racks = structure.zeros_at_rest > 0
-    rows = np.vstack([rows, at_rest * (0.0 if racks else 1.0 / GAIN_PRIOR)])
-    wanted = np.append(wanted, 0.0 if racks else 1.0 / GAIN_PRIOR)
+    expected, sd = data.gain
+    rows = np.vstack([rows, at_rest * (0.0 if racks else 1.0 / sd)])
+    wanted = np.append(wanted, 0.0 if racks else expected / sd)
     free = _free(structure, place)
     reduced = rows @ free
     scale = np.maximum(np.sqrt(np.einsum("ij,ij->j", reduced, reduced)), 1e-300)

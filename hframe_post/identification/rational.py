@@ -31,7 +31,7 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.frequency_response import FrequencyResponse
 from hframe_post.identification.kautz import Denominator, denominator, transfer_function
-from hframe_post.identification.weighting import GAIN_PRIOR, INSIDE, weights
+from hframe_post.identification.weighting import INSIDE, SENSOR, weights
 from hframe_post.model.transfer_function import TransferFunction
 
 RADIUS = 0.999  # largest pole modulus of a start
@@ -78,6 +78,7 @@ class _Data:
     H: Complex
     weight: Array
     at_rest: float
+    gain: tuple[float, float]
     delay_bounds: tuple[float, float]
     held: Complex
     loosely: float
@@ -113,10 +114,12 @@ def fit(
     band_hz: tuple[float, float],
     delay_bounds_s: tuple[float, float] = (0.0, 0.0),
     max_order: int = 10,
+    sensor: tuple[float, float] = SENSOR,
 ) -> Rational:
     """The transfer function of ``order`` poles, or of the order that the data support.
 
-    at_rest: G(1), 1 for a position, 0 for racking. Raises IdentificationError where the band
+    at_rest: G(1), 1 for a position, 0 for racking. sensor: its gain as expected, mean and
+    standard deviation. Raises IdentificationError where the band
     holds too little to fit, ValueError for impossible arguments.
     """
     low, high = delay_bounds_s
@@ -125,7 +128,7 @@ def fit(
     if order is not None and order < 1:
         raise IdentificationError(f"order {order} is too low; 1 is the least")
     part = response.within(band_hz)
-    data = _data(part, at_rest, band_hz, delay_bounds_s)
+    data = _data(part, at_rest, band_hz, delay_bounds_s, sensor)
     top = max_order if order is None else order
     if len(data.z) < 2 * top + 2:
         raise IdentificationError(
@@ -161,6 +164,7 @@ def _data(
     at_rest: float,
     band_hz: tuple[float, float],
     bounds: tuple[float, float],
+    gain: tuple[float, float],
 ) -> _Data:
     weight = weights(part)
     largest = float(np.abs(part.H).max())
@@ -173,6 +177,7 @@ def _data(
         part.H,
         weight,
         at_rest,
+        gain,
         bounds,
         np.zeros(0, complex) if held is None else held,
         1.0 / (LOOSE * largest),
@@ -220,9 +225,9 @@ def _relocated(data: _Data, den: Denominator, delay: float) -> Denominator:
     rows = np.hstack([B, -H[:, None] * own]) * w
     at_one = den.basis(np.ones(1, complex), data.direct)
     own = at_one[:, : den.order]
-    at_rest = 1.0 / GAIN_PRIOR if data.at_rest else w.sum()
-    rows = np.vstack([rows, np.hstack([at_one, -data.at_rest * own]) * at_rest])
-    target = np.append(H * data.weight, data.at_rest * at_rest)
+    expected, sd = data.gain if data.at_rest else (0.0, 1.0 / w.sum())
+    rows = np.vstack([rows, np.hstack([at_one, -expected * own]) / sd])
+    target = np.append(H * data.weight, expected / sd)
     e = _least_squares(rows, target)[B.shape[1] :]
     A, b, T = den.states()
     poles = linalg.eigvals(A - np.outer(b, e @ T))
@@ -237,8 +242,9 @@ def _solve(data: _Data, den: Denominator, delay: float) -> tuple[Array, Array]:
     H = np.append(H, np.zeros(len(data.held)))
     b = den.basis(np.ones(1, complex), data.direct)[0].real
     if data.at_rest:  # about 1, as sensors are
-        B = np.vstack([B, b / GAIN_PRIOR])
-        H = np.append(H, data.at_rest / GAIN_PRIOR)
+        expected, sd = data.gain
+        B = np.vstack([B, b / sd])
+        H = np.append(H, expected / sd)
         c = _least_squares(B, H)
     else:
         Q, _ = np.linalg.qr(b[:, None], mode="complete")

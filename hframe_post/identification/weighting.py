@@ -11,7 +11,8 @@ from hframe_post.identification.frequency_response import FrequencyResponse
 FLOOR = 0.003  # relative noise of H below which no measurement is believed
 SMALL = 0.002  # the same, of the largest |H|
 QUIET = 1e-3  # input power, of the median, below which a frequency counts nothing
-GAIN_PRIOR = 0.03  # of a sensor, relative: one standard deviation
+SENSOR = (1.0, 0.03)  # gain of a sensor: what is expected, and one standard deviation
+EXACT = (1.0, 1e-4)  # of one that reads what is
 INSIDE = 0.5  # of the band's low end, below which no pole lies
 
 
