@@ -29,7 +29,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
 from hframe_post.stream.types import Item, Samples
-from hframe_post.studies.excerpt import Piece, excerpt
+from hframe_post.studies.excerpt import Piece, excerpt, hurry
 
 Measure = Literal["rms", "p95", "peak"]
 Lines = Callable[[], Iterable[bytes]]  # the file's lines anew at each call
@@ -153,6 +153,10 @@ class Drive:
     def excerpt(self) -> list[Piece]:
         """Pieces that stand for the print."""
         return excerpt(read(self._lines(), self._reading), FIRST)
+
+    def hurry(self, pieces: Iterable[Piece]) -> dict[str, float]:
+        """Times its feed, the fastest that each kind can be."""
+        return hurry(pieces, self._printer.limits.velocity, self._free.flow)
 
     def of_pieces(
         self, pieces: Iterable[Piece], driven: Driven, plants: tuple[Plant, ...]

@@ -2,8 +2,9 @@
 
     items ──► pieces of some seconds ──► those of kinds of which little has been kept yet
 
-Of each kind of feature an even share is kept, in the order of the print. Once that is too much,
-every other piece goes and the share is halved: what is held does not grow with the print.
+Of each kind of feature an even share is kept, in the order of the print; a larger one of what is
+rare, as its root. Once that is too much, every other piece goes and the share is halved: what is
+held does not grow with the print.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
 PIECE = 3.0  # s at the file's feed rates
 SHARE = 0.03  # of a print, at least,
 LEAST, MOST = 40.0, 100.0  # s, and within these, that are kept; up to twice as much
+FEWEST = 0.02  # of a kind's way that is passed over
 NOTICED = 0.2  # s of a kind in a piece for whose sake it is kept
 
 
@@ -46,8 +48,10 @@ class _Kept:
     def take(self, piece: Piece) -> None:
         """Keeps the piece if little has been kept of one of its kinds."""
         _add(self.seen, piece)
+        so_far = sum(self.seen.values())
         if any(
-            seconds > NOTICED and self.kept.get(name, 0.0) < self.share * self.seen[name]
+            seconds > NOTICED
+            and self.kept.get(name, 0.0) < self.share * np.sqrt(self.seen[name] * so_far)
             for name, seconds in piece.seconds.items()
         ):
             self.pieces.append(piece)
@@ -66,6 +70,37 @@ def excerpt(items: Iterable[Item], first_layers: int = 1) -> list[Piece]:
     for piece in _pieces(items, first_layers):
         kept.take(piece)
     return kept.pieces
+
+
+def hurry(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, float]:
+    """Times its feed, the fastest that each kind can be: all of it but FEWEST of its way.
+
+    velocity: mm/s of the path; flow: mm of filament a second.
+    """
+    factors: dict[str, list[Array]] = {}
+    for piece in pieces:
+        labeller = Labeller(piece.start)
+        for item in piece.items:
+            if isinstance(item, Passthrough):
+                labeller.mark(item.text)
+            elif isinstance(item, Moves):
+                kinds, _, _ = labeller.of(item, 0)
+                delta = np.diff(item.points, axis=0)
+                length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+                with np.errstate(divide="ignore"):
+                    melts = flow / np.maximum(delta[:, E] / length, 0.0)
+                factor = np.minimum(velocity, melts) / item.speed
+                for k in np.unique(kinds).tolist():
+                    rows = np.stack([factor, length])[:, kinds == k]
+                    factors.setdefault(NAMES[k], []).append(rows)
+    return {name: _most(np.concatenate(rows, axis=1)) for name, rows in factors.items()}
+
+
+def _most(rows: Array) -> float:
+    """The greatest factor of rows (2, n), factors and lengths, but for FEWEST of the length."""
+    factor, length = rows[:, np.argsort(rows[0])]
+    way = np.cumsum(length)
+    return float(factor[np.searchsorted(way, (1.0 - FEWEST) * way[-1])])
 
 
 def _add(total: dict[str, float], piece: Piece) -> None:

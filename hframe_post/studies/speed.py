@@ -50,7 +50,8 @@ PLANNED = 2  # times that the layers' least times are planned
 ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound
 STRIDE = (0.3, 3.0)  # of one correction
 AIM = 0.95  # share of a bound that is aimed at
-SAFER = 0.85  # the same after a round that did not keep it
+SAFER = 0.85  # of that share, after each round that did not keep it
+TINY = 1e-9  # share of a bound, at least, to divide by
 NEAR = 0.85  # share of a bound from which a kind is as fast as it can be
 DECIDE = 1  # drawn printers that are judged for each kind, the worst for it
 RUNG, MOST_RUNGS = 0.8, 20  # of feeds, from the greatest to the file's
@@ -127,13 +128,15 @@ class _Pieces:
         self, drive: Drive, bound: Bound, everyone: tuple[Plant, ...], speed_up: float
     ) -> None:
         self._drive, self._bound, self._everyone = drive, bound, everyone
-        self._pieces, self._speed_up = drive.excerpt(), speed_up
+        self._pieces = drive.excerpt()
+        useful = drive.hurry(self._pieces)
+        self._feeds = {name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in DRIVEN}
 
     def quickest(self) -> tuple[Driven, tuple[Plant, ...]]:
         """How to drive the print to begin with, and the printers that decide."""
         driven = Driven(
             dict.fromkeys(DRIVEN, min(START, self._drive.top)),
-            dict.fromkeys(DRIVEN, self._speed_up), JERK,
+            self._feeds, JERK,
         )  # fmt: skip
         driven, plants = self._judged_by_all(driven)
         best = self._slower(self._trial(driven, plants), plants)
@@ -153,7 +156,8 @@ class _Pieces:
 
     def _corrected(self, trial: Trial) -> Driven:
         """Each kind so hard that it should use up its bound."""
-        return harder(trial.driven, self._bound.shares(trial), self._drive.top, AIM)
+        gains = {name: AIM / max(share, TINY) for name, share in self._bound.shares(trial).items()}
+        return harder(trial.driven, gains, self._drive.top)
 
     def _slower(self, best: Trial, plants: tuple[Plant, ...]) -> Trial:
         """Each kind at a feed at which it takes less time: where a printer that is a little off
@@ -164,7 +168,7 @@ class _Pieces:
             shares = self._bound.shares(best)
             least = {name: SLOWEST if shares.get(name, 0.0) > 1.0 else 1.0 for name in feeds}
             feed = {
-                name: max(self._speed_up * RUNG**rung, least[name]) if name in open_ else own
+                name: max(self._feeds[name] * RUNG**rung, least[name]) if name in open_ else own
                 for name, own in feeds.items()
             }
             if feed == feeds:
@@ -264,7 +268,7 @@ def _within(
     may_clamp: bool,
 ) -> Trial:  # fmt: skip
     """The quickest of a few trials of the whole print within the bound. Raises HframeError."""
-    good, aim = list[Trial](), AIM
+    good, aims = list[Trial](), dict[str, float]()
     for number in range(1, MOST_ROUNDS + 1):
         trial = drive.of_all(driven, plants)
         shares, short = bound.shares(trial), cooling.short(trial.layers)
@@ -274,9 +278,9 @@ def _within(
             good.append(trial)
         if good and (number >= ROUNDS or spent(trial, shares, drive.top)):
             return min(good, key=lambda t: t.seconds)
-        aim = AIM if keeps else SAFER * aim
         if not (keeps and short):  # what is driven harder would make other layers short
-            driven = slower(harder(driven, shares, drive.top, aim), shares, aim)
+            gains = _gains(shares, aims)
+            driven = slower(harder(driven, gains, drive.top), gains)
         driven = cooling.slowed(driven, trial.layers)
         if outruns:
             driven = gentler(driven)
@@ -288,24 +292,38 @@ def _within(
     )
 
 
-def harder(driven: Driven, shares: dict[str, float], top: float, aim: float) -> Driven:
-    """Each kind so hard that it should use up that share of its bound.
+def _gains(shares: dict[str, float], aims: dict[str, float]) -> dict[str, float]:
+    """Times its acceleration with which each kind should use up its bound.
+
+    aims: by kind, of those that were beyond it; lowered with each time.
+    """
+    aims.update({k: SAFER * aims.get(k, AIM) for k, share in shares.items() if share > 1.0})
+    return {
+        name: aims[name] / share if share > 1.0
+        else 1.0 if share > NEAR or name in aims
+        else AIM / max(share, TINY)
+        for name, share in shares.items()
+    }  # fmt: skip
+
+
+def harder(driven: Driven, gains: dict[str, float], top: float) -> Driven:
+    """Each kind at so many times its acceleration, if the motors have it.
 
     Kinds that were not judged are driven as the gentlest that were.
     """
     own = driven.acceleration
     judged = {
-        name: float(np.clip(own[name] * np.clip(aim / max(share, 1e-9), *STRIDE), GENTLEST, top))
-        for name, share in shares.items()
+        name: float(np.clip(own[name] * np.clip(gain, *STRIDE), GENTLEST, top))
+        for name, gain in gains.items()
     }
     least = min(judged.values(), default=START)
     return replace(driven, acceleration={name: judged.get(name, least) for name in own})
 
 
-def slower(driven: Driven, shares: dict[str, float], aim: float) -> Driven:
-    """Kinds that are beyond their bound at lower feeds."""
+def slower(driven: Driven, gains: dict[str, float]) -> Driven:
+    """What shall be driven less hard, at lower feeds, too."""
     feed = {
-        name: max(own * aim / shares[name], SLOWEST) if shares.get(name, 0.0) > 1.0 else own
+        name: max(own * gains[name], SLOWEST) if gains.get(name, 1.0) < 1.0 else own
         for name, own in driven.feed.items()
     }
     return replace(driven, feed=feed)
