@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits
+    from hframe_post.printer.settings import Printer
+    from hframe_post.studies.against import Rival
 
 
 @click.command()
@@ -42,6 +45,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @seed_option
 @click.option("--steps", is_flag=True, help="Put the motors' steps between command and plant.")
+@click.option(
+    "--against", type=click.Choice(["shapers"]),
+    help="Also what each input shaper would do: with the frequencies and damping that serve this "
+    "printer best, and as Klipper's own calibration would place it.",
+)  # fmt: skip
 @click.option("--layers", is_flag=True, help="Show every layer, not the worst.")
 @json_option
 @click.option(
@@ -53,8 +61,8 @@ if TYPE_CHECKING:
 def simulate(
     source: Path | None, path: str | None, printer: str, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, plant_file: str | None,
-    shares: tuple[float, ...], draws: int, seed: int, steps: bool, layers: bool,
-    json_file: Path | None, report_file: Path | None, quiet: bool,
+    shares: tuple[float, ...], draws: int, seed: int, steps: bool, against: str | None,
+    layers: bool, json_file: Path | None, report_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate a print with no compensation, without and with racking compensation.
 
@@ -68,10 +76,13 @@ def simulate(
     from hframe_post import library
     from hframe_post.conversion.pipeline import Options
     from hframe_post.page.build import page
+    from hframe_post.studies.shaping_report import rivals_as_json, rivals_as_text
     from hframe_post.writers.atomic_file import Outputs
 
     if report_file is not None and (source is None or str(source) == "-"):
         raise click.UsageError("a page needs a file to read twice")
+    if against and str(source) == "-":
+        raise click.UsageError("--against reads the file several times: name one")
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
     with (
@@ -86,8 +97,12 @@ def simulate(
         )  # fmt: skip
         log(f"{report.read.lines} lines are simulated")
         log_stages(report.seconds)
-        write_json({**choice.taken().as_json(), **report.as_json()})
+        found = _rivals(source, profile, limits, extrusion) if against else []
         told = [choice.taken().as_text(), report.as_text(layers)]
+        if found:
+            told.append(rivals_as_text(found))
+        beside = {"against": rivals_as_json(found)} if found else {}
+        write_json({**choice.taken().as_json(), **report.as_json(), **beside})
         if report_file is not None and source is not None:
             options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
             log("page: the simulation once more")
@@ -97,3 +112,22 @@ def simulate(
                 )
     if not quiet:
         click.echo("\n".join(told), err=str(json_file) == "-")
+
+
+def _rivals(
+    source: Path | None, profile: Printer, limits: FileLimits, extrusion: Extrusion | None
+) -> list[Rival]:
+    """What input shapers would do for the print; of the path if no file is given."""
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.studies.against import rivals
+    from hframe_post.studies.reference_path import rectangle
+
+    def lines() -> Iterator[bytes]:
+        if source is None:
+            yield from rectangle(profile)
+        else:
+            with source.open("rb") as file:
+                yield from file
+
+    log("input shapers: search and simulation")
+    return rivals(lines, profile, Options("racking", (), limits, True, extrusion=extrusion))

@@ -11,6 +11,8 @@ an oscillation that half a period leaves, a shaper is a set of amplitudes A_i at
 ``ei``         a little ringing allowed at f, to be deaf to errors of f (Singhose 1994)
 ``2hump_ei``   ``ei`` with two, and
 ``3hump_ei``   with three humps of that ringing: deafer, and longer (Singhose et al. 1997)
+``smooth_zv``  no impulses but the mean over a period, which is smooth and cancels one mode;
+``smooth_zvd`` that once more. What forks of Klipper smooth with are polynomials of that kind
 =============  =============================================================================
 """
 
@@ -25,6 +27,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
 
+FINELY = 64  # impulses a period that stand for a smooth shaper
 TOLERATED = 0.05  # of the ringing without a shaper, V of the ei family
 
 
@@ -115,7 +118,20 @@ def _three_humps(K: float) -> Impulses:
     return [a1, a2 * K, a3 * K**2, a2 * K**3, a1 * K**4], [0.0, 0.5, 1.0, 1.5, 2.0]
 
 
+def _mean(times: int) -> Callable[[float], Impulses]:
+    """The mean over a period, so many times over, in impulses FINELY apart."""
+
+    def impulses(K: float) -> Impulses:
+        amplitudes = np.ones(1)
+        for _ in range(times):
+            amplitudes = np.convolve(amplitudes, np.ones(FINELY))
+        return amplitudes.tolist(), (np.arange(len(amplitudes)) / FINELY).tolist()
+
+    return impulses
+
+
 SHAPERS: dict[str, Callable[[float], Impulses]] = {
     "zv": _zv(0), "mzv": _mzv, "ei": _ei, "2hump_ei": _two_humps, "3hump_ei": _three_humps,
     "zvd": _zv(1), "zvdd": _zv(2), "zvddd": _zv(3),
+    "smooth_zv": _mean(1), "smooth_zvd": _mean(2),
 }  # fmt: skip

@@ -78,7 +78,7 @@ class Shaping:
 
 
 def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[Samples]:
-    """The samples with the commands that each shaper makes of the path."""
+    """The samples with the commands, beside theirs, that each shaper makes of the path."""
     pairs = {name: (s.x.shaper, s.y.shaper) for name, s in shapings.items()}
     reach = max((s.reach for pair in pairs.values() for s in pair), default=0)
     for stretch in stretches(chunks):
@@ -90,7 +90,7 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
                 else path[where, :Z]
                 for name, (x, y) in pairs.items()
             }
-            yield replace(chunk, commands=commands)
+            yield replace(chunk, commands={**chunk.commands, **commands})
 
 
 def excerpt(lines: Iterable[bytes], printer: Printer, reading: ReadOptions) -> tuple[Array, Flags]:
@@ -180,26 +180,37 @@ def calibrated(plant: Plant) -> Shaping:
     return Shaping(_calibrated(plant.Gxx), _calibrated(plant.Gyy))
 
 
+def calibrated_as(plant: Plant, name: str) -> Shaping:
+    """The same where the shaper is given: its frequencies."""
+    x, y = (_placed(G, name)[1] for G in (plant.Gxx, plant.Gyy))
+    return Shaping(AxisShaping(name, x, KLIPPER_DAMPING), AxisShaping(name, y, KLIPPER_DAMPING))
+
+
 def _calibrated(G: TransferFunction) -> AxisShaping:
+    best_score, best_axis = np.inf, AxisShaping("mzv", 40.0, KLIPPER_DAMPING)
+    for name in KLIPPER:
+        score, hz = _placed(G, name)
+        if score < CLEARLY_BETTER * best_score:
+            best_score, best_axis = score, AxisShaping(name, hz, KLIPPER_DAMPING)
+    return best_axis
+
+
+def _placed(G: TransferFunction, name: str) -> tuple[float, float]:
+    """Score and frequency (Hz) of a shaper where it is best for an axis."""
     hz = KLIPPER_HZ[KLIPPER_HZ < 200.0]
     felt = np.square(np.abs(G.response(2.0 * np.pi * hz * TS))) * hz
     floor = UNFELT * felt.max()
     loud = np.maximum(felt - floor, 0.0).sum()
-    best_score, best_axis = np.inf, AxisShaping("mzv", 40.0, KLIPPER_DAMPING)
-    for name in KLIPPER:
-        scored = []
-        for f in np.arange(150.0, KLIPPER_LEAST[name], -0.5).tolist():
-            tried = shaper(name, f, KLIPPER_DAMPING)
-            left = tried.residual(hz, KLIPPER_DAMPING)
-            vibration = float(np.maximum(left * felt - floor, 0.0).sum() / loud)
-            smoothing = _smoothing(tried)
-            score = smoothing * (vibration**1.5 + 0.2 * vibration + 0.01)
-            scored.append((score, vibration, f))
-        quietest = min(vibration for _, vibration, _ in scored)
-        score, _, f = min(row for row in scored if row[1] <= MUCH_AS_QUIET * quietest)
-        if score < CLEARLY_BETTER * best_score:
-            best_score, best_axis = score, AxisShaping(name, f, KLIPPER_DAMPING)
-    return best_axis
+    scored = []
+    for f in np.arange(150.0, KLIPPER_LEAST[name], -0.5).tolist():
+        tried = shaper(name, f, KLIPPER_DAMPING)
+        left = tried.residual(hz, KLIPPER_DAMPING)
+        vibration = float(np.maximum(left * felt - floor, 0.0).sum() / loud)
+        score = _smoothing(tried) * (vibration**1.5 + 0.2 * vibration + 0.01)
+        scored.append((score, vibration, f))
+    quietest = min(vibration for _, vibration, _ in scored)
+    score, _, f = min(row for row in scored if row[1] <= MUCH_AS_QUIET * quietest)
+    return score, f
 
 
 def _smoothing(tried: Shaper) -> float:

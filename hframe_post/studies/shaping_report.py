@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from hframe_post.studies.against import Rival
 from hframe_post.studies.shaping import KLIPPER, Shaping
+from hframe_post.writers.print_time import duration
 
 
 def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
@@ -13,11 +15,19 @@ def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
 
 
 def _as_json(shaping: Shaping) -> dict[str, Any]:
-    axes = {
+    return _axes(shaping) | {"contour_error_rms_um": round(shaping.rms * 1e3, 4)}
+
+
+def _axes(shaping: Shaping) -> dict[str, Any]:
+    return {
         axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}
         for axis, s in (("x", shaping.x), ("y", shaping.y))
     }
-    return axes | {"contour_error_rms_um": round(shaping.rms * 1e3, 4)}
+
+
+def _placed(shaping: Shaping) -> tuple[str, str]:
+    x, y = (f"{axis.hz:.1f} ({axis.damping:.2f})" for axis in (shaping.x, shaping.y))
+    return x, y
 
 
 def shapings_as_text(found: list[Shaping], usual: Shaping) -> str:
@@ -31,7 +41,37 @@ def shapings_as_text(found: list[Shaping], usual: Shaping) -> str:
 
 
 def _row(name: str, s: Shaping) -> str:
-    x, y = (f"{axis.hz:.1f} ({axis.damping:.2f})" for axis in (s.x, s.y))
+    x, y = _placed(s)
     if len(name) > 12:
         return f"{name}\n{'':12s}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"
     return f"{name:12s}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"
+
+
+def rivals_as_json(found: list[Rival]) -> list[dict[str, Any]]:
+    """The most accurate first; µm and s."""
+    return [
+        {
+            "name": rival.name,
+            "contour_error_um": rival.contour.micrometres(),
+            "print_time_s": round(rival.seconds, 3),
+            **({} if rival.shaping is None else _axes(rival.shaping)),
+        }
+        for rival in found
+    ]
+
+
+def rivals_as_text(found: list[Rival]) -> str:
+    """A table."""
+    lines = [
+        "",
+        f"{'against shapers':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
+        f"{'µm RMS':>9s}{'95 %':>8s}{'peak':>7s}{'time':>13s}",
+    ]
+    for rival in found:
+        um = rival.contour.micrometres()
+        axes = ("", "") if rival.shaping is None else _placed(rival.shaping)
+        lines.append(
+            f"{rival.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
+            f"{um['peak']:7.0f}{duration(rival.seconds):>13s}"
+        )
+    return "\n".join(lines)

@@ -30,6 +30,15 @@ def test_these_leave_nothing_of_their_mode(name: str, damping: float) -> None:
     assert shaper(name, 40.0, damping).residual(np.array([40.0]), damping)[0] < 1e-9
 
 
+@pytest.mark.parametrize("name", ["smooth_zv", "smooth_zvd"])
+def test_means_leave_nothing_of_an_undamped_mode(name: str) -> None:
+    s = shaper(name, 40.0, 0.0)
+    assert s.residual(np.array([40.0]), 0.0)[0] < 1e-9
+    assert np.ptp(s.T) * 40.0 == pytest.approx(
+        {"smooth_zv": 1.0, "smooth_zvd": 2.0}[name], rel=0.02
+    )
+
+
 @pytest.mark.parametrize("name", ["ei", "3hump_ei"])
 def test_these_leave_what_is_tolerated_and_are_deafer_for_it(name: str) -> None:
     s = shaper(name, 40.0, 0.0)

@@ -16,6 +16,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.reference_path import rectangle
 from hframe_post.studies.shaping import (
+    KLIPPER,
     AxisShaping,
     Shaping,
     best,
@@ -69,6 +70,22 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: tuple[Array, Flags]) -> No
         np.testing.assert_allclose(got, whole, atol=1e-12)
 
 
+def test_simulate_against_shapers(tmp_path: Path) -> None:
+    out = tmp_path / "s.json"
+    done = run("simulate", "--path", "rectangle", "--against", "shapers", "--json", out)
+    assert done.returncode == 0
+    assert "3hump_ei as calibrated" in done.stdout.decode()
+    rivals = json.loads(out.read_text())["against"]
+    rms = {rival["name"]: rival["contour_error_um"]["rms"] for rival in rivals}
+    assert list(rms.values()) == sorted(rms.values())
+    assert next(iter(rms)) == "racking"
+    for name in KLIPPER:  # searched on this very path
+        assert rms[name] < rms[f"{name} as calibrated"] < rms["none"]
+    times = {rival["name"]: rival["print_time_s"] for rival in rivals}
+    assert times["none"] <= min(times.values())
+
+
+@pytest.mark.slow
 def test_tune_prints_the_section_for_klipper(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
     done = run("tune", "--path", "rectangle", "--shaper", "--json", out)
