@@ -37,10 +37,13 @@ AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
 
 
-def rests(stops: str, strategy: str) -> Rests:
-    """Standstill of the path around stops of that kind; a command that is the path needs none."""
+def rests(stops: str, strategy: str, corner: float = 0.0) -> Rests:
+    """Standstill of the path around stops of that kind; a command that is the path needs none.
+
+    corner: mm/s at which the firmware takes the corner between a lift and motion.
+    """
     n = STOPS[stops]
-    return Rests(n, n, ASIDE, LONGEST) if strategy != "none" else Rests()
+    return Rests(n, n, ASIDE, LONGEST, corner) if strategy != "none" else Rests(corner=corner)
 
 
 def solvers(

@@ -22,6 +22,7 @@ from hframe_post.firmware.player import (
 )
 from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.trapezoid import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
@@ -38,6 +39,7 @@ FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
 USUAL_NOZZLE = 0.4  # mm
 THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut
 SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
+MOST_LONGER = 1.1  # times the duration of a lift that is made to be in time
 CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
 
 
@@ -70,24 +72,47 @@ class StreamLimits:
             limits.extruder_corner_velocity,
         )
 
+    @property
+    def lift_corner(self) -> float:
+        """At which Klipper takes the corner between a lift and motion in x and y, mm/s."""
+        return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)
 
-def speeds(delta: Array, T: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
+
+def lift_corner(printer: Printer) -> float:
+    """The speed (mm/s) at which a lift passes from and into motion; 0 where it comes to rest.
+
+    No more than a square corner of the user's may have.
+    """
+    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
+    corner = limits.lift_corner
+    return corner if corner <= printer.limits.square_corner_velocity else 0.0
+
+
+def speeds(
+    delta: Array, T: Array, rest: Flags, before: float, limits: StreamLimits,
+    after: float = math.inf,
+) -> Array:  # fmt: skip
     """Cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
 
     delta (k, 4): x, y, z, e of each segment; rest (k + 1,): whether Klipper stands at each
-    end; before: speed of the segment that precedes.
+    end; before: speed of the segment that precedes; after: greatest speed at the last end.
     """
-    d, a, _, caps = _shape(delta, rest, limits)
+    d, a, _, caps = _shape(delta, rest, limits, after)
     return ramps.speeds(d, T, a, caps, before)
 
 
-def durations(delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits) -> Array:
+def durations(
+    delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits,
+    after: float = math.inf,
+) -> Array:  # fmt: skip
     """Time (k,) that Klipper takes for segments at cruise speeds v (k,); see ``speeds``."""
-    d, a, top, caps = _shape(delta, rest, limits)
+    d, a, top, caps = _shape(delta, rest, limits, after)
     return ramps.durations(d, np.minimum(v, top), a, caps, before)
 
 
-def _shape(delta: Array, rest: Flags, limits: StreamLimits) -> tuple[Array, Array, Array, Array]:
+def _shape(
+    delta: Array, rest: Flags, limits: StreamLimits, after: float
+) -> tuple[Array, Array, Array, Array]:
     """Length, acceleration and greatest speed of each segment, and the caps at their ends.
 
     z and retraction lower acceleration and speed.
@@ -101,7 +126,7 @@ def _shape(delta: Array, rest: Flags, limits: StreamLimits) -> tuple[Array, Arra
     a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
     square = cornering.deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
     inner = cornering.junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
-    corners = np.concatenate([[math.inf], inner, [math.inf]])  # the outer two are free
+    corners = np.concatenate([[math.inf], inner, [after]])
     return d, a, top, np.where(rest, 0.0, corners)
 
 
@@ -207,23 +232,38 @@ class Klipper:
         """All of it."""
         return T
 
-    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Ramps in mind. What is late in spite of them is made up for by those after it."""
         delta = np.diff(at, axis=0)
-        v = speeds(delta, T, rest, before, self.limits)
-        late = durations(delta, v, rest, before, self.limits) - T
+        v = speeds(delta, T, rest, before, self.limits, after)
+        late = durations(delta, v, rest, before, self.limits, after) - T
         if late.max() > LATE:
             shorter = _made_up(T, np.where(late > LATE, late, 0.0))
-            v = speeds(delta, shorter, rest, before, self.limits)
+            v = speeds(delta, shorter, rest, before, self.limits, after)
         return v
 
-    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+    def durations(
+        self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Ramps and limits in mind."""
-        return durations(np.diff(at, axis=0), v, rest, before, self.limits)
+        return durations(np.diff(at, axis=0), v, rest, before, self.limits, after)
 
-    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
-        """From rest to rest, as asked."""
-        return Stroke(speed, seconds)
+    def stroke(
+        self, at: Array, speed: float, seconds: float, wanted: float,
+        entry: float = 0.0, leaving: float = 0.0,
+    ) -> Stroke:  # fmt: skip
+        """As asked; a lift that passes from or into motion is slower, to be in time for it."""
+        _, _, lifted, extruded = np.abs(at[1] - at[0]).tolist()
+        if lifted and not extruded:
+            cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration
+            lift = Trapezoid(lifted, cruise, a, entry, leaving)
+            if entry or leaving:
+                lift = lift.lasting(min(wanted, MOST_LONGER * lift.seconds))
+                speed = lift.cruise
+            seconds = lift.seconds
+        return Stroke(speed, seconds, leaving)
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         """G4, beside a lift even of no time.

@@ -131,7 +131,10 @@ class Marlin:
         """None is made: what a stroke leaves, motion makes up for, and standstill is left out."""
         return None if beside is not Dwelling.MOTION else (b"", seconds)
 
-    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+    def stroke(
+        self, at: Array, speed: float, seconds: float, wanted: float,
+        entry: float = 0.0, leaving: float = 0.0,
+    ) -> Stroke:  # fmt: skip
         """Between the speeds of the user's corners, and slower by as much as that saves.
 
         With the stream's corners it would begin and end at full speed. z keeps its own jerk.
@@ -215,11 +218,15 @@ class Marlin:
         """No longer than the slowest steps take, no shorter than the first of them from rest."""
         return self._planner.possible(self._blocks(at), T, before)
 
-    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Ramps, whole rates and whole ticks in mind."""
         return self._planner.feed_rates(self._blocks(at), T, before, self._timer)
 
-    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+    def durations(
+        self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """The same."""
         return self._planner.durations(self._blocks(at), v, before, self._timer)
 

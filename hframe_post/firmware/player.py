@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -104,21 +105,28 @@ class Player(Protocol):
         before: see ``feed_rates``.
         """
 
-    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Speeds (k,), mm/s, to ask for so that segments take the time T (k,).
 
         rest (k + 1,): whether the machine stands at each end; before: feed rate of the segment
-        that precedes, 0 if none does.
+        that precedes, 0 if none does; after: greatest speed at the end of the last.
         """
 
-    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+    def durations(
+        self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Time (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
 
-    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+    def stroke(
+        self, at: Array, speed: float, seconds: float, wanted: float,
+        entry: float = 0.0, leaving: float = 0.0,
+    ) -> Stroke:  # fmt: skip
         """A retraction or a lift from a place to another, at (2, 4), mm.
 
-        speed: the user's; seconds: what it takes at that, from rest to rest; wanted: what is
-        left for it by now.
+        speed: the user's; seconds: what it takes at that; wanted: what is left for it by now;
+        entry, leaving: at which it comes from motion and goes on into motion, 0: from and to rest.
         """
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:

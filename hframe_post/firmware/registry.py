@@ -10,11 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hframe_post.firmware.klipper import Klipper
+from hframe_post.firmware.klipper import lift_corner as klippers_lift_corner
 from hframe_post.firmware.marlin import Marlin
 from hframe_post.firmware.player import Player
 from hframe_post.firmware.reprapfirmware import RepRapFirmware
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
+
+
+def _comes_to_rest(_: Printer) -> float:
+    return 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,18 +28,20 @@ class Firmware:
 
     player: builds what the writer asks, from a printer and the mm that decimation may miss a
     sample by (None keeps them all); decimates: whether that tolerance means anything to it.
+    lift_corner: mm/s at which z passes from motion into a lift and from it, on that printer.
     """
 
     name: str
     label: str
     player: Callable[[Printer, float | None], Player]
     decimates: bool = False
+    lift_corner: Callable[[Printer], float] = _comes_to_rest
 
 
 FIRMWARES = {
     each.name: each
     for each in (
-        Firmware("klipper", "Klipper", Klipper.of, decimates=True),
+        Firmware("klipper", "Klipper", Klipper.of, True, klippers_lift_corner),
         Firmware("marlin", "Marlin", Marlin.of),
         Firmware("reprapfirmware", "RepRapFirmware", RepRapFirmware.of, decimates=True),
     )
@@ -50,3 +57,8 @@ def firmware(printer: Printer) -> Firmware:
 def player(printer: Printer, tolerance: float | None) -> Player:
     """That firmware, as it plays this printer's stream. Raises PrinterError."""
     return firmware(printer).player(printer, tolerance)
+
+
+def lift_corner(printer: Printer) -> float:
+    """The speed (mm/s) of z where a lift passes from and into motion in x and y; 0: at rest."""
+    return firmware(printer).lift_corner(printer)

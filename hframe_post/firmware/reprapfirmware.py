@@ -102,7 +102,10 @@ class RepRapFirmware:
         """Relative filament is not summed up."""
         return b""
 
-    def stroke(self, at: Array, speed: float, seconds: float, wanted: float) -> Stroke:
+    def stroke(
+        self, at: Array, speed: float, seconds: float, wanted: float,
+        entry: float = 0.0, leaving: float = 0.0,
+    ) -> Stroke:  # fmt: skip
         """From rest to rest, as asked."""
         return Stroke(speed, seconds)
 
@@ -126,12 +129,16 @@ class RepRapFirmware:
         """All of it."""
         return T
 
-    def feed_rates(self, at: Array, T: Array, rest: Flags, before: float) -> Array:
+    def feed_rates(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Ramps in mind."""
         d, a, _, caps = self._trapezoids(at, rest)
         return ramps.speeds(d, T, a, caps, before)
 
-    def durations(self, at: Array, v: Array, rest: Flags, before: float) -> Array:
+    def durations(
+        self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
         """Ramps and limits in mind."""
         d, a, top, caps = self._trapezoids(at, rest)
         return ramps.durations(d, np.minimum(v, top), a, caps, before)

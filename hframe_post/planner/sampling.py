@@ -3,7 +3,8 @@
 Each run is planned along the path length, from speed to speed at zero acceleration, and x,
 y, z and e follow the path: extrusion stays proportional to it. Points of rest fall on whole
 samples. Before and after anything that the machine does at rest there may be a little standstill
-in which the compensated command moves on.
+in which the compensated command moves on. A lift next to motion needs none, and where firmware
+takes the corner between them at a speed, z does not come to rest there.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
 from hframe_post.compiled.kernels import kernel
+from hframe_post.model.trapezoid import Trapezoid
 from hframe_post.planner.jerk_profile import Phases, Profiler, before_each, integrated
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -41,7 +43,7 @@ ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
 def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
     """Samples of the whole stream. A chunk ends where the machine is released."""
     sampler = _Sampler(limits, rests)
-    for item in planned:
+    for item, following in _with_following(planned):
         if isinstance(item, Plan):
             yield from sampler.run(item)
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY:
@@ -49,8 +51,23 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
         elif isinstance(item, Halt):
             yield from sampler.halt()
         else:
-            yield from sampler.pause(item)
+            yield from sampler.pause(item, isinstance(following, Plan))
     yield from sampler.finish()
+
+
+def _with_following(planned: Iterable[Planned]) -> Iterator[tuple[Planned, Planned | None]]:
+    """Each item, and of a ``Standing`` the next one that is not carried along."""
+    held: list[Planned] = []  # a Standing, and the lines carried after it
+    for item in planned:
+        carried = isinstance(item, Passthrough) and item.handling is Handling.CARRY
+        if held and not carried:
+            yield from ((each, item) for each in held)
+            held.clear()
+        if held or isinstance(item, Standing):
+            held.append(item)
+        else:
+            yield item, None
+    yield from ((each, None) for each in held)
 
 
 class _Sampler:
@@ -155,16 +172,14 @@ class _Sampler:
         else:
             self._events.append(Mark(self._index, text))
 
-    def pause(self, action: Standing | Passthrough) -> Iterator[Samples]:
+    def pause(
+        self, action: Standing | Passthrough, motion_follows: bool = False
+    ) -> Iterator[Samples]:
         """What the machine does while x and y stand still."""
         if self._last is None and isinstance(action, Standing):
             yield from self._stand(np.array(action.start), 1)
         if isinstance(action, Standing):
-            profile = StandingProfile.of(action, self._limits)
-            yield from self._come_to_rest(profile.samples >= self._rests.long)
-            self._line = action.line
-            self._events.append(Pause(self._index, profile.samples, action, profile.seconds))
-            yield from self._moved(action, profile)
+            yield from self._standing(action, motion_follows)
             return
         released = action.handling is Handling.RELEASE
         n = math.ceil(action.seconds / TS - ON_TIME)
@@ -179,12 +194,29 @@ class _Sampler:
             yield from self.flush(ends_stretch=True)
             self._last = None
 
+    def _standing(self, move: Standing, motion_follows: bool) -> Iterator[Samples]:
+        """A retraction or a lift, which may pass from and into motion without rest."""
+        corner, aside = self._rests.corner, self._rested and self._aside
+        entry = 0.0 if self._rested else corner
+        leaving = corner if motion_follows and not aside else 0.0
+        profile = StandingProfile.of(move, self._limits, entry, leaving)
+        if long := profile.samples >= self._rests.long:
+            profile = StandingProfile.of(move, self._limits)
+        entry, leaving = profile.trapezoid.v_s, profile.trapezoid.v_e
+        yield from self._come_to_rest(long, passing=entry > 0.0)
+        self._line = move.line
+        self._events.append(
+            Pause(self._index, profile.samples, move, profile.seconds, entry, leaving)
+        )
+        yield from self._moved(move, profile)
+        self._rested = leaving == 0.0
+
     def halt(self) -> Iterator[Samples]:
         """The command comes to rest on the path."""
         yield from self._come_to_rest(aside=True)
 
-    def _come_to_rest(self, aside: bool) -> Iterator[Samples]:
-        if not self._rested and self._last is not None:
+    def _come_to_rest(self, aside: bool, passing: bool = False) -> Iterator[Samples]:
+        if not self._rested and self._last is not None and not passing:
             yield from self._rest(self._last, self._rests.aside if aside else self._rests.before)
         self._pass_at_rest()
         self._aside = aside or (self._rested and self._aside)
@@ -248,19 +280,19 @@ class _Sampler:
 class StandingProfile:
     """How the firmware makes one move in which x and y stand: it knows no jerk, so a trapezoid.
 
-    length, peak and acceleration: of z, or of the filament where z stands too. seconds: exact;
-    samples: until the next whole one.
+    trapezoid: of z, or of the filament where z stands too. seconds: exact; samples: until the
+    next whole one.
     """
 
-    length: float
-    peak: float
-    acceleration: float
+    trapezoid: Trapezoid
     seconds: float
     samples: int
 
     @classmethod
-    def of(cls, move: Standing, limits: Limits) -> StandingProfile:
-        """The fastest that the limits allow."""
+    def of(
+        cls, move: Standing, limits: Limits, entry: float = 0.0, leaving: float = 0.0
+    ) -> StandingProfile:
+        """The fastest that the limits allow, between those speeds of z, or what z can have."""
         dz, de = abs(move.end[Z] - move.start[Z]), abs(move.end[E] - move.start[E])
         length = dz or de
         cruise = min(move.speed, limits.z_velocity) if dz else move.speed
@@ -268,17 +300,18 @@ class StandingProfile:
         if de:  # without x and y any extrusion counts as retraction
             cruise = min(cruise, limits.extruder_velocity * length / de)
             acceleration = min(acceleration, limits.extruder_acceleration * length / de)
-        peak = min(cruise, math.sqrt(length * acceleration))
-        seconds = length / peak + peak / acceleration
-        return cls(length, peak, acceleration, seconds, math.ceil(seconds / TS - ON_TIME))
+        most = min(cruise, math.sqrt(length * acceleration / 2.0)) if dz and not de else 0.0
+        ends = min(entry, most), min(leaving, most)
+        trapezoid = Trapezoid(length, cruise, acceleration, *ends)
+        samples = math.ceil(trapezoid.seconds / TS - ON_TIME)
+        if any(ends):  # there is no standstill beside it to wait for the sample
+            trapezoid = trapezoid.lasting(samples * TS)
+        return cls(trapezoid, trapezoid.seconds, samples)
 
     def share(self, samples: Integers) -> Array:
         """Share of the way, (n, 1), done after so many samples (n,)."""
-        ramp = self.peak / self.acceleration
-        t = np.minimum(samples * TS, self.seconds)
-        up, down = np.minimum(t, ramp), np.maximum(t - (self.seconds - ramp), 0.0)
-        s = self.acceleration * (up * up - down * down) / 2.0 + self.peak * (t - up)
-        return np.where(samples < self.samples, s / self.length, 1.0)[:, None]
+        done = self.trapezoid.way(samples.astype(float) * TS) / self.trapezoid.length
+        return np.where(samples < self.samples, done, 1.0)[:, None]
 
 
 def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:

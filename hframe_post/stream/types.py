@@ -131,12 +131,15 @@ class Rests:
     """Samples of standstill that the command gets before and after what happens at rest.
 
     aside: instead of both where it is ``long`` samples or longer, and at the ends of a stretch.
+    corner: mm/s at which z passes from motion in x and y into a lift and the other way round, where
+    none of these is needed; 0: it comes to rest there.
     """
 
     before: int = 0
     after: int = 0
     aside: int = 0
     long: int = 1 << 60
+    corner: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,13 +154,16 @@ class Rest:
 class Pause:
     """From sample ``index`` on the machine does ``action`` for ``samples``, x and y still.
 
-    exact: duration (s) that the machine takes; samples·TS is the next millisecond.
+    exact: duration (s) that the machine takes; samples·TS is the next millisecond. entry, leaving:
+    speeds of z (mm/s) where motion in x and y comes directly before and after.
     """
 
     index: int
     samples: int
     action: Standing | Passthrough
     exact: float = 0.0
+    entry: float = 0.0
+    leaving: float = 0.0
 
 
 Event = Mark | Rest | Pause

@@ -13,6 +13,7 @@ time, ``ledger`` counts; here is where the machine stands, and the order in whic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -103,7 +104,7 @@ class GcodeWriter:
                     yield from self._carried(event.index)
             elif isinstance(event, Pause):
                 yield from self._take(points[done:at], chunk.first + done)
-                yield from self._stop()
+                yield from self._stop(event.entry)
                 yield from self._machine.pause(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
@@ -118,11 +119,12 @@ class GcodeWriter:
             if batch := self._held.batch(last=False):
                 yield from self._machine.move(batch)
 
-    def _stop(self) -> Iterator[Output]:
-        """All that is held, up to standstill."""
+    def _stop(self, passing: float = 0.0) -> Iterator[Output]:
+        """All that is held, up to standstill, or to a lift that begins at the speed ``passing``."""
         if batch := self._held.batch(last=True):
-            yield from self._machine.move(batch)
-        self._machine.stop()
+            yield from self._machine.move(batch, passing)
+        if not passing:
+            self._machine.stop()
         yield from self._carried()
 
     def _carried(self, index: int | None = None) -> Iterator[Output]:
@@ -173,8 +175,8 @@ class _Machine:
 
     # ------------------------------------------------------------------ in motion
 
-    def move(self, batch: Batch) -> Iterator[Output]:
-        """Lines for a batch of samples."""
+    def move(self, batch: Batch, passing: float = 0.0) -> Iterator[Output]:
+        """Lines for a batch of samples. passing: speed at the end of the last one."""
         assert self._at is not None
         made = segments(batch, self._at, self._still, self._player, self._units)
         self._still = made.still
@@ -184,7 +186,8 @@ class _Machine:
             made = yield from self._rejoined(made)
             e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
             check_filament(batch, made.ends, e)
-            rows, ends = self._rows(made, batch.last)
+            passes = passing and not self._still
+            rows, ends = self._rows(made, batch.last and not passes, passing or math.inf)
             self._ledger.moved(batch.first + made.ends, int(made.at[-1, E] - self._at[E]))
             self._at = made.at[-1]
             yield from self._interleaved(rows, ends, made, batch)
@@ -194,6 +197,7 @@ class _Machine:
         if batch.last and self._still:
             yield from self._dwell(self._still)
             self._still = 0
+            self._pace.stop()
 
     def _rejoined(self, made: Segments) -> Generator[Output, None, Segments]:
         """At rest, where the machine may have left out moves: it comes to where this is.
@@ -219,11 +223,14 @@ class _Machine:
         T[0] -= rejoined.seconds
         return replace(made, T=T)
 
-    def _rows(self, made: Segments, last: bool) -> tuple[bytes, Integers]:
-        """G1 lines of the segments, and where each ends in their text."""
+    def _rows(self, made: Segments, last: bool, after: float) -> tuple[bytes, Integers]:
+        """G1 lines of the segments, and where each ends in their text.
+
+        last: whether the machine stands after them; after: greatest speed there.
+        """
         at = np.vstack([self._at, made.at])  # type: ignore[list-item]
         rest: Flags = np.append(made.dwell > 0, last)
-        feeds = self._pace.feeds(at / self._units.per_mm, made.T, rest)
+        feeds = self._pace.feeds(at / self._units.per_mm, made.T, rest, after)
         shown = np.diff(at, axis=0) != 0
         shown[0, :Z] |= self._feed == 0  # after the machine was released: both, to be plain
         faster = np.diff(feeds, prepend=self._feed) != 0
@@ -277,12 +284,15 @@ class _Machine:
         """Retraction or lift: one line."""
         lifts = move.end[Z] != move.start[Z]
         yield from self._enter()
-        yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
+        if self._pace.stands or not pause.entry:
+            self._pace.stop()
+            yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
         yield from self._count_anew()
         assert self._at is not None
         end = np.concatenate([self._at[:Z], self._units.rounded(np.array(move.end))[Z:]])
         places = np.stack([self._at, end]) / self._units.per_mm
-        stroke = self._pace.stroke(places, pause, move.speed)
+        stops = not pause.leaving or self._may_be_elsewhere  # to be led back, from rest
+        stroke = self._pace.stroke(places, pause, move.speed, stops)
         if stroke.after and not self._after:
             yield stroke.before
             self._after = stroke.after
@@ -291,7 +301,8 @@ class _Machine:
         if line := standing_line(self._at, end, self._feed, self._units):
             yield line
         self._at = end
-        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
+        if stops:
+            yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
 
     def _release(self, action: Passthrough) -> Iterator[Output]:
         """The machine is the user's again, limits, modes and all."""

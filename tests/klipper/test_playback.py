@@ -23,6 +23,21 @@ MINUTE = 60_000  # samples
 MOVING = 2e-4  # mm a millisecond
 
 
+def hops(seed: int, count: int) -> list[bytes]:
+    """Lines in any direction; between them retraction, lift, travel, drop, priming."""
+    rng, at = np.random.default_rng(seed), np.array([100.0, 100.0])
+    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X100 Y100 F9000"]
+    for _ in range(count):
+        angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(10.0, 30.0)
+        there = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 20.0, 250.0)
+        at = np.clip(there + rng.uniform(-40.0, 40.0, 2), 20.0, 250.0)
+        lift = rng.choice([0.05, 0.2, 0.4, 1.0])
+        lines += [f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.4f} F6000"]
+        lines += ["G1 E-1.6 F2400", f"G1 Z{0.3 + lift} F1200", "M106 S99"]
+        lines += [f"G0 X{at[0]:.3f} Y{at[1]:.3f} F12000", "G1 Z0.3 F1200", "G1 E1.6 F2400"]
+    return [line.encode() + b"\n" for line in lines]
+
+
 @dataclass
 class Played:
     """A sample, its intended command (n, 2), z and e (n, 2), and what Klipper made of it."""
@@ -35,10 +50,14 @@ class Played:
 
 
 def played(name: str, folder: Path, options: Options, last_layer: int | None = None) -> Played:
-    paper = profile.load("paper")
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
     if last_layer is not None:
         lines = lines[: lines.index(b";LAYER:%d\n" % last_layer)]
+    return lines_played(lines, folder, options)
+
+
+def lines_played(lines: list[bytes], folder: Path, options: Options) -> Played:
+    paper = profile.load("paper")
     blocks = list(Commands(iter(lines), paper, options).computed())
     output = GcodeConversion(iter(lines), paper, options)
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
@@ -101,6 +120,23 @@ def check(run: Played) -> None:
 @pytest.mark.parametrize("limits", ["file-all", "printer"])
 def test_cube_is_played_as_intended(tmp_path: Path, limits: FileLimits) -> None:
     check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 12))
+
+
+@pytest.mark.klipper
+def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
+    """z stops for nothing but filament, and x, y and z are where they are to be, when."""
+    run = lines_played(hops(0, 12), tmp_path, Options("racking", limits="printer"))
+    start, offset = first_offset(run)
+    t = np.arange(start, len(run.command)) * TS + offset
+    at = run.playback.position(t)
+    off = np.hypot(*(at[:, :2] - run.command[start:]).T)
+    assert np.sqrt(np.square(off).mean()) < 0.010
+    assert np.abs(at[:, 2] - run.z_e[start:, 0]).max() < 0.005
+    moves = run.playback.moves
+    lifts = moves[np.abs(moves["ratio"][:, 2]) > 0.5][1:]
+    ends = np.maximum(lifts["start_v"], lifts["cruise_v"] - lifts["accel"] * lifts["decel_t"])
+    assert (ends > 1.0).all()
+    assert not any(w for w in run.playback.warnings if "M106" not in w)
 
 
 @pytest.mark.klipper

@@ -308,6 +308,71 @@ def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() ->
     np.testing.assert_array_equal(after.xyze[0], [70.0, 0, 0.2, 2])
 
 
+# ---------------------------------------------------------------------- lifts
+
+LIFT = Standing(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
+PASSING = replace(RESTS, corner=2.0)
+
+
+def lift_of(items: Iterable[Item], rests: Rests = PASSING) -> tuple[Pause, Array, list[object]]:
+    xyze, events = whole(sampled(items, rests=rests))
+    (lift,) = (e for e in events if isinstance(e, Pause) and e.action is LIFT)
+    return lift, xyze[lift.index - 1 : lift.index + lift.samples, Z], events
+
+
+def test_a_lift_passes_from_motion_and_into_it() -> None:
+    lift, z, events = lift_of([there(), LIFT, there(50.0)])
+    assert [type(e) for e in events] == [Rest, Pause]  # that at the beginning
+    assert lift.entry == lift.leaving == PASSING.corner
+    speed = np.diff(z) / TS
+    assert 2.0 <= speed[0] <= 3.0  # and half a millisecond of 1000 mm/s² beside it
+    assert 2.0 <= speed[-1] <= 3.0
+    assert lift.exact == pytest.approx(lift.samples * TS)  # nothing waits for the sample
+    at_rest, z_at_rest, _ = lift_of([there(), LIFT, there(50.0)], RESTS)
+    assert (at_rest.entry, at_rest.leaving) == (0.0, 0.0)
+    assert lift.samples < at_rest.samples
+    assert z[-1] == z_at_rest[-1] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("items", "entry", "leaving"),
+    [
+        ([there(), RETRACT, LIFT, carried(b"M106 S3"), there(50.0)], 0.0, 2.0),
+        ([there(), carried(b"M106 S3"), LIFT, RETRACT, there(50.0)], 2.0, 0.0),
+        ([there(), LIFT, DWELL, there(50.0)], 2.0, 0.0),
+        ([there(), DWELL, LIFT, YIELD, there(50.0)], 0.0, 0.0),
+        ([LIFT, there(50.0)], 0.0, 0.0),  # a stretch begins, for which the command settles
+    ],
+)
+def test_it_comes_to_rest_where_anything_else_is_next_to_it(
+    items: list[Item], entry: float, leaving: float
+) -> None:
+    lift, _, _ = lift_of(items)
+    assert (lift.entry, lift.leaving) == (entry, leaving)
+
+
+def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
+    lift, _, _ = lift_of([there(), LIFT, there(50.0)], replace(PASSING, long=20))
+    assert (lift.entry, lift.leaving) == (0.0, 0.0)
+    primed = replace(LIFT, end=(50, 0, 0.6, 2.1))
+    (pause,) = (
+        e
+        for e in whole(sampled([there(), primed, there(50.0)], rests=PASSING))[1]
+        if isinstance(e, Pause)
+    )
+    assert (pause.entry, pause.leaving) == (0.0, 0.0)
+
+
+def test_a_short_lift_passes_no_faster_than_it_can() -> None:
+    short = replace(LIFT, end=(50, 0, 0.202, 2))
+    (pause,) = (
+        e
+        for e in whole(sampled([there(), short, there(50.0)], rests=PASSING))[1]
+        if isinstance(e, Pause)
+    )
+    assert 0.0 < pause.entry == pause.leaving < 2.0
+
+
 def standing(start: Array, end: Array, speed: float) -> tuple[Pause, Array]:
     action = Standing(1, tuple(start.tolist()), tuple(end.tolist()), speed)
     blocks = sampled([action])

@@ -1,0 +1,67 @@
+"""The way of one axis from a speed to another, as firmware without a limit on jerk goes it.
+
+    speed      peak ________
+                   /        \\
+         v_s      /          \\
+                 |            \\   v_e
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hframe_post.arrays import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoid:
+    """Length (mm), greatest speed and acceleration; v_s, v_e: speeds at its ends, mm/s."""
+
+    length: float
+    cruise: float
+    acceleration: float
+    v_s: float = 0.0
+    v_e: float = 0.0
+
+    @property
+    def peak(self) -> float:
+        """The speed that is reached."""
+        mean = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0
+        return min(self.cruise, math.sqrt(self.length * self.acceleration + mean))
+
+    @property
+    def ramps(self) -> tuple[float, float]:
+        """How long it speeds up and brakes, s."""
+        peak = self.peak
+        return (peak - self.v_s) / self.acceleration, (peak - self.v_e) / self.acceleration
+
+    @property
+    def seconds(self) -> float:
+        """How long all of it takes."""
+        peak, a = self.peak, self.acceleration
+        ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
+        return (self.length + ramped) / peak
+
+    def lasting(self, seconds: float) -> Trapezoid:
+        """The same way at the lower speed with which it takes so long; itself, if it takes longer.
+
+        Solves length = v·T − [(v − v_s)² + (v − v_e)²]/2a, where ends are no faster than the rest.
+        """
+        if seconds <= self.seconds:
+            return self
+        S = self.acceleration * seconds + self.v_s + self.v_e
+        c = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0 + self.acceleration * self.length
+        v = (S - math.sqrt(max(S * S - 4.0 * c, 0.0))) / 2.0
+        return replace(self, cruise=min(max(v, self.v_s, self.v_e), self.cruise))
+
+    def way(self, t: Array) -> Array:
+        """mm done at times t (n,), s, from its beginning."""
+        up, down = self.ramps
+        t = np.clip(t, 0.0, self.seconds)
+        begun, ending = np.minimum(t, up), np.maximum(t - (self.seconds - down), 0.0)
+        lost = self.acceleration * ending * ending / 2.0
+        sped = begun * (self.v_s + self.acceleration * begun / 2.0)
+        return np.asarray(sped + self.peak * (t - begun) - lost)

@@ -1,0 +1,49 @@
+"""One axis from speed to speed: never faster or harder than it may, and all of its way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from hframe_post.model.trapezoid import Trapezoid
+
+LENGTHS = st.floats(0.01, 100.0)
+SHARES = st.floats(0.0, 1.0)
+
+
+@st.composite
+def trapezoids(draw: st.DrawFn) -> Trapezoid:
+    """Whose ends can be had: both speeds within half of the way."""
+    length, cruise, a = draw(LENGTHS), draw(st.floats(1.0, 100.0)), draw(st.floats(10.0, 5000.0))
+    most = min(cruise, math.sqrt(length * a / 2.0))
+    return Trapezoid(length, cruise, a, draw(SHARES) * most, draw(SHARES) * most)
+
+
+@given(trapezoids(), st.floats(1.0, 3.0))
+def test_a_way_is_whole_and_within_its_limits(way: Trapezoid, longer: float) -> None:
+    for one in (way, way.lasting(longer * way.seconds)):
+        t = np.linspace(0.0, one.seconds, 4001)
+        s = one.way(t)
+        assert s[0] == 0.0
+        assert s[-1] == pytest.approx(one.length, rel=1e-9)
+        v = np.diff(s) / np.diff(t)
+        assert v.max() <= one.cruise * (1.0 + 1e-6)
+        assert np.abs(np.diff(v) / np.diff(t)[1:]).max() <= one.acceleration * 1.01
+        assert v[0] == pytest.approx(one.v_s, abs=2.0 * one.acceleration * t[1])
+        assert v[-1] == pytest.approx(one.v_e, abs=2.0 * one.acceleration * t[1])
+
+
+@given(trapezoids(), st.floats(1.0, 1.5))
+def test_it_takes_as_long_as_it_shall(way: Trapezoid, longer: float) -> None:
+    slower = way.lasting(longer * way.seconds)
+    assume(slower.cruise > max(way.v_s, way.v_e))
+    assert slower.seconds == pytest.approx(longer * way.seconds, rel=1e-9)
+
+
+def test_it_is_never_hurried() -> None:
+    way = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
+    assert way.lasting(0.5 * way.seconds) is way
