@@ -35,15 +35,18 @@ LONGEST = 1000  # samples of a stop that is one: likewise
 BEFORE = BESIDE + NEAREST + 2  # samples that a solution may look at before a stop
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
+AT_REST = Rests()  # lifts come to rest
 
 
-def rests(stops: str, strategy: str, corner: float = 0.0) -> Rests:
+def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
     """Standstill of the path around stops of that kind; a command that is the path needs none.
 
-    corner: mm/s at which the firmware takes the corner between a lift and motion.
+    passing: how lifts pass into motion.
     """
+    if strategy == "none":
+        return passing
     n = STOPS[stops]
-    return Rests(n, n, ASIDE, LONGEST, corner) if strategy != "none" else Rests(corner=corner)
+    return replace(passing, before=n, after=n, aside=ASIDE, long=LONGEST)
 
 
 def solvers(

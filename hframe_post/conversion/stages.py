@@ -12,7 +12,7 @@ from hframe_post.compensation.plausibility import reach, within_reach
 from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
-from hframe_post.firmware.registry import lift_corner
+from hframe_post.firmware.registry import passing
 from hframe_post.model.course import Compensator
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import ContourErrors
@@ -87,8 +87,8 @@ class Stages:
     def computed(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """The commands as they are computed, the first sample being 0; neither judged nor timed."""
         options, limits, times = self._options, self._printer.limits, self.times
-        stops, corner = self._printer.compensation.stops, lift_corner(self._printer)
-        waits = rests(stops, options.strategy, corner)
+        lifts = passing(self._printer, options.tolerance)
+        waits = rests(self._printer.compensation.stops, options.strategy, lifts)
         samples = times.of("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)
         commands = stand(times.of("compensate", commands), self._solvers)

@@ -25,7 +25,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.trapezoid import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
-from hframe_post.stream.types import ModalState
+from hframe_post.stream.types import ModalState, Rests
 
 SQUARE_CORNER_VELOCITY = 20.0  # mm/s; corners are the stream's business
 LATE = 2e-5  # s; what a segment is late by in spite of its feed rate, if more, is made up for
@@ -78,14 +78,16 @@ class StreamLimits:
         return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)
 
 
-def lift_corner(printer: Printer) -> float:
-    """The speed (mm/s) at which a lift passes from and into motion; 0 where it comes to rest.
+def passing(printer: Printer) -> Rests:
+    """How a lift passes from and into motion: no faster than a square corner of the user's."""
+    corner = StreamLimits.of(printer.limits, printer.motors, printer.kinematics).lift_corner
+    allowed = corner <= printer.limits.square_corner_velocity
+    return Rests(corner=corner if allowed else 0.0, labels=labels_object)
 
-    No more than a square corner of the user's may have.
-    """
-    limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-    corner = limits.lift_corner
-    return corner if corner <= printer.limits.square_corner_velocity else 0.0
+
+def labels_object(text: bytes) -> bool:
+    """Whether a line is an object's start or end: a cancelled one's moves are left out."""
+    return LABELS.match(text.lstrip()) is not None
 
 
 def speeds(
@@ -197,7 +199,7 @@ class Klipper:
 
     def labels_object(self, text: bytes) -> bool:
         """At an object's start and end: the moves of one that was cancelled are left out."""
-        return LABELS.match(text.lstrip()) is not None
+        return labels_object(text)
 
     def rejoin(self, at: Array, way: Array, T: float) -> Rejoined:
         """Klipper catches up in the first move that changes x or y, with all that it asks for.
@@ -249,6 +251,12 @@ class Klipper:
     ) -> Array:
         """Ramps and limits in mind."""
         return durations(np.diff(at, axis=0), v, rest, before, self.limits, after)
+
+    def lift_corner(self, at: Array, speed: float) -> float:
+        """At a right angle, of which a short lift can use only half of its way."""
+        lift = abs(float(at[1, Z] - at[0, Z]))
+        fits = math.sqrt(lift * self.limits.z_acceleration / 2.0)
+        return min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
 
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,

@@ -131,6 +131,10 @@ class Marlin:
         """None is made: what a stroke leaves, motion makes up for, and standstill is left out."""
         return None if beside is not Dwelling.MOTION else (b"", seconds)
 
+    def lift_corner(self, at: Array, speed: float) -> float:
+        """z comes to rest."""
+        return 0.0
+
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,

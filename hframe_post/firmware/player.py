@@ -119,6 +119,12 @@ class Player(Protocol):
     ) -> Array:
         """Time (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
 
+    def lift_corner(self, at: Array, speed: float) -> float:
+        """Greatest speed at which a lift passes from and into motion, mm/s; 0: at rest.
+
+        at (2, 4): from place to place, mm; speed: the user's.
+        """
+
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,

@@ -10,16 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hframe_post.firmware.klipper import Klipper
-from hframe_post.firmware.klipper import lift_corner as klippers_lift_corner
+from hframe_post.firmware.klipper import passing as klippers_passing
 from hframe_post.firmware.marlin import Marlin
 from hframe_post.firmware.player import Player
 from hframe_post.firmware.reprapfirmware import RepRapFirmware
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Rests
 
 
-def _comes_to_rest(_: Printer) -> float:
-    return 0.0
+def _comes_to_rest(_: Printer) -> Rests:
+    return Rests()
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +29,20 @@ class Firmware:
 
     player: builds what the writer asks, from a printer and the mm that decimation may miss a
     sample by (None keeps them all); decimates: whether that tolerance means anything to it.
-    lift_corner: mm/s at which z passes from motion into a lift and from it, on that printer.
+    passing: how lifts pass into motion on that printer.
     """
 
     name: str
     label: str
     player: Callable[[Printer, float | None], Player]
     decimates: bool = False
-    lift_corner: Callable[[Printer], float] = _comes_to_rest
+    passing: Callable[[Printer], Rests] = _comes_to_rest
 
 
 FIRMWARES = {
     each.name: each
     for each in (
-        Firmware("klipper", "Klipper", Klipper.of, True, klippers_lift_corner),
+        Firmware("klipper", "Klipper", Klipper.of, True, klippers_passing),
         Firmware("marlin", "Marlin", Marlin.of),
         Firmware("reprapfirmware", "RepRapFirmware", RepRapFirmware.of, decimates=True),
     )
@@ -59,6 +60,6 @@ def player(printer: Printer, tolerance: float | None) -> Player:
     return firmware(printer).player(printer, tolerance)
 
 
-def lift_corner(printer: Printer) -> float:
-    """The speed (mm/s) of z where a lift passes from and into motion in x and y; 0: at rest."""
-    return firmware(printer).lift_corner(printer)
+def passing(printer: Printer, tolerance: float | None) -> Rests:
+    """How lifts pass into motion: at rest where every sample is written, however short its way."""
+    return firmware(printer).passing(printer) if tolerance is not None else Rests()

@@ -102,6 +102,10 @@ class RepRapFirmware:
         """Relative filament is not summed up."""
         return b""
 
+    def lift_corner(self, at: Array, speed: float) -> float:
+        """z comes to rest."""
+        return 0.0
+
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,

@@ -10,7 +10,7 @@ takes the corner between them at a speed, z does not come to rest there.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,12 +38,13 @@ from hframe_post.stream.types import (
 
 SAMPLES_PER_CHUNK = 1 << 15
 ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
+SURELY_HAD = 0.05  # mm/s for √(mm/s²): no slower is the first segment, which is some 10 µm long
 
 
 def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
     """Samples of the whole stream. A chunk ends where the machine is released."""
     sampler = _Sampler(limits, rests)
-    for item, following in _with_following(planned):
+    for item, motion in _with_motion_after(planned, rests.labels):
         if isinstance(item, Plan):
             yield from sampler.run(item)
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY:
@@ -51,19 +52,24 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
         elif isinstance(item, Halt):
             yield from sampler.halt()
         else:
-            yield from sampler.pause(item, isinstance(following, Plan))
+            yield from sampler.pause(item, motion)
     yield from sampler.finish()
 
 
-def _with_following(planned: Iterable[Planned]) -> Iterator[tuple[Planned, Planned | None]]:
-    """Each item, and of a ``Standing`` the next one that is not carried along."""
-    held: list[Planned] = []  # a Standing, and the lines carried after it
+def _with_motion_after(
+    planned: Iterable[Planned], labels: Callable[[bytes], bool]
+) -> Iterator[tuple[Planned, Plan | None]]:
+    """Each item, and of a ``Standing`` the motion that it may pass into."""
+    held: list[Standing | Passthrough] = []  # a Standing, and the lines carried after it
     for item in planned:
         carried = isinstance(item, Passthrough) and item.handling is Handling.CARRY
         if held and not carried:
-            yield from ((each, item) for each in held)
+            lines = (each.text for each in held if isinstance(each, Passthrough))
+            free = not any(labels(text) for text in lines)
+            yield held[0], item if free and isinstance(item, Plan) else None
+            yield from ((each, None) for each in held[1:])
             held.clear()
-        if held or isinstance(item, Standing):
+        if isinstance(item, Standing) or (held and isinstance(item, Passthrough)):
             held.append(item)
         else:
             yield item, None
@@ -84,6 +90,8 @@ class _Sampler:
         self._last: Array | None = None  # x, y, z, e at the last sample
         self._pinned: float | None = None  # filament at a mark on the next sample
         self._line = 0
+        self._acceleration = 0.0  # of the last motion, mm/s²
+        self._labelled = False  # since motion last set out from rest
         self._events: list[Event] = []
         self._at_rest: list[bytes] = []  # lines at the end of motion: the command comes to rest
         self._held: list[Samples] = []
@@ -97,6 +105,7 @@ class _Sampler:
         if self._last is None:
             yield from self._stand(plan.points[0], 1)  # from where the motion starts
         if self._rested:
+            self._labelled = False
             aside = self._aside
             yield from self._rest(plan.points[0], self._rests.aside if aside else self._rests.after)
             self._rested = self._aside = False
@@ -108,6 +117,8 @@ class _Sampler:
             math.ceil(self._clock / TS - ON_TIME) if stops else math.floor(self._clock / TS)
         )
         marks, end = list(plan.marks), len(plan.line)
+        self._labelled |= any(self._rests.labels(mark.text) for mark in marks)
+        self._acceleration = float(plan.acceleration[-1])
         if stops:
             self._at_rest = [mark.text for mark in marks if mark.index == end]
             marks = [mark for mark in marks if mark.index < end]
@@ -167,20 +178,22 @@ class _Sampler:
 
     def mark(self, text: bytes) -> None:
         """A carried line at the present sample, or with those that wait for the command's rest."""
+        self._labelled |= self._rests.labels(text)
         if self._at_rest:
             self._at_rest.append(text)
         else:
             self._events.append(Mark(self._index, text))
 
     def pause(
-        self, action: Standing | Passthrough, motion_follows: bool = False
+        self, action: Standing | Passthrough, motion: Plan | None = None
     ) -> Iterator[Samples]:
-        """What the machine does while x and y stand still."""
+        """What the machine does while x and y stand still. motion: that it may pass into."""
         if self._last is None and isinstance(action, Standing):
             yield from self._stand(np.array(action.start), 1)
         if isinstance(action, Standing):
-            yield from self._standing(action, motion_follows)
+            yield from self._standing(action, motion)
             return
+        self._labelled |= self._rests.labels(action.text)
         released = action.handling is Handling.RELEASE
         n = math.ceil(action.seconds / TS - ON_TIME)
         yield from self._come_to_rest(released or n >= self._rests.long)
@@ -194,11 +207,13 @@ class _Sampler:
             yield from self.flush(ends_stretch=True)
             self._last = None
 
-    def _standing(self, move: Standing, motion_follows: bool) -> Iterator[Samples]:
+    def _standing(self, move: Standing, motion: Plan | None) -> Iterator[Samples]:
         """A retraction or a lift, which may pass from and into motion without rest."""
-        corner, aside = self._rests.corner, self._rested and self._aside
-        entry = 0.0 if self._rested else corner
-        leaving = corner if motion_follows and not aside else 0.0
+        entry = leaving = 0.0
+        if not self._rested:
+            entry = self._passing(self._acceleration)
+        if motion is not None and not self._labelled and not (self._rested and self._aside):
+            leaving = self._passing(float(motion.acceleration[0]))
         profile = StandingProfile.of(move, self._limits, entry, leaving)
         if long := profile.samples >= self._rests.long:
             profile = StandingProfile.of(move, self._limits)
@@ -210,6 +225,10 @@ class _Sampler:
         )
         yield from self._moved(move, profile)
         self._rested = leaving == 0.0
+
+    def _passing(self, acceleration: float) -> float:
+        """Speed of z, mm/s, at which a lift passes from or into motion with that acceleration."""
+        return min(self._rests.corner, SURELY_HAD * math.sqrt(acceleration))
 
     def halt(self) -> Iterator[Samples]:
         """The command comes to rest on the path."""

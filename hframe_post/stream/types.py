@@ -7,6 +7,7 @@ cut into pieces, and arrays are read-only once they have been yielded.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -126,13 +127,18 @@ class Halt:
 Planned = Plan | Standing | Passthrough | Halt
 
 
+def _no_line(_: bytes) -> bool:
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Rests:
     """Samples of standstill that the command gets before and after what happens at rest.
 
     aside: instead of both where it is ``long`` samples or longer, and at the ends of a stretch.
     corner: mm/s at which z passes from motion in x and y into a lift and the other way round, where
-    none of these is needed; 0: it comes to rest there.
+    none of these is needed; 0: it comes to rest there. labels: whether a carried line is one after
+    which the machine must set out from rest.
     """
 
     before: int = 0
@@ -140,6 +146,7 @@ class Rests:
     aside: int = 0
     long: int = 1 << 60
     corner: float = 0.0
+    labels: Callable[[bytes], bool] = _no_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +162,7 @@ class Pause:
     """From sample ``index`` on the machine does ``action`` for ``samples``, x and y still.
 
     exact: duration (s) that the machine takes; samples·TS is the next millisecond. entry, leaving:
-    speeds of z (mm/s) where motion in x and y comes directly before and after.
+    speeds of z (mm/s) that are surely had where motion in x and y comes directly before and after.
     """
 
     index: int

@@ -18,7 +18,8 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.plausibility import check_model, reach
 from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import JUDGED_EVERY
-from hframe_post.firmware.registry import lift_corner
+from hframe_post.conversion.options import TOLERANCE
+from hframe_post.firmware.registry import passing
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.course import Compensator
@@ -104,7 +105,7 @@ def tune(
         except ValueError as error:
             trial.refused = str(error)
     items = read(lines, reading or ReadOptions.of(printer))
-    waits = rests(printer.compensation.stops, "racking", lift_corner(printer))
+    waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
     samples = sample(plan(items, printer.limits), printer.limits, waits)
     running = [
         _tried(trial, compensator, branch, printer, drawn)

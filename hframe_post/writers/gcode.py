@@ -14,8 +14,9 @@ time, ``ledger`` counts; here is where the machine stands, and the order in whic
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class GcodeWriter:
                     yield from self._carried(event.index)
             elif isinstance(event, Pause):
                 yield from self._take(points[done:at], chunk.first + done)
-                yield from self._stop(event.entry)
+                yield from self._stop(self._machine.passing(event))
                 yield from self._machine.pause(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
@@ -152,6 +153,8 @@ class _Machine:
         self._inside = at is not None  # the stream's limits and modes are in force
         self._offset = offset  # of G92, while the machine is released
         self._after = b""  # a line that takes back what a retraction or lift has changed
+        self._lift: Callable[[int], bytes] | None = None  # by its F, until motion goes on from it
+        self._after_lift: list[Output] = []  # what is carried between
 
     def go_on(self) -> Iterator[Output]:
         """Where another stream ended, counting of filament begins anew."""
@@ -186,8 +189,11 @@ class _Machine:
             made = yield from self._rejoined(made)
             e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
             check_filament(batch, made.ends, e)
+            at = np.vstack([self._at, made.at])
             passes = passing and not self._still
-            rows, ends = self._rows(made, batch.last and not passes, passing or math.inf)
+            feeds = self._feeds(at, made, batch.last and not passes, passing or math.inf)
+            yield from self._leave(feeds[0] / self._units.per_feed if not made.dwell[0] else 0.0)
+            rows, ends = self._rows(at, feeds)
             self._ledger.moved(batch.first + made.ends, int(made.at[-1, E] - self._at[E]))
             self._at = made.at[-1]
             yield from self._interleaved(rows, ends, made, batch)
@@ -195,6 +201,7 @@ class _Machine:
             for mark in batch.marks:
                 yield from self.carry(mark)
         if batch.last and self._still:
+            yield from self._leave(0.0)
             yield from self._dwell(self._still)
             self._still = 0
             self._pace.stop()
@@ -223,14 +230,13 @@ class _Machine:
         T[0] -= rejoined.seconds
         return replace(made, T=T)
 
-    def _rows(self, made: Segments, last: bool, after: float) -> tuple[bytes, Integers]:
-        """G1 lines of the segments, and where each ends in their text.
-
-        last: whether the machine stands after them; after: greatest speed there.
-        """
-        at = np.vstack([self._at, made.at])  # type: ignore[list-item]
+    def _feeds(self, at: Integers, made: Segments, last: bool, after: float) -> Integers:
+        """F of the segments. last: whether the machine stands after them; after: speed there."""
         rest: Flags = np.append(made.dwell > 0, last)
-        feeds = self._pace.feeds(at / self._units.per_mm, made.T, rest, after)
+        return self._pace.feeds(at / self._units.per_mm, made.T, rest, after)
+
+    def _rows(self, at: Integers, feeds: Integers) -> tuple[bytes, Integers]:
+        """G1 lines from place to place, at (k + 1, 4), and where each ends in their text."""
         shown = np.diff(at, axis=0) != 0
         shown[0, :Z] |= self._feed == 0  # after the machine was released: both, to be plain
         faster = np.diff(feeds, prepend=self._feed) != 0
@@ -257,10 +263,14 @@ class _Machine:
 
     def carry(self, mark: Mark) -> Iterator[Output]:
         """A line of the file, in mid-motion; modes of the stream stay."""
-        yield carried(mark.text, mark.index * TS)
+        outputs: list[Output] = [carried(mark.text, mark.index * TS)]
         self._may_be_elsewhere |= self._player.labels_object(mark.text)
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
-            yield self._player.modes_after(coded.name)
+            outputs.append(self._player.modes_after(coded.name))
+        if self._lift is None:
+            yield from outputs
+        else:
+            self._after_lift += outputs
 
     # ------------------------------------------------------------------ at standstill
 
@@ -268,8 +278,16 @@ class _Machine:
         """The machine stands."""
         self._pace.stop()
 
+    def passing(self, pause: Pause) -> float:
+        """Speed at which motion passes into it, mm/s; 0: from rest."""
+        if not pause.entry or not isinstance(pause.action, Standing):
+            return 0.0
+        places = np.array([pause.action.start, pause.action.end])
+        return self._player.lift_corner(places, pause.action.speed)
+
     def pause(self, pause: Pause) -> Iterator[Output]:
         """What is done at rest."""
+        yield from self._leave(0.0)
         action = pause.action
         if isinstance(action, Standing):
             yield from self._standing(pause, action)
@@ -291,18 +309,29 @@ class _Machine:
         assert self._at is not None
         end = np.concatenate([self._at[:Z], self._units.rounded(np.array(move.end))[Z:]])
         places = np.stack([self._at, end]) / self._units.per_mm
-        stops = not pause.leaving or self._may_be_elsewhere  # to be led back, from rest
-        stroke = self._pace.stroke(places, pause, move.speed, stops)
+        stroke = self._pace.stroke(places, pause, move.speed)
         if stroke.after and not self._after:
             yield stroke.before
             self._after = stroke.after
         self._ledger.moved(np.array([pause.index]), int(end[E] - self._at[E]))
-        self._feed = round(stroke.speed * self._units.per_feed)
-        if line := standing_line(self._at, end, self._feed, self._units):
-            yield line
+        line = partial(standing_line, self._at, end, units=self._units)
         self._at = end
-        if stops:
-            yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
+        if pause.leaving:
+            self._lift = line
+            return
+        self._feed = round(stroke.speed * self._units.per_feed)
+        yield line(self._feed)
+        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
+
+    def _leave(self, speed: float) -> Iterator[Output]:
+        """A lift passes into motion at that speed, which decides how fast it was to be."""
+        if self._lift is None:
+            return
+        line, self._lift = self._lift, None
+        self._feed = round(self._pace.leave(speed).speed * self._units.per_feed)
+        yield line(self._feed)
+        yield from self._after_lift
+        self._after_lift = []
 
     def _release(self, action: Passthrough) -> Iterator[Output]:
         """The machine is the user's again, limits, modes and all."""

@@ -23,7 +23,8 @@ class Pace:
     def __init__(self, player: Player, per_feed: float) -> None:
         self._player, self._per_feed = player, per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
-        self._passing: Callable[[float], Stroke] | None = None  # the last, by the speed it leaves
+        # a lift by the speed that it leaves, and what was believed of it
+        self._leaving: tuple[Callable[[float], Stroke], Stroke] | None = None
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
 
@@ -44,7 +45,6 @@ class Pace:
         feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         v = feeds / self._per_feed
         taken = self._player.durations(at, v, rest, self._before, after)
-        self._pass_into(float(v[0]))
         late = taken - T
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
             late[0], self._fresh = 0.0, False
@@ -65,28 +65,31 @@ class Pace:
         """The machine stands."""
         self._before = 0.0
 
-    def stroke(self, at: Array, pause: Pause, speed: float, stops: bool) -> Stroke:
+    def stroke(self, at: Array, pause: Pause, speed: float) -> Stroke:
         """The retraction or lift of a pause between places at (2, 4), mm, at the user's speed.
 
-        stops: whether the machine stands after it, whatever was planned.
+        One that passes into motion is told again by ``leave``.
         """
-        planned, entry = pause.samples * TS, min(pause.entry, self._before)
+        planned, entry = pause.samples * TS, self._before if pause.entry else 0.0
         wanted = planned - self.lag
+        corner = self._player.lift_corner(at, speed) if pause.leaving else 0.0
 
-        def leaving(exit_speed: float) -> Stroke:
-            return self._player.stroke(at, speed, pause.exact, wanted, entry, exit_speed)
+        def leaving(v: float) -> Stroke:
+            return self._player.stroke(at, speed, pause.exact, wanted, entry, v)
 
-        stroke = leaving(0.0 if stops else pause.leaving)
-        self._passing = leaving if pause.leaving and not stops else None
+        stroke = leaving(corner)
+        self._leaving = (leaving, stroke) if pause.leaving else None
         self.lag += stroke.seconds - planned
         self._before = stroke.left
         return stroke
 
-    def _pass_into(self, speed: float) -> None:
-        """Motion at that speed follows a lift, which may have to leave slower for its sake."""
-        if self._passing is not None and speed < self._before:
-            self.lag += self._passing(speed).seconds - self._passing(self._before).seconds
-        self._passing = None
+    def leave(self, speed: float) -> Stroke:
+        """The last lift, which passes into motion at ``speed``, or slower."""
+        assert self._leaving is not None
+        (leaving, believed), self._leaving = self._leaving, None
+        stroke = leaving(speed) if speed < believed.left else believed
+        self.lag += stroke.seconds - believed.seconds
+        return stroke
 
     def dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> bytes:
         """Standstill for so long, less what the machine is late; empty where none is made."""

@@ -311,7 +311,8 @@ def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() ->
 # ---------------------------------------------------------------------- lifts
 
 LIFT = Standing(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
-PASSING = replace(RESTS, corner=2.0)
+LABEL = b"; printing object a"
+PASSING = replace(RESTS, corner=2.0, labels=LABEL.__eq__)
 
 
 def lift_of(items: Iterable[Item], rests: Rests = PASSING) -> tuple[Pause, Array, list[object]]:
@@ -342,6 +343,9 @@ def test_a_lift_passes_from_motion_and_into_it() -> None:
         ([there(), LIFT, DWELL, there(50.0)], 2.0, 0.0),
         ([there(), DWELL, LIFT, YIELD, there(50.0)], 0.0, 0.0),
         ([LIFT, there(50.0)], 0.0, 0.0),  # a stretch begins, for which the command settles
+        ([there(), carried(LABEL), LIFT, there(50.0)], 2.0, 0.0),
+        ([there(), LIFT, carried(LABEL), there(50.0)], 2.0, 0.0),
+        ([there(), carried(LABEL), RETRACT, there(50.0), LIFT, there(50.0)], 2.0, 2.0),
     ],
 )
 def test_it_comes_to_rest_where_anything_else_is_next_to_it(
@@ -361,6 +365,13 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
         if isinstance(e, Pause)
     )
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
+
+
+def test_a_lift_beside_slow_motion_passes_no_faster_than_that_sets_out() -> None:
+    slow = replace(there(50.0), acceleration=np.full(1, 400.0))
+    lift, _, _ = lift_of([there(), LIFT, slow])
+    assert lift.entry == PASSING.corner
+    assert lift.leaving == pytest.approx(1.0)
 
 
 def test_a_short_lift_passes_no_faster_than_it_can() -> None:
