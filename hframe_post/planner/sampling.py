@@ -38,7 +38,8 @@ from hframe_post.stream.types import (
 
 SAMPLES_PER_CHUNK = 1 << 15
 ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
-SURELY_HAD = 0.05  # mm/s for √(mm/s²): no slower is the first segment, which is some 10 µm long
+SURELY_HAD = 0.05  # mm/s for √(mm/s²): hardly slower is a first segment, which is some 10 µm long
+SPARED = 0.8  # share of a corner's speed that is counted on
 
 
 def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
@@ -228,7 +229,7 @@ class _Sampler:
 
     def _passing(self, acceleration: float) -> float:
         """Speed of z, mm/s, at which a lift passes from or into motion with that acceleration."""
-        return min(self._rests.corner, SURELY_HAD * math.sqrt(acceleration))
+        return min(SPARED * self._rests.corner, SURELY_HAD * math.sqrt(acceleration))
 
     def halt(self) -> Iterator[Samples]:
         """The command comes to rest on the path."""

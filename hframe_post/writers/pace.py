@@ -10,7 +10,7 @@ from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.firmware.player import Dwelling, Player, Stroke
 from hframe_post.stream.types import Pause
 
-CATCH_UP = 0.01  # share of a batch's time by which it may be hurried or delayed
+CATCH_UP = 0.01  # share of its time by which a segment is hurried or delayed
 
 
 class Pace:
@@ -40,7 +40,8 @@ class Pace:
         rest = rest.copy()
         rest[0] |= self.stands
         T = self._player.possible_times(at, T, self._before)
-        hurried = T * (1.0 - np.clip(self.lag / T.sum(), -CATCH_UP, CATCH_UP))
+        made_up = np.minimum(CATCH_UP * np.cumsum(T), abs(self.lag))
+        hurried = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
         v = self._player.feed_rates(at, hurried, rest, self._before, after)
         feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         v = feeds / self._per_feed
