@@ -22,7 +22,8 @@ symbol          meaning
 ==============  =============================================================================
 
 The plant is linear, θ's lever arm is that of the path (Remark 2.1 of the paper), and the nearest
-point is sought twice: with the nozzle where it should be, then with where it came to be. Belts
+point is sought twice: with the nozzle where it should be, then with where it came to be. Where
+it is still far from what it prints, those samples weigh more, and the least peak is taken. Belts
 that would be driven too hard get more weight in D, row by row, until they are not, and a command
 that would leave the bed is pulled back likewise.
 """
@@ -38,7 +39,16 @@ from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
 from hframe_post.model.stop_filters import Filters, State, judged
-from hframe_post.model.stop_judged import BESIDE, BEYOND, Nozzle, Rows, Stop, Surroundings, sampled
+from hframe_post.model.stop_judged import (
+    BESIDE,
+    BEYOND,
+    FAR,
+    Nozzle,
+    Rows,
+    Stop,
+    Surroundings,
+    sampled,
+)
 from hframe_post.model.stop_response import Response
 
 GROWTH = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4, 5, 6, 8, 10, 12, 14, 19)  # knots, from the stop on
@@ -48,8 +58,10 @@ EFFORT_SHARE = 0.1  # of the effort elsewhere: a stop is short and asks for more
 LEAST_EFFORT = 1e-3
 WITHIN = 0.8  # share of the belts' acceleration that is used: firmware needs some to be in time
 BARELY = 0.97 / WITHIN  # times that: what is used where nothing else traces the path
+MORE_COSTS = 0.2  # mm² for the whole of WITHIN once more, beside the squares of deviations
 AT_HOLD = 0.5  # share of that next to the hold, where the firmware stops within one segment
 SEARCHES, TRIALS = 2, 10  # of the nearest points; of the weights of D
+EMPHASES = 3  # more searches, where the nozzle is FAR from a path on which filament is laid
 MOST_MORE = 5.0  # times, in one trial
 STEP = 0.7  # share of a limit from which on a row of D gets more weight
 EASY, LESS = 0.4, 0.5  # share below which it gets less again, times that
@@ -95,12 +107,21 @@ class StopSolver:
         nozzle = self._nozzle(around, command, z, stop, splines.columns)
         known = _sequence(command, stop)
         pressure = _Pressure.none(known, self._bed - around.origin[:, None])
-        p = np.zeros(2 * len(splines.columns))
-        for search in range(SEARCHES):
+        p = best = np.zeros(2 * len(splines.columns))
+        least = np.inf
+        for search in range(SEARCHES + EMPHASES):
             foot, t = rows.nearest(nozzle.at(p)) if search else (rows.path, rows.direction)
             H, g = nozzle.normal_equations(rows, foot, t)
             p, pressure = self._within_limits(H, g, splines, known, pressure)
-        return self._changed(command, stop, splines.columns, p)
+            if search < SEARCHES - 1:
+                continue
+            off = rows.off(nozzle.at(p))
+            if (farthest := float(off.max(initial=0.0))) < least:
+                best, least = p, farthest
+            if least <= FAR:
+                break
+            rows = rows.emphasised(off)
+        return self._changed(command, stop, splines.columns, best)
 
     def _splines_of(self, before: int, after: int, held: bool, seen: int) -> _Splines:
         """Those that a stop may use which changes so many samples; the hold is as long as seen."""
@@ -140,7 +161,7 @@ class StopSolver:
         k = by_p.shape[1]
         limit = np.full(len(D), self._limit)
         limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
-        best, least = np.zeros(2 * k), (np.inf, np.inf)
+        best, kept, least = np.zeros(2 * k), pressure, (np.inf, np.inf)
         for _ in range(TRIALS):
             full, right = H.copy(), g.copy()
             weighted = pressure.effort[:, None] * D
@@ -160,13 +181,13 @@ class StopSolver:
             place = known + by_p @ added
             beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
             excess = max(float(share.max()), 1.0) + float(beyond.max())
-            cost = float(p @ (0.5 * (H @ p) + g))
+            cost = float(p @ (0.5 * (H @ p) + g)) + MORE_COSTS * (excess - 1.0)
             if (known_as := (max(excess, BARELY), cost)) < least:
-                best, least = p, known_as
+                best, kept, least = p, pressure, known_as
             if excess <= 1.0:
                 break
             pressure = pressure.raised(share, beyond, place)
-        return best, pressure
+        return best, kept
 
     def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
         """The command with what p adds."""

@@ -5,7 +5,7 @@ Symbols and weights are those of ``model.stop``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ TRAVELLING = 0.03  # weight of a sample that does not extrude; of one that does:
 STANDING = 0.04  # weight of a sample of the hold, of which every STRIDE-th counts
 ARRIVING = 1.0  # weight of the hold's last sample where an extrusion begins there
 ALONG = 0.01  # weight of a deviation along the path; of one across: 1
+FAR = 0.05  # mm off the path, from which on a sample that extrudes weighs more
+EMPHASIS, MOST_EMPHASIS = 1.5, 10.0  # times, for one that is FAR, growing with the square; at most
 SOON = 25  # samples after a hold in which an extrusion begins there
 
 
@@ -120,13 +122,14 @@ class Nozzle:
 class Rows:
     """What is judged: path, direction (m, 2), weight (m,) of samples around the hold.
 
-    candidates (m, 2·NEAREST + 1, 2): the path around each; hold (2,): where the path stands;
-    holding: weights of the rows in the hold.
+    laid (m,): where filament is; candidates (m, 2·NEAREST + 1, 2): the path around each; hold
+    (2,): where the path stands; holding: weights of the rows in the hold.
     """
 
     path: Array
     direction: Array
     weight: Array
+    laid: Flags
     candidates: Array
     hold: Array
     holding: Array
@@ -146,9 +149,20 @@ class Rows:
         if around.extruding[b : b + SOON].any():
             holding[-1:] = ARRIVING
         return cls(
-            around.path[index], _unit(ahead, np.array([1.0, 0.0])), weight, candidates,
-            around.path[a], holding,
+            around.path[index], _unit(ahead, np.array([1.0, 0.0])), weight,
+            around.extruding[index] & (weight > 0.0), candidates, around.path[a], holding,
         )  # fmt: skip
+
+    def off(self, at: Array) -> Array:
+        """How far the nozzle's places are from the path, (m,), mm; 0 where no filament is laid."""
+        foot, _ = self.nearest(at)
+        off = at[: len(foot)] - foot
+        return np.where(self.laid, np.hypot(off[:, X], off[:, Y]), 0.0)
+
+    def emphasised(self, off: Array) -> Rows:
+        """The same with more weight where the nozzle is FAR ``off`` (m,)."""
+        more = np.minimum(EMPHASIS * np.square(off / FAR), MOST_EMPHASIS)
+        return replace(self, weight=self.weight * np.where(off > FAR, more, 1.0))
 
     def nearest(self, at: Array) -> tuple[Array, Array]:
         """The path's nearest points to the nozzle's places, and its directions there, (m, 2)."""

@@ -183,6 +183,25 @@ def test_exact_stops_are_more_exact_and_take_longer(paper: Printer) -> None:
     assert rms[1] < 0.9 * rms[0]
 
 
+def test_no_peak_beside_a_short_travel_nor_at_a_corner_just_after_a_stop(paper: Printer) -> None:
+    """29 ms of travel between two stops, which motors can just do; a zigzag of half a millimetre."""
+    fast = replace(paper.limits, acceleration=20_000.0, square_corner_velocity=20.0)
+    stroke = ["G1 E-1.6 F2400", "G1 Z0.7 F1200", "G0 X{} Y{} F12000", "G1 Z0.3", "G1 E1.6 F2400"]
+    short = [*HEAD, "G0 X52.439 Y36.557 F12000", "G1 X55.763 Y22.892 E0.56 F6000"]
+    short += [line.format(54.007, 20.0) for line in stroke]
+    short += ["G1 X34.864 Y20 E0.77 F6000", *(line.format(74.536, 29.633) for line in stroke)]
+    zigzag = [*HEAD, "G0 X102.819 Y104.221 F9000", "G1 Z0.4 F600"]
+    zigzag += [line.format(98.679, 106.525) for line in stroke]
+    x = [97.992, 98.104, 97.55, 97.9, 97.553, 97.886, 97.956, 97.797]
+    y = [106.772, 107.313, 108.368, 108.761, 111.653, 112.176, 112.654, 113.224]
+    zigzag += [f"G1 X{a} Y{b} E0.02 F3600" for a, b in zip(x, y, strict=True)]
+    for lines, limits in ((short, fast), (zigzag, paper.limits)):
+        printer = replace(paper, limits=limits)
+        blocks = stood(planned(lines, printer), printer)
+        assert errors(blocks, printer).max() < 0.130
+        assert max(hardest(b.commands["racking"], printer) for b in blocks if len(b) > 2) <= 50_000
+
+
 def test_the_bed_is_kept_to_at_its_edge(paper: Printer) -> None:
     lines = [*HEAD, "G1 X0 Y60 F18000", "G1 E-1 F2400", "G1 X140 F18000", "G1 Y295", "G4 P50"]
     lines += ["G1 Y60"]
