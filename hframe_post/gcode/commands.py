@@ -16,6 +16,7 @@ from hframe_post.stream.types import Handling
 STAMP = b"; processed by hframe-post"
 
 Words = dict[str, float]  # letter → number of a command's words
+Accelerations = tuple[float, float]  # of moves that extrude and of those that do not, mm/s²
 
 MOTION_WORDS = {
     "G0": "XYZEF",
@@ -122,8 +123,8 @@ class Dialect:
     speed factor and M220 R brings it back. zero_feed: whether F0 means nothing, instead of
     being an error. splines: whether it plays G5. cr_ends_lines: whether a carriage return ends
     a line, in a comment too. g92_resets: whether G92 without words makes all coordinates 0,
-    instead of nothing. path_acceleration: what M204 asks for (mm/s²), given its words
-    and what held before. dwell: seconds that G4 waits, given its words. rejoins: whether
+    instead of nothing. path_acceleration: what M204 asks for, given its words and what held
+    before. dwell: seconds that G4 waits, given its words. rejoins: whether
     after an object that it has left out it can be led to where the stream is.
     """
 
@@ -134,25 +135,26 @@ class Dialect:
     zero_feed: bool
     splines: bool
     cr_ends_lines: bool
-    path_acceleration: Callable[[Words, float], float]
+    path_acceleration: Callable[[Words, Accelerations], Accelerations]
     dwell: Callable[[Words], float]
     rejoins: bool = False
     e_on_its_own: bool = False
     g92_resets: bool = False
 
 
-def _klipper_acceleration(words: Words, before: float) -> float:
-    """S, or the lower of P and T where both are given."""
+def _klipper_acceleration(words: Words, before: Accelerations) -> Accelerations:
+    """S, or the lower of P and T where both are given; for every move."""
     if "S" in words:
-        return words["S"]
-    return min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before
+        return words["S"], words["S"]
+    both = min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before[0]
+    return both, both
 
 
-def _marlin_acceleration(words: Words, before: float) -> float:
-    """S, else the lower of P (printing) and T (travel)."""
+def _marlin_acceleration(words: Words, before: Accelerations) -> Accelerations:
+    """P of printing, T of travel; S of both."""
     if "S" in words:
-        return words["S"]
-    return min((words[letter] for letter in "PT" if letter in words), default=before)
+        return words["S"], words["S"]
+    return words.get("P", before[0]), words.get("T", before[1])
 
 
 def _klipper_dwell(words: Words) -> float:

@@ -23,6 +23,7 @@ from hframe_post.stream.types import (
 MOVES_PER_ITEM = 4096
 LONGEST_MOVE = 4 * 3600.0  # s; a move that takes longer is a mistake, and would never end
 CARRIED_AT_ONCE = 1 << 21  # bytes of lines between two moves that are carried without a stop
+ACCELERATION = 6  # column of gathered moves
 PER_LINE = 200  # bytes that a carried line takes beside its text
 
 
@@ -57,7 +58,9 @@ class Gathering:
         """A move in which x or y travels joins the gathered ones, under the present limits."""
         self._begin(start)
         self._count += 1
-        self._rows.append((number, *end, speed, self._limits.acceleration, self._limits.corner))
+        limits = self._limits
+        acceleration = limits.acceleration if end[E] != start[E] else limits.travel
+        self._rows.append((number, *end, speed, acceleration, limits.corner))
         if not self.room:
             self.flush()
 
@@ -68,6 +71,8 @@ class Gathering:
         """
         self._begin(start)
         self._tabulate()
+        if (travel := self._limits.travel) != self._limits.acceleration:
+            moves[np.diff(moves[:, 1 + E], prepend=start[E]) == 0.0, ACCELERATION] = travel
         self._count += len(moves)
         self._tables.append(moves)
         if not self.room:

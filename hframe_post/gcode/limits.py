@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from hframe_post.gcode.commands import Dialect, Words
 from hframe_post.gcode.lexer import Line
@@ -14,11 +15,14 @@ LEAST_ACCELERATION = 1.0  # mm/s²
 
 
 class RequestedLimits:
-    """Path acceleration, square-corner velocity and axis limits; inf where none was requested."""
+    """Path acceleration, square-corner velocity and axis limits; inf where none was requested.
+
+    acceleration: of moves that extrude; travel: of those that do not.
+    """
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect
-        self.acceleration = self.corner = math.inf
+        self.acceleration = self.travel = self.corner = math.inf
         self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 
     def take(self, line: Line, name: str, words: Words) -> None:
@@ -33,19 +37,22 @@ class RequestedLimits:
                 raise line.error(f"{word} must be at least {least:g}")
         velocity, acceleration = self.axes.velocity, self.axes.acceleration
         if name == "M204":
-            self.acceleration = self._dialect.path_acceleration(words, self.acceleration)
+            before = self.acceleration, self.travel
+            self.acceleration, self.travel = self._dialect.path_acceleration(words, before)
+            if "S" in words or "T" in words:
+                self.axes = replace(self.axes, travel=words.get("T", math.inf))
         elif name == "M205":
             corner = [words[letter] for letter in "XY" if letter in words]
             self.corner = min(corner, default=self.corner)
         elif name == "M201":
             x, y, z, e = (words.get(a, v) for a, v in zip("XYZE", acceleration, strict=True))
-            self.axes = FileLimits(velocity, (x, y, z, e))
+            self.axes = replace(self.axes, acceleration=(x, y, z, e))
         elif name == "M203":
             x, y, z, e = (words.get(a, v) for a, v in zip("XYZE", velocity, strict=True))
-            self.axes = FileLimits((x, y, z, e), acceleration)
+            self.axes = replace(self.axes, velocity=(x, y, z, e))
         else:
-            self.acceleration = words.get("ACCEL", self.acceleration)
+            self.acceleration = self.travel = words.get("ACCEL", self.acceleration)
             self.corner = words.get("SQUARE_CORNER_VELOCITY", self.corner)
             v = words.get("VELOCITY")
             if v is not None:
-                self.axes = FileLimits((v, v, *velocity[2:]), acceleration)
+                self.axes = replace(self.axes, velocity=(v, v, *velocity[2:]))

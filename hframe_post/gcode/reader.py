@@ -270,8 +270,8 @@ class _Reader:
         """M201, M203, M204, M205 or SET_VELOCITY_LIMIT."""
         obeyed = self._options.limits
         if obeyed == "file-all" or (obeyed == "file" and name in self._dialect.obeyed):
-            if name in ("M201", "M203") or "VELOCITY" in words:
-                self.items.flush()  # axis limits hold for all moves of an item
+            if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
+                self.items.flush()  # these limits hold for all moves of an item
             self._limits.take(line, name, words)
 
     def _dwell(self, line: Line, coded: Command) -> None:

@@ -25,6 +25,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z
 from hframe_post.model import cornering
+from hframe_post.planner.travel import with_own_travel
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
@@ -45,7 +46,7 @@ Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps insi
 def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
     """Settles the speeds of a stream of items. What must happen at rest follows a stop."""
     queue = _Queue(limits)
-    for item in items:
+    for item in with_own_travel(items, limits):
         if isinstance(item, Moves):
             queue.append(item)
             while (ready := queue.settled()) is not None:
@@ -161,8 +162,10 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
     delta = np.diff(moves.points, axis=0)
     length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
     share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
-    cruise = np.minimum(moves.speed, limits.velocity)
-    acceleration = np.minimum(moves.acceleration, limits.acceleration)
+    travels = delta[:, E] == 0.0
+    cruise = np.minimum(moves.speed, np.where(travels, limits.fastest, limits.velocity))
+    most = np.where(travels, limits.hardest, limits.acceleration)
+    acceleration = np.minimum(moves.acceleration, most)
     retracting = np.where(delta[:, E] < 0.0, share[:, E], 0.0)
     extruding = share[:, E] - retracting
     with np.errstate(divide="ignore"):

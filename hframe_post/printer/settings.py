@@ -35,7 +35,8 @@ class Travel:
 class Limits:
     """What the planner may ask of the path; mm, s. See the shipped profile for each.
 
-    flow (mm³/s) and min_layer_time bound only what is made faster than the file has it.
+    flow (mm³/s) and min_layer_time bound only what is made faster than the file has it. Where
+    travel_velocity and travel_acceleration are not 0, travel has them, whatever the file asks.
     Raises ValueError where full speed would take more than LONGEST_RAMP.
     """
 
@@ -52,15 +53,28 @@ class Limits:
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
     min_layer_time: float = not_negative(5.0, most=600.0)
+    travel_velocity: float = not_negative(0.0, most=1e4)
+    travel_acceleration: float = not_negative(0.0, most=1e6)
 
     @property
     def filament_velocity(self) -> float:
         """mm of filament a second that the hot end can melt: from ``flow``, mm³/s."""
         return self.flow / (math.pi / 4.0 * self.filament_diameter**2)
 
+    @property
+    def fastest(self) -> float:
+        """Greatest speed of travel, mm/s."""
+        return self.travel_velocity or self.velocity
+
+    @property
+    def hardest(self) -> float:
+        """Greatest acceleration of travel, mm/s²."""
+        return self.travel_acceleration or self.acceleration
+
     def __post_init__(self) -> None:
         ramps = {
             "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
+            "travel_acceleration": self.fastest / self.hardest + self.hardest / self.jerk,
             "z_acceleration": self.z_velocity / self.z_acceleration,
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }

@@ -7,6 +7,7 @@ cut into pieces, and arrays are read-only once they have been yielded.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -26,10 +27,14 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class FileLimits:
-    """Axis limits that the file asked for (M201, M203): (x, y, z, e), mm/s and mm/s²."""
+    """Axis limits that the file asked for (M201, M203): (x, y, z, e), mm/s and mm/s².
+
+    travel: acceleration (mm/s²) that it asked for in travel alone (M204 T), whatever obeys it.
+    """
 
     velocity: Position
     acceleration: Position
+    travel: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

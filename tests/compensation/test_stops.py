@@ -184,7 +184,7 @@ def test_exact_stops_are_more_exact_and_take_longer(paper: Printer) -> None:
 
 
 def test_no_peak_beside_a_short_travel_nor_at_a_corner_just_after_a_stop(paper: Printer) -> None:
-    """29 ms of travel between two stops, which motors can just do; a zigzag of half a millimetre."""
+    """29 ms of travel between two stops, which motors can just do; a zigzag of 0.5 mm."""
     fast = replace(paper.limits, acceleration=20_000.0, square_corner_velocity=20.0)
     stroke = ["G1 E-1.6 F2400", "G1 Z0.7 F1200", "G0 X{} Y{} F12000", "G1 Z0.3", "G1 E1.6 F2400"]
     short = [*HEAD, "G0 X52.439 Y36.557 F12000", "G1 X55.763 Y22.892 E0.56 F6000"]
