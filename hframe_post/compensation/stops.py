@@ -139,8 +139,8 @@ class _Course:
 
     def _extend(self, xyze: Array, commands: dict[str, Array]) -> None:
         path, e = xyze[:, :Z] - self._origin, xyze[:, E]
-        before = np.concatenate([self._path[-1:], path])
-        moving = (np.diff(before, axis=0) != 0.0).any(axis=1)
+        x, y = np.concatenate([self._path[-1:], path]).T
+        moving = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
         extruding = moving & (np.diff(e, prepend=self._e) > 0.0)
         self._e = e[-1:] if len(e) else self._e
         self._path = np.concatenate([self._path, path])

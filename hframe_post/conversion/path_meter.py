@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags
+from hframe_post.arrays import Array, E, Flags, lengths
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Item, Moves, Passthrough
 
@@ -166,7 +166,7 @@ class PathMeter:
     def _travel(self, moves: Moves) -> None:
         limits, summary = self._limits, self.summary
         delta = np.diff(moves.points, axis=0)
-        path = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+        path = lengths(delta[:, :E])
         summary.path += float(path.sum())
         summary.filament += float(np.maximum(delta[:, E], 0.0).sum())
         share = np.abs(delta[:, :E]) / path[:, None]

@@ -13,6 +13,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
+from hframe_post.compensation.stops import solvers
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.spans import Span
 from hframe_post.conversion.stages import SpanSummary, Stages
@@ -35,20 +36,19 @@ class WrittenSpan:
     written: GcodeSummary = field(default_factory=lambda: GcodeSummary(0, 0, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
 class SpanWriter:
     """All that is needed to write any span of a print."""
 
-    printer: Printer
-    options: Options
-    compensator: Compensator
+    def __init__(self, printer: Printer, options: Options, compensator: Compensator) -> None:
+        self.made_of = printer, options, compensator
+        self._at_stops = solvers(compensator, options.strategies, printer)
 
     def streamed(self, span: Span, threads: bool) -> WrittenSpan:
         """The span as it is computed, by threads or without."""
-        options = self.options
-        stages = Stages(self.printer, options, self.compensator, options.strategies)
+        printer, options, compensator = self.made_of
+        stages = Stages(printer, options, compensator, options.strategies, self._at_stops)
         begun = span.beginning
-        firmware = player(self.printer, options.tolerance)
+        firmware = player(printer, options.tolerance)
         writer = GcodeWriter(options.strategy, firmware, place=begun.place, offset=begun.offset)
         result = WrittenSpan(())
 
@@ -154,15 +154,15 @@ def _pool(writer: SpanWriter, jobs: int) -> ProcessPoolExecutor:
     """Processes that are copies of this one where that is safe, which begin at once."""
     method = "fork" if sys.platform == "linux" else "spawn"
     context = multiprocessing.get_context(method)
-    return ProcessPoolExecutor(jobs, context, _begin, (writer,))
+    return ProcessPoolExecutor(jobs, context, _begin, writer.made_of)
 
 
-def _begin(writer: SpanWriter) -> None:
+def _begin(printer: Printer, options: Options, compensator: Compensator) -> None:
     """Interrupts are the parent's business, and without it there is none."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _writer[:] = [writer]
+    _writer[:] = [SpanWriter(printer, options, compensator)]
 
 
 def _end_with_parent() -> None:

@@ -14,6 +14,7 @@ from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import passing
 from hframe_post.model.course import Compensator
+from hframe_post.model.stop import StopSolver
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
@@ -66,7 +67,8 @@ class SpanSummary:
 class Stages:
     """Safe commands for the motors, of one span after another; raises HframeError.
 
-    strategies: whose commands are computed. ``summary``: what was seen of all that was taken.
+    strategies: whose commands are computed; at_stops: solvers for them that others used before,
+    which remember much. ``summary``: what was seen of all that was taken.
     """
 
     def __init__(
@@ -75,10 +77,11 @@ class Stages:
         options: Options,
         compensator: Compensator,
         strategies: tuple[str, ...],
+        at_stops: dict[str, StopSolver] | None = None,
     ) -> None:
         self._printer, self._options = printer, options
         self._compensator, self._strategies = compensator, strategies
-        self._solvers = solvers(compensator, strategies, printer)
+        self._solvers = at_stops or solvers(compensator, strategies, printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked)
         self._clock, self._errors = Clock(), ErrorMeter(printer.plant)

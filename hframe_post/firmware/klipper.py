@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
@@ -119,7 +119,7 @@ def _shape(
 
     z and retraction lower acceleration and speed.
     """
-    d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+    d = lengths(delta[:, :E])
     with np.errstate(divide="ignore"):
         per_z = d / np.abs(delta[:, Z])
         per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
@@ -296,7 +296,7 @@ def _thinned(points: Array, ends: Integers) -> Integers:
     """
     start = np.append(0, ends[:-1])
     delta = points[ends] - points[start]
-    d, e = np.sqrt(np.square(delta[:, :E]).sum(axis=1)), delta[:, E]
+    d, e = lengths(delta[:, :E]), delta[:, E]
     lays = (e > 0.0) & (d > 0.0)
     if not lays.any():
         return ends

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin_planner import PLANNERS, Blocks, Planner, Timer
 from hframe_post.firmware.marlin_segments import most_steps, motor_steps, segment_ends
@@ -261,7 +261,7 @@ class Marlin:
         n = np.maximum.reduce([xy, z, e, np.ones(len(xy))])
         moved = np.diff(at[:, :E], axis=0)
         moved[:, :Z] = np.diff(cells, axis=0) * self.steps.belt
-        d = np.sqrt(np.square(moved).sum(axis=1))
+        d = lengths(moved)
         d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), self.steps.belt))
         with np.errstate(divide="ignore"):
             a = np.minimum(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
@@ -153,7 +153,7 @@ class RepRapFirmware:
         z and filament, forwards too, lower acceleration and speed.
         """
         delta, limits = np.diff(at, axis=0), self.limits
-        d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+        d = lengths(delta[:, :E])
         with np.errstate(divide="ignore"):
             per_z, per_e = d / np.abs(delta[:, Z]), d / np.abs(delta[:, E])
             corner = self.own.jerk_e / np.abs(np.diff(delta[:, E] / d))

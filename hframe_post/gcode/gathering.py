@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers
+from hframe_post.arrays import Array, E, Integers, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.stream.types import (
@@ -137,7 +137,7 @@ class Gathering:
 
 
 def _check_end(points: Array, speed: Array, line: Integers) -> None:
-    seconds = np.sqrt(np.square(np.diff(points[:, :E], axis=0)).sum(axis=1)) / speed
+    seconds = lengths(np.diff(points[:, :E], axis=0)) / speed
     worst = int(seconds.argmax())
     if seconds[worst] > LONGEST_MOVE:
         raise _endless(float(seconds[worst]), int(line[worst]))

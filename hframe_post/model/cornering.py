@@ -40,7 +40,8 @@ def junction_speeds(
     deviations (n,) or one for all; the lower of two neighbours' products counts.
     """
     unit = delta[:, :E] / length[:, None]
-    cosine = np.clip(-(unit[:-1] * unit[1:]).sum(axis=1), -1.0, 1.0)
+    x, y, z = (unit[:-1] * unit[1:]).T
+    cosine = np.clip(-(x + y + z), -1.0, 1.0)
     sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
     turn, fit = deviations * acceleration, 0.5 * length * acceleration
     with np.errstate(divide="ignore", invalid="ignore"):

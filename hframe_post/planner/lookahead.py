@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.model import cornering
 from hframe_post.planner.travel import with_own_travel
 from hframe_post.printer.settings import Limits
@@ -160,7 +160,7 @@ def _joined(parts: list[_Limited]) -> _Limited:
 def _limited(moves: Moves, limits: Limits) -> _Limited:
     """The printer's limits on each move, lowered by what the file asks."""
     delta = np.diff(moves.points, axis=0)
-    length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+    length = lengths(delta[:, :E])
     share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
     travels = delta[:, E] == 0.0
     cruise = np.minimum(moves.speed, np.where(travels, limits.fastest, limits.velocity))

@@ -15,7 +15,7 @@ from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, Z
+from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
 from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, frozen
 
@@ -122,7 +122,7 @@ class _Pacer:
         """The moves at their paces. The file's limits by axis become limits of each move."""
         kinds, layer, first = self.labeller.of(moves, self._paces.first_layers)
         delta = np.diff(moves.points, axis=0)
-        length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+        length = lengths(delta[:, :E])
         chosen = self._paced[kinds] & ~first
         acceleration, corner, feed = self._limits[:, kinds]
         speed, own_acceleration = _by_axis(moves, np.abs(delta) / length[:, None])

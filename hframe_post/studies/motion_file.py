@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers, Z
+from hframe_post.arrays import Array, E, Integers, Z, lengths
 from hframe_post.firmware import ramps
 from hframe_post.gcode import arcs
 from hframe_post.gcode.commands import (
@@ -199,7 +199,7 @@ class _Reader:
         A line that cuts motion need not stop it; where it does, the moves beside it are slow.
         """
         a = np.full(len(delta), self.limits["ACCEL"])
-        d = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
+        d = lengths(delta[:, :E])
         moves = (delta[:, :Z] != 0.0).any(axis=1)
         d = np.where(moves, d, 1.0)  # mm, of anything
         deviation = cornering.deviation(self.limits["SQUARE_CORNER_VELOCITY"], a[0])
