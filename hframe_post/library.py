@@ -29,10 +29,10 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction import contour
 from hframe_post.printer import profile
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.studies import simulation, tuning
 from hframe_post.studies.simulation_report import SimulationReport
-from hframe_post.studies.tuning import Trial
+from hframe_post.studies.tuning import StopsTrial, Trial
 from hframe_post.studies.uncertainty import draws as drawn
 from hframe_post.writers.atomic_file import Outputs
 
@@ -174,10 +174,14 @@ def simulate(
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """Every candidate that was tried; best: the recommended one, None if no motor can follow."""
+    """Every candidate that was tried; best: the recommended one, None if no motor can follow.
+
+    stops: the settings of ``compensation.stops``, with their print times.
+    """
 
     trials: tuple[Trial, ...]
     best: Trial | None
+    stops: tuple[StopsTrial, ...] = ()
 
 
 @one_thread()
@@ -203,8 +207,10 @@ def tune(
     plants = drawn(printer.plant, model_error, draws, seed)
     with _lines_of(source) as lines:
         reading = ReadOptions.of(printer, limits, extrusion)
-        trials = tuning.tune(lines, printer, grid, plants, reading)
-    return Tuning(tuple(trials), tuning.recommended(trials, printer.motors))
+        stops = tuple(tuning.StopsTrial(name) for name in STOPS)
+        trials = tuning.tune(lines, printer, grid, plants, reading, stops)
+    tried = tuple(trial for trial in stops if trial.samples)
+    return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
 
 
 @contextmanager

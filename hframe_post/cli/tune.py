@@ -69,7 +69,8 @@ def tune(
 
     More weight (λ) drives the motors less hard and leaves more error; finer knots (small L)
     can cancel faster ringing. Recommended is the gentlest of those whose error, under model
-    error, is within a tenth of the best.
+    error, is within a tenth of the best. The settings of compensation.stops are shown with
+    the print time that each takes.
 
     \b
     Example:
@@ -81,7 +82,7 @@ def tune(
     from hframe_post.printer.edit import with_windows
     from hframe_post.studies.plots import trade_off
     from hframe_post.studies.tuning import EFFORTS, KNOTS
-    from hframe_post.studies.tuning_report import summary, trials_table
+    from hframe_post.studies.tuning_report import stops_table, summary, trials_table
     from hframe_post.writers.atomic_file import Outputs
 
     profile = library.load_printer(printer)
@@ -107,11 +108,14 @@ def tune(
                 model_error=model_error, draws=draws, seed=seed, limits=limits, extrusion=extrusion,
             )  # fmt: skip
             trials, best = tuned.trials, tuned.best
-            write_json(summary(trials, best, model_error, draws))
+            write_json(summary(trials, best, model_error, draws, tuned.stops))
             if figure is not None and drawing is not None:
                 kind = figure.suffix.removeprefix(".")
                 plotting.save(trade_off(trials, best, profile.motors), drawing, kind)
         click.echo(trials_table(trials, best), err=str(json_file) == "-")
+        if tuned.stops:
+            told = stops_table(tuned.stops, profile.compensation.stops)
+            click.echo(f"\n{told}", err=str(json_file) == "-")
         if best is None:
             raise HframeError(NO_CANDIDATE)
         if file is not None:

@@ -6,10 +6,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
+from typing import TypeVar
 
 import numpy as np
 
 from hframe_post.stream.types import Samples, frozen
+
+T = TypeVar("T")
 
 
 def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
@@ -117,14 +120,14 @@ def shifted(chunk: Samples, samples: int) -> Samples:
     return replace(chunk, first=chunk.first + samples, events=events)
 
 
-def branches(chunks: Iterable[Samples], count: int) -> list[Iterator[Samples]]:
+def branches(chunks: Iterable[T], count: int) -> list[Iterator[T]]:
     """The same chunks ``count`` times over; held only until the slowest branch has taken them.
 
     ``itertools.tee`` lets go of what has been taken by dozens only, and a chunk is megabytes.
     """
-    source, queues = iter(chunks), [deque[Samples]() for _ in range(count)]
+    source, queues = iter(chunks), [deque[T]() for _ in range(count)]
 
-    def branch(queue: deque[Samples]) -> Iterator[Samples]:
+    def branch(queue: deque[T]) -> Iterator[T]:
         while True:
             if not queue:
                 chunk = next(source, None)

@@ -17,7 +17,7 @@ from hframe_post.arrays import X, Y, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.plausibility import check_model, reach
 from hframe_post.compensation.stops import rests, solvers, stand
-from hframe_post.conversion.meters import JUDGED_EVERY
+from hframe_post.conversion.meters import JUDGED_EVERY, Clock
 from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.registry import passing
 from hframe_post.gcode.options import ReadOptions
@@ -32,7 +32,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.types import Samples
+from hframe_post.stream.types import Planned, Samples
 
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
@@ -67,6 +67,19 @@ class Trial:
         )
 
 
+@dataclass
+class StopsTrial:
+    """One setting of ``compensation.stops``, with the profile's own window.
+
+    samples: all, and those in which the path stands for the command's sake; contour: of it.
+    """
+
+    name: str
+    samples: int = 0
+    resting: int = 0
+    contour: ContourErrors = field(default_factory=ContourErrors)
+
+
 def candidates(
     compensation: Compensation, knots: Iterable[int] = KNOTS, efforts: Iterable[float] = EFFORTS
 ) -> list[tuple[Window, Window]]:
@@ -94,8 +107,12 @@ def tune(
     grid: list[tuple[Window, Window]],
     drawn: list[Plant],
     reading: ReadOptions | None = None,
+    stops: Iterable[StopsTrial] = (),
 ) -> list[Trial]:
-    """A trial of every candidate, in one pass over the print. Raises HframeError."""
+    """A trial of every candidate, in one pass over the print. Raises HframeError.
+
+    stops: settings that are tried in the same pass, where the profile's own window can be used.
+    """
     check_model(printer)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
@@ -104,10 +121,19 @@ def tune(
             compensators.append((trial, Compensator(printer.plant, trial.windows)))
         except ValueError as error:
             trial.refused = str(error)
-    items = read(lines, reading or ReadOptions.of(printer))
+    try:
+        own = Compensator(printer.plant, printer.compensation.windows)
+        stops = list(stops)
+    except ValueError:  # of the profile's window, which may be why it is tuned
+        stops = []
+    items = plan(read(lines, reading or ReadOptions.of(printer)), printer.limits)
+    planned, *others = branches(items, 1 + len(stops))
     waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
-    samples = sample(plan(items, printer.limits), printer.limits, waits)
+    samples = sample(planned, printer.limits, waits)
     running = [
+        _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
+    ]
+    running += [
         _tried(trial, compensator, branch, printer, drawn)
         for (trial, compensator), branch in zip(
             compensators, branches(samples, len(compensators)), strict=True
@@ -154,6 +180,21 @@ def _tried(
         for judgement, errors in zip(judgements, statistics, strict=True):
             for contour in judgement.contour.values():  # none where nothing moves
                 errors.add(contour, judgement.extruding)
+        yield
+
+
+def _stopped(
+    trial: StopsTrial, compensator: Compensator, planned: Iterable[Planned], printer: Printer
+) -> Iterator[None]:
+    """Fills the trial, a chunk at a time."""
+    waits = rests(trial.name, "racking", passing(printer, TOLERANCE))
+    commands = compensate(sample(planned, printer.limits, waits), compensator, ("racking",))
+    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    clock = Clock()
+    for judgement in judge(clock.samples(commands), printer.plant, JUDGED_EVERY):
+        for contour in judgement.contour.values():
+            trial.contour.add(contour, judgement.extruding)
+        trial.samples, trial.resting = clock.end, clock.resting
         yield
 
 

@@ -5,8 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from hframe_post.arrays import TS
+from hframe_post.writers.print_time import duration
+
 if TYPE_CHECKING:
-    from hframe_post.studies.tuning import Trial
+    from hframe_post.studies.tuning import StopsTrial, Trial
+
+WHY_FAST = (
+    "fast is the default: what exact brings beyond it shows on few prints, its time on all of them"
+)
 
 
 def trial_as_json(trial: Trial) -> dict[str, Any]:
@@ -25,15 +32,27 @@ def trial_as_json(trial: Trial) -> dict[str, Any]:
     }
 
 
+def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
+    """One setting of the stops, ready for ``json.dumps``."""
+    seconds = {"before": trial.samples - trial.resting, "after": trial.samples}
+    return {
+        "stops": trial.name,
+        "print_time_s": {name: round(n * TS, 3) for name, n in seconds.items()},
+        "contour_error_um": trial.contour.micrometres(),
+    }
+
+
 def summary(
-    trials: Sequence[Trial], best: Trial | None, model_error: float, draws: int
-) -> dict[str, Any]:
+    trials: Sequence[Trial], best: Trial | None, model_error: float, draws: int,
+    stops: Sequence[StopsTrial] = (),
+) -> dict[str, Any]:  # fmt: skip
     """All of them, ready for ``json.dumps``."""
     return {
         "model_error": model_error if draws else 0.0,
         "draws": draws,
         "trials": [trial_as_json(trial) for trial in trials],
         "recommended": trial_as_json(best) if best else None,
+        "stops": [stops_as_json(trial) for trial in stops],
     }
 
 
@@ -62,3 +81,17 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
             f"effort = [{x.effort:g}, {y.effort:g}]",
         ]
     return "\n".join(lines)
+
+
+def stops_table(stops: Sequence[StopsTrial], own: str) -> str:
+    """The settings of ``compensation.stops`` with time and error; ``own`` is the profile's."""
+    lines = [f"{'':2s}{'stops':8s}{'print time':>12s}{'more':>9s}{'contour error, µm RMS':>24s}"
+             f"{'95 %':>8s}{'peak':>8s}"]  # fmt: skip
+    for trial in stops:
+        um, seconds = trial.contour.micrometres(), trial.samples * TS
+        more = trial.resting / max(trial.samples - trial.resting, 1)
+        lines.append(
+            f"{'→' if trial.name == own else '':2s}{trial.name:8s}{duration(seconds):>12s}"
+            f"{more:>+9.1%}{um['rms']:24.1f}{um['p95']:8.1f}{um['peak']:8.0f}"
+        )
+    return "\n".join([*lines, WHY_FAST])

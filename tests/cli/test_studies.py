@@ -140,9 +140,10 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     )  # fmt: skip
     assert done.returncode == 0, done.stderr.decode()
     assert "recommended: L = 10, n_C = 44, n_up = 22" in done.stdout.decode()
-    assert done.stdout.decode().count("→") == 1
+    assert done.stdout.decode().count("→") == 2  # of the candidates, of the stops
     summary = json.loads((tmp_path / "t.json").read_text())
     assert (summary["draws"], summary["model_error"], len(summary["trials"])) == (2, 0.05, 2)
+    assert [each["stops"] for each in summary["stops"]] == ["fast", "exact"]
     best = summary["recommended"]
     assert best in summary["trials"]
     x, y = load(str(mine)).compensation.windows

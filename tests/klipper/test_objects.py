@@ -217,3 +217,61 @@ def test_a_print_that_stops_anywhere_brakes_as_hard_as_the_motors_hold(tmp_path:
         asked[name] = belts_acceleration(play(tmp_path / "stopped.gcode", workdir=tmp_path / name))
     assert asked["as written"] <= MOTORS
     assert asked["without bounds"] > MOTORS
+
+
+PARK = [b"G90\n", b"G1 X20 Y20 F18000\n"]
+WHOLE = {"max_accel": 10_000.0, "max_velocity": 300.0}
+
+
+@pytest.fixture(scope="module")
+def labelled() -> list[bytes]:
+    """Objects of strokes between retractions and lifts, converted, row by row."""
+    rng, lines = (
+        np.random.default_rng(5),
+        [f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in OBJECTS],
+    )
+    for name, centre in OBJECTS.items():
+        lines += [f"EXCLUDE_OBJECT_START NAME={name}"]
+        for _ in range(12):
+            (x, y), (u, v) = np.round(np.array(centre) + rng.uniform(-15.0, 15.0, (2, 2)), 3)
+            lines += ["G1 E-.8 F2400", "G1 Z.7 F1200", f"G0 X{x} Y{y} F12000", "G1 Z.3 F1200"]
+            lines += ["G1 E.8 F2400", f"G1 X{u} Y{v} E.5 F6000"]
+        lines += [f"EXCLUDE_OBJECT_END NAME={name}"]
+    file = [line.encode() + b"\n" for line in [*HEAD, "G1 Z.3 F600", "G1 X120 Y120 F9000", *lines]]
+    conversion = GcodeConversion(file, load("paper"), Options("racking"))
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    return text.splitlines(keepends=True)
+
+
+def interrupted(kind: str, rows: list[bytes], at: int) -> list[bytes]:
+    """The rows with a pause, a cancelled print or a cancelled object before row ``at``."""
+    if kind == "pause":
+        return [*rows[:at], b"PAUSE\n", *PARK, b"RESUME\n", *rows[at:]]
+    if kind == "cancel":
+        return [*rows[:at], b"CANCEL_PRINT\n", *PARK]
+    name = [row for row in rows[:at] if row.startswith(b"EXCLUDE_OBJECT_START")][-1].split(b"=")[1]
+    return [*rows[:at], b"EXCLUDE_OBJECT NAME=" + name, *rows[at:]]
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("kind", ["pause", "cancel", "object"])
+@pytest.mark.parametrize(
+    "moment", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 10))]
+)
+def test_whatever_stops_a_print_and_whenever_no_motor_is_asked_for_more_than_it_holds(
+    kind: str, moment: int, labelled: list[bytes], tmp_path: Path
+) -> None:
+    """With the macros of ``klipper-macros`` in printer.cfg, and moves of the user's after it."""
+    begun = next(k for k, row in enumerate(labelled) if row.startswith(b"EXCLUDE_OBJECT_START"))
+    moves = [k for k in range(begun, len(labelled)) if labelled[k].startswith(b"G1 X")]
+    at = int(np.random.default_rng([moment, len(kind)]).choice(moves[20:-20]))
+    (tmp_path / "stopped.gcode").write_bytes(b"".join(interrupted(kind, labelled, at)))
+    sections = SECTIONS.replace("[pause_resume]\n", "") + macros(load("paper"))
+    played = play(
+        tmp_path / "stopped.gcode", workdir=tmp_path / "work", sections=sections, limits=WHOLE
+    )
+    assert belts_acceleration(played) <= MOTORS
+    assert not [w for w in played.warnings if "INPUT_SHAPER" not in w]
+    t = np.arange(played.start, played.end + 2e-3, 1e-3)
+    off = np.abs(played.position(t)[:, :2] - 20.0).max(axis=1)
+    assert (off[t > played.start + 1.0].min() < 0.2) == (kind != "object")  # parked

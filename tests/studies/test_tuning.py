@@ -24,12 +24,15 @@ from hframe_post.studies.tuning import (
     KNOTS,
     PREVIEW,
     ROUGHLY,
+    StopsTrial,
     Trial,
     candidates,
     recommended,
     tune,
 )
+from hframe_post.studies.tuning_report import stops_as_json, stops_table
 from hframe_post.studies.uncertainty import draws
+from tests.compensation.test_stops import strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order
@@ -198,3 +201,29 @@ def test_robust_is_the_median_of_the_printers_drawn() -> None:
         statistics.add(np.array([error]), np.array([True]))
         trial.drawn.append(statistics)
     assert trial.robust == 4.0
+
+
+# ---------------------------------------------------------------------- stops
+
+
+def test_the_settings_of_stops_are_told_with_their_time_and_error(profiled: Printer) -> None:
+    lines = [line.encode() + b"\n" for line in strokes(1, 6)]
+    fast, exact = stops = (StopsTrial("fast"), StopsTrial("exact"))
+    own = profiled.compensation.windows
+    (trial,) = tune(lines, profiled, [own], [], stops=stops)
+    assert fast.contour.rms == pytest.approx(trial.contour.rms)  # the profile's own setting
+    assert fast.samples - fast.resting == exact.samples - exact.resting
+    assert fast.resting < exact.resting
+    assert exact.contour.rms < fast.contour.rms
+    assert stops_as_json(exact)["print_time_s"]["after"] == pytest.approx(exact.samples / 1000)
+    rows = stops_table(stops, "exact").splitlines()
+    assert [row.split()[0] for row in rows[1:3]] == ["fast", "→"]
+    assert "fast is the default" in rows[-1]
+
+
+def test_without_a_window_of_the_profile_stops_are_not_tried(profiled: Printer) -> None:
+    wrong = replace(profiled.compensation, effort=(0.0, 0.0), n_C=60)
+    stops = (StopsTrial("fast"),)
+    grid = [profiled.compensation.windows]
+    tune(rectangle(profiled), replace(profiled, compensation=wrong), grid, [], stops=stops)
+    assert not stops[0].samples
