@@ -1,7 +1,8 @@
 """No command leaves the bed or outruns a motor: an error, or a clamp that is reported.
 
 Clamping takes the compensation back, smoothly and only around the place, until the belts
-can follow; at the edge of the bed the command is cut off.
+can follow; at the edge of the bed the command is cut off. Where the belts cannot follow the taking
+back itself, all of it is taken, over a longer time.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
 REACH = 80  # samples over which a clamp sets in and fades out
+WIDER = (2 * REACH, 4 * REACH)  # where belts cannot follow that
+SEEN = REACH + sum(WIDER) + 6  # samples to either side that decide; the belts' differences see two
 TAKE_MORE = 0.9  # share of the excess-free compensation that a clamp leaves
 LEEWAY = 1.0 + 1e-9  # limits met exactly are met
 SLACK = 1e-9  # mm, to the same end
@@ -36,17 +39,30 @@ class Peaks:
 
 @dataclass(frozen=True, slots=True)
 class Clamped:
-    """Samples taken back, and the source line of the first of them."""
+    """Samples taken back, the source line of the first of them, and the most of any (mm)."""
 
     samples: int = 0
     line: int = 0
+    most: float = 0.0
+
+    def joined(self, later: Clamped) -> Clamped:
+        """Both."""
+        return Clamped(
+            self.samples + later.samples, self.line or later.line, max(self.most, later.most)
+        )
 
 
 class Guard:
-    """Lets commands pass once they are known to be safe. ``peaks``: of what has passed."""
+    """Lets commands pass once they are known to be safe. ``peaks``: of what has passed.
 
-    def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
+    clamped: whether all that could be taken back has been.
+    """
+
+    def __init__(
+        self, travel: Travel, motors: Motors, kinematics: Kinematics, clamped: bool = False
+    ) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
+        self._clamped = clamped
         self.peaks = Peaks()
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
@@ -64,7 +80,7 @@ class Guard:
                 if len(chunk):
                     _check_travel(chunk, command, self._travel)
                     rates = differences.of(command)
-                    _check_motors(chunk, rates, self._motors)
+                    _check_motors(chunk, rates, self._motors, self._clamped)
                     self._note(rates)
                 yield chunk
 
@@ -89,16 +105,15 @@ class Clamp:
         """The stream with the command of ``strategy`` taken back where it asks too much."""
         travel = self._travel
         for stretch in stretches(chunks):
-            for chunk, wide, where in with_neighbours(stretch, REACH + 2, REACH + 2):
+            for chunk, wide, where in with_neighbours(stretch, SEEN, SEEN):
                 path, command = wide.xyze[:, :Z], wide.commands[strategy]
-                share = _share(path, command, travel, self._motors, self._kinematics)
-                safe = path + share[:, None] * (command - path)
-                safe = np.clip(safe, (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1]))
+                safe = _taken_back(path, command, travel, self._motors, self._kinematics)
                 changed = (safe != command).any(axis=1)[where]
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
-                    line = self.clamped.line or int(chunk.line[np.argmax(changed)])
-                    self.clamped = Clamped(self.clamped.samples + int(changed.sum()), line)
+                    line = int(chunk.line[np.argmax(changed)])
+                    most = float(np.hypot(*(safe - chunk.commands[strategy]).T).max())
+                    self.clamped = self.clamped.joined(Clamped(int(changed.sum()), line, most))
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
 
@@ -107,10 +122,27 @@ def _greatest(values: Array) -> float:
     return max(float(values.max()), -float(values.min()))
 
 
-def _share(
+def _taken_back(
     path: Array, command: Array, travel: Travel, motors: Motors, kinematics: Kinematics
 ) -> Array:
-    """Share of the compensation that bed and belts allow, (n,), smooth over REACH samples."""
+    """The command (n, 2) as bed and belts allow it, the belts if at all possible."""
+    share = _faded(_needed(path, command, travel, motors, kinematics), REACH)
+    edges = (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1])
+    for wider in (*WIDER, None):
+        safe = np.clip(path + share[:, None] * (command - path), *edges)
+        if wider is None or (share == 1.0).all():
+            break
+        exceeded = _needed(path, safe, travel, motors, kinematics) < 1.0
+        if not exceeded.any():
+            break
+        share = np.minimum(share, _faded(np.where(exceeded, 0.0, 1.0), wider))
+    return safe
+
+
+def _needed(
+    path: Array, command: Array, travel: Travel, motors: Motors, kinematics: Kinematics
+) -> Array:
+    """Share of the compensation that bed and belts allow at each sample, (n,)."""
     needed = np.ones(len(path))
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         of_path, of_command = path[:, axis], command[:, axis]
@@ -121,11 +153,16 @@ def _share(
         for belt in (0, 1):
             allowed = _allowed(path_rate[belt], command_rate[belt], -limit, limit, TAKE_MORE)
             needed[order:] = np.minimum(needed[order:], allowed)
-    share = np.ones(len(path))
-    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-REACH, REACH + 1) / (REACH + 1))
+    return needed
+
+
+def _faded(needed: Array, over: int) -> Array:
+    """A smooth share (n,), no more than is needed, that fades ``over`` so many samples."""
+    share = np.ones(len(needed))
+    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-over, over + 1) / (over + 1))
     for k in np.flatnonzero(needed < 1.0).tolist():  # few: the places where a limit is exceeded
-        low, high = max(k - REACH, 0), min(k + REACH + 1, len(share))
-        taken = (1.0 - needed[k]) * ramp[low - k + REACH : high - k + REACH]
+        low, high = max(k - over, 0), min(k + over + 1, len(share))
+        taken = (1.0 - needed[k]) * ramp[low - k + over : high - k + over]
         share[low:high] = np.minimum(share[low:high], 1.0 - taken)
     return share
 
@@ -173,7 +210,7 @@ def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
                 )  # fmt: skip
 
 
-def _check_motors(chunk: Samples, rates: Rates, motors: Motors) -> None:
+def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -> None:
     for order, name, asked, limit in (
         (1, "velocity", rates.belt_velocity, motors.belt_velocity),
         (2, "acceleration", rates.belt_acceleration, motors.belt_acceleration),
@@ -185,5 +222,6 @@ def _check_motors(chunk: Samples, rates: Rates, motors: Motors) -> None:
                 f"belt {name} (mm/s{'²' * (order - 1)})", float(magnitude[k]), limit,
                 int(chunk.line[k]),
                 "raise effort in [compensation], lower the print's speed or acceleration, "
-                f"raise motors.belt_{name} if the motors can do it, or use --on-limit clamp",
+                f"raise motors.belt_{name} if the motors can do it"
+                + ("; clamping was not enough" if clamped else ", or use --on-limit clamp"),
             )  # fmt: skip

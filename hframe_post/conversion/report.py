@@ -71,6 +71,7 @@ class Report:
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             **self.path.as_json(),
             "clamped_samples": self.clamped.samples,
+            "clamped_mm": round(self.clamped.most, 6),
             **{name: told for name, told in written.items() if told is not None},
         }
 
@@ -117,6 +118,7 @@ class Report:
         if self.clamped.samples:
             lines.append(
                 f"CLAMPED     {self.clamped.samples} ms of motion at the printer's limits, first "
-                f"at line {self.clamped.line}; less is compensated there"
+                f"at line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
+                "compensated there"
             )
         return lines

@@ -56,9 +56,7 @@ class SpanSummary:
                 max(one.axis_acceleration[1], other.axis_acceleration[1]),
             ),
         )
-        self.clamped = Clamped(
-            self.clamped.samples + later.clamped.samples, self.clamped.line or later.clamped.line
-        )
+        self.clamped = self.clamped.joined(later.clamped)
         for name, errors in later.contour.items():
             self.contour.setdefault(name, ContourErrors()).join(errors)
         self.seconds = joined(self.seconds, later.seconds)
@@ -83,7 +81,7 @@ class Stages:
         self._compensator, self._strategies = compensator, strategies
         self._solvers = at_stops or solvers(compensator, strategies, printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
-        self._clamp, self._guard = Clamp(*checked), Guard(*checked)
+        self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock, self._errors = Clock(), ErrorMeter(printer.plant)
         self.times = StageTimes()
 

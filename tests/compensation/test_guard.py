@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
+from hframe_post.compensation import guard
 from hframe_post.compensation.guard import REACH, Clamp, Guard
 from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
@@ -158,13 +159,33 @@ def test_a_command_that_outruns_the_motors_is_taken_back_until_they_follow(width
     assert np.abs(result - path).max() > 0.0  # not all of it
 
 
+@pytest.mark.parametrize("height", [2.0, 3.0, 4.0])
+def test_belts_that_cannot_follow_the_taking_back_are_given_more_time(height: float) -> None:
+    path = standing(1200, x=0.1)
+    command = path.copy()
+    command[:, 0] -= bump(1200, 600, height, 20)
+    result, clamp = clamped(chunk(path, command), LIMITS)
+    checked([chunk(path, result)], LIMITS)
+    assert clamp.clamped.most == pytest.approx(np.abs(result - command).max())
+    untouched = np.abs(np.arange(1200) - 600) > 20 + guard.SEEN
+    np.testing.assert_array_equal(result[untouched], command[untouched])
+
+
+def test_what_clamping_cannot_help_is_an_error_that_does_not_advise_it() -> None:
+    path = standing(1200, x=0.1)
+    path[:, 0] += bump(1200, 600, 90.0, 40)
+    with pytest.raises(LimitError, match="clamping was not enough"):
+        list(Guard(*LIMITS, clamped=True).check([chunk(path, path)], "racking"))
+
+
+@settings(max_examples=20, deadline=None)
 @given(cut=st.integers(1, 400), seed=st.integers(0, 20))
 def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     path = standing(600, x=0.5)
     command = path.copy()
     for _ in range(3):
-        at, width = int(rng.integers(50, 550)), int(rng.integers(30, 120))
+        at, width = int(rng.integers(50, 550)), int(rng.integers(10, 120))
         command[:, int(rng.integers(2))] += bump(600, at, rng.normal(), width)
     whole, clamp = clamped(chunk(path, command), LIMITS)
     pieces = Clamp(*LIMITS)
