@@ -66,6 +66,8 @@ class _Axis:
 
     def feed(self, target: Array) -> Array:
         """The command as far as the preview allows."""
+        if not len(target):  # a view of nothing would keep all that it is a view of
+            return np.zeros(0)
         self._target.append(target)
         self._count += len(target)
         if self._count < self._batch + self._preview:

@@ -178,7 +178,7 @@ def test_what_clamping_cannot_help_is_an_error_that_does_not_advise_it() -> None
         list(Guard(*LIMITS, clamped=True).check([chunk(path, path)], "racking"))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(cut=st.integers(1, 400), seed=st.integers(0, 20))
 def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

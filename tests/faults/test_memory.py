@@ -1,0 +1,113 @@
+"""Memory: 200 MB at most for a process, whatever a file holds and however long it is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from itertools import chain, repeat
+
+import pytest
+
+from tests.conftest import ROOT
+
+MOST = 200  # MB
+HEAD = ("G28", "G90", "M83", "G1 X100 Y100 Z0.2 F6000", "G1 X150 E2 F6000")
+TAIL = ("G1 X100 Y120 E2 F6000", "G28")
+ALONE = """
+import re, sys
+from hframe_post.__main__ import main
+try:
+    main()
+finally:
+    [peak] = re.findall(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())
+    print("peak", peak, file=sys.stderr)
+"""
+
+pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="no /proc here")
+
+
+def peak(lines: Iterator[str]) -> tuple[int, float, str]:
+    """Exit status, the most memory that one process has had (MB), and what was said."""
+    command = [sys.executable, "-c", ALONE, "-", "-q", "-o", os.devnull, "--jobs", "1"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=env, text=True
+    )
+    assert process.stdin is not None
+    try:
+        for line in lines:
+            process.stdin.write(line + "\n")
+    except BrokenPipeError:
+        pass  # it has refused the file already
+    _, told = process.communicate()
+    said, _, kilobytes = told.rpartition("peak ")
+    return process.returncode, int(kilobytes) / 1024.0, said
+
+
+def sides(k: int, step: float = 0.01) -> str:
+    """From side to side, a little further each time."""
+    return f"G1 X{100 + 50 * (k % 2)} Y{100 + step * (k % 5000):.3f} E0.5 F6000"
+
+
+def retraction(k: int) -> list[str]:
+    return [
+        "G1 E-1 F2400",
+        f"G1 X{100 + 20 * (k % 2)} Y{100 + 0.01 * (k % 5000):.2f} F9000",
+        "G1 E1",
+    ]
+
+
+def layer(k: int) -> list[str]:
+    return [f";LAYER:{k}", f"G1 Z{0.2 + 0.05 * (k % 5000):.2f} F600", sides(k)]
+
+
+def labelled(k: int) -> list[str]:
+    return [f"EXCLUDE_OBJECT_START NAME=p_{k}", sides(k), f"EXCLUDE_OBJECT_END NAME=p_{k}"]
+
+
+CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
+    "half an hour of waiting": lambda: iter(["G4 P1800000"]),
+    "ten hours of waiting": lambda: iter(["G4 P36000000"]),
+    "a lift of an hour and a half": lambda: iter(["G1 Z100 F1"]),
+    "a million M73": lambda: repeat("M73 P5 R10", 1_000_000),
+    "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
+    "ten million lines": lambda: repeat(";", 10_000_000),
+    "500 000 modes": lambda: repeat("M83", 500_000),
+    "a million limits": lambda: repeat("M204 S500", 1_000_000),
+    "100 000 macros": lambda: repeat("A_MACRO OF=mine", 100_000),
+    "30 000 short waits": lambda: repeat("G4 P1", 30_000),
+    "M73 in a print that never stops": lambda: (
+        line for k in range(5300) for line in (sides(k), *repeat("M73 P5 R10", 8))
+    ),
+    "moves a micrometre long": lambda: (
+        f"G1 X{150 - 0.001 * (k % 40_000):.3f} E0.00001" for k in range(400_000)
+    ),
+    "4000 objects": lambda: chain.from_iterable(map(labelled, range(4000))),
+    "4000 layers": lambda: chain.from_iterable(map(layer, range(4000))),
+    "200 000 retractions": lambda: chain.from_iterable(map(retraction, range(100_000))),
+    "20 000 circles": lambda: (f"G2 X150 Y100 I-{5 + k % 9} E1" for k in range(20_000)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONSTRUCTS)
+def test_memory_is_bounded(name: str) -> None:
+    status, most, said = peak(chain(HEAD, CONSTRUCTS[name](), TAIL))
+    assert (status, said) == (0, "")
+    assert most < MOST
+
+
+def test_memory_does_not_grow_with_retractions() -> None:
+    status, most, said = peak(chain(HEAD, *map(retraction, range(450)), TAIL))
+    assert (status, said) == (0, "")
+    assert most < MOST
+
+
+@pytest.mark.slow
+def test_a_line_of_300_mb_is_refused_before_it_is_in_memory() -> None:
+    status, most, said = peak(chain(HEAD, [";" + "x" * 300_000_000], TAIL))
+    assert (status, said.count("\n")) == (1, 1)
+    assert "line 6: a line of more than" in said
+    assert most < MOST
