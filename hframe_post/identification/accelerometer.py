@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
 DELIMITERS = ",;\t"
 AXES = "xyz"
+LONGEST_CAUSE = 200  # characters of what a library says of a broken file
 LONGEST_NAME = 40  # of a column, as errors show it
 
 FEWEST = 100  # samples from which anything can be told
@@ -227,27 +227,27 @@ def _bad_line(
 
 
 def _npz(path: Path) -> Mapping[str, Any]:
+    content = io.BytesIO(path.read_bytes())
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(content, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except OSError:
-        raise
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise IdentificationError(f"{path}: this cannot be read as .npz: {error}") from None
+    except Exception as error:  # a broken file fails in many ways
+        cause = str(error)[:LONGEST_CAUSE]
+        raise IdentificationError(f"{path}: this cannot be read as .npz: {cause}") from None
 
 
 def _mat(path: Path) -> Mapping[str, Any]:
     from scipy.io import loadmat
 
+    content = io.BytesIO(path.read_bytes())
     try:
-        found = loadmat(path)
-    except OSError:
-        raise
+        found = loadmat(content)
     except NotImplementedError:
         cause = "MATLAB 7.3 files cannot be read; save with -v7"
         raise IdentificationError(f"{path}: {cause}") from None
-    except Exception as error:  # a broken file fails in many ways
-        raise IdentificationError(f"{path}: this cannot be read as .mat: {error}") from None
+    except Exception as error:  # as above
+        cause = str(error)[:LONGEST_CAUSE]
+        raise IdentificationError(f"{path}: this cannot be read as .mat: {cause}") from None
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 

@@ -58,6 +58,8 @@ class KlipperConfig:
             self._parser.read_string("\n".join(lines), str(path))
         except configparser.Error as error:
             raise HframeError(f"{path}: {error}") from None
+        except AttributeError:  # of configparser, where a key has no value and yet goes on
+            raise HframeError(f"{path}: a value begins before its key") from None
         for section in [each for each in self._parser.sections() if each not in before]:
             if section.startswith("include "):
                 pattern = section.removeprefix("include ").strip()

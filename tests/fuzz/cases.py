@@ -13,11 +13,11 @@ from threadpoolctl import threadpool_limits
 from hframe_post.identification import command_file
 from hframe_post.identification.sweep import positions, runs
 from hframe_post.printer.profile import load, shipped
-from tests.fuzz import klipper, mutations, oracle
+from tests.fuzz import files, klipper, mutations, oracle
 from tests.fuzz.apart import Outcome, apart
 from tests.fuzz.arcs import arcs
 
-KINDS = ("gcode", "arcs", "profile", "table")
+KINDS = ("gcode", "arcs", "profile", "table", "file")
 
 
 def begin(folders: tuple[Path, ...]) -> None:
@@ -26,6 +26,7 @@ def begin(folders: tuple[Path, ...]) -> None:
     threadpool_limits(1)  # and a copy of this process has no other threads
     mutations.seeds(folders)
     tables()
+    files.originals()
     shipped()
     for firmware in oracle.FIRMWARES:
         oracle.printer(firmware)
@@ -39,6 +40,7 @@ def run(kind: str, folders: tuple[Path, ...], played: int, seed: int) -> tuple[i
         "arcs": partial(_arcs, seed, played),
         "profile": partial(oracle.check_profile, seed),
         "table": partial(_table, seed),
+        "file": partial(_file, seed),
     }
     return seed, apart(checks[kind])
 
@@ -60,6 +62,11 @@ def _arcs(seed: int, played: int) -> str:
 def _table(seed: int) -> str:
     with tempfile.TemporaryDirectory() as folder:
         return oracle.check_table(seed, tables(), Path(folder))
+
+
+def _file(seed: int) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        return oracle.check_file(seed, Path(folder))
 
 
 @cache

@@ -26,7 +26,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.writers.deferred import DURATION, ELAPSED, DeferredLine
 from tests.conftest import SAMPLES
 from tests.firmware.test_reprapfirmware import DUET
-from tests.fuzz import mutations, settings
+from tests.fuzz import files, mutations, settings
 from tests.fuzz.arcs import arcs
 from tests.fuzz.machine import UNSEEN, Machine
 
@@ -111,7 +111,7 @@ def check_error(error: HframeError) -> None:
     assert told.isprintable(), told
     assert len(told) < 6000, told
     if isinstance(error, GcodeError | LimitError):
-        assert error.line or any(cause in told for cause in WITHOUT_LINE), told
+        assert "line " in told or any(cause in told for cause in WITHOUT_LINE), told
     assert "would be lost" not in told, told
     assert "report this" not in told, told
 
@@ -240,3 +240,14 @@ def check_table(seed: int, tables: list[bytes], folder: Path) -> str:
     finally:
         path.unlink()
     return "read"
+
+
+def check_file(seed: int, folder: Path) -> str:
+    """A mutated file of another kind: an error, or it is read."""
+    path, reader = files.case(Random(seed), folder)
+    try:
+        reader(path)
+    except HframeError as error:
+        check_error(error)
+        return f"refused: {path.suffix}"
+    return f"read: {path.suffix}"

@@ -101,7 +101,7 @@ def test_a_file_that_includes_itself_ends(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    ["", "nonsense\n", "[printer\n", "\0\xff", "[extruder]\na: 1\n"],
+    ["", "nonsense\n", "[printer\n", "\0\xff", "[extruder]\na: 1\n", "[printer]\nkey\n  more\n"],
 )
 def test_what_is_no_printer_cfg_is_an_error(tmp_path: Path, content: str) -> None:
     path = tmp_path / "printer.cfg"

@@ -1,0 +1,120 @@
+"""Seeded changes to the other files that are read: binary G-code, recordings of other programs,
+step files, printer.cfg; and what reads them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy.io import savemat
+
+from hframe_post.arrays import Array
+from hframe_post.gcode.binary import as_binary
+from hframe_post.gcode.commands import DIALECTS
+from hframe_post.gcode.lines import lines_of
+from hframe_post.identification import accelerometer
+from hframe_post.printer.klipper_cfg import KlipperConfig, check
+from hframe_post.printer.new_profile import from_klipper, text
+from hframe_post.printer.profile import load, parse
+from hframe_post.studies.comparison import compare
+from hframe_post.writers import step_reader
+from tests.conftest import ROOT, SAMPLES
+from tests.fuzz import mutations
+from tests.slices import SLICES
+from tests.step_tools import write_steps
+
+COLUMNS = ("t", "x", "y", "z")
+RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
+Reader = Callable[[Path], object]
+
+
+def mutated(rng: Random, data: bytes) -> bytes:
+    """A few bytes changed, a piece lost, doubled, overwritten; the end missing."""
+    for _ in range(1 + min(int(rng.expovariate(0.7)), 10)):
+        at = rng.choice((rng.randrange(min(len(data), 200) + 1), rng.randrange(len(data) + 1)))
+        size, kind = rng.choice((1, 2, 4, 8, 100, 5000)), rng.randrange(6)
+        if kind <= 2:
+            new = bytes(rng.choice((0, 1, 127, 255, rng.randrange(256))) for _ in range(size % 101))
+            data = data[:at] + new + data[at + len(new) :]
+        elif kind == 3:
+            data = data[:at] + data[at + size :]
+        elif kind == 4:
+            data = data[:at] + data[at : at + size] + data[at:]
+        else:
+            data = data[:at] if rng.random() < 0.3 else data
+    return data
+
+
+def case(rng: Random, folder: Path) -> tuple[Path, Reader]:
+    """A file, and what reads it."""
+    name = rng.choice(list(READERS))
+    original = originals()[name]
+    if name in ("cfg", "compare") and rng.random() < 0.7:
+        lines = original.splitlines()
+        for _ in range(1 + min(int(rng.expovariate(0.5)), 8)):
+            if lines:
+                change = rng.choices(mutations.MUTATIONS, mutations.WEIGHTS)[0]
+                change(rng, lines, rng.randrange(len(lines)))
+        data = b"\n".join(lines)
+    else:
+        data = mutated(rng, original)
+    path = folder / f"a.{SUFFIXES.get(name, name)}"
+    path.write_bytes(data)
+    return path, READERS[name]
+
+
+def _compared(path: Path) -> object:
+    a, b = RECTANGLE.splitlines(keepends=True), path.read_bytes().splitlines(keepends=True)
+    return [compare(a, b, dialect) for dialect in DIALECTS.values()]
+
+
+def _configured(path: Path) -> object:
+    config = KlipperConfig(path)
+    own = parse(text(from_klipper(config, "own", None)), "own")
+    return [*check(config, own), *check(config, load("paper"))]
+
+
+def _recorded(path: Path) -> object:
+    return accelerometer.oriented(accelerometer.read(path, COLUMNS, "g"))
+
+
+def _binary(path: Path) -> object:
+    with path.open("rb") as file:
+        return sum(map(len, lines_of(file)))
+
+
+READERS: dict[str, Reader] = {
+    "bgcode": _binary, "npz": _recorded, "mat": _recorded, "cfg": _configured,
+    "steps": lambda path: [len(block.tick) for block in step_reader.read(path)],
+    "compare": _compared,
+}  # fmt: skip
+SUFFIXES = {"steps": "csv", "compare": "gcode"}
+
+
+@cache
+def originals() -> dict[str, bytes]:
+    """What the tool and others write."""
+    rng = np.random.default_rng(0)
+    arrays: dict[str, Array] = {name: rng.normal(size=3000) for name in COLUMNS[1:]}
+    arrays["t"] = np.arange(0.0, 3.0, 1e-3)
+    npz, mat, binary = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.savez_compressed(npz, **arrays)  # type: ignore[arg-type]
+    savemat(mat, arrays, do_compression=True)
+    with as_binary(binary) as file:
+        file.writelines(SLICES["prusaslicer"].lines)
+    config = ROOT / "tests" / "klipper" / "printer.cfg"
+    return {
+        "bgcode": binary.getvalue(), "npz": npz.getvalue(), "mat": mat.getvalue(),
+        "cfg": config.read_bytes(), "steps": _steps(), "compare": RECTANGLE,
+    }  # fmt: skip
+
+
+def _steps() -> bytes:
+    with TemporaryDirectory() as folder:
+        write_steps(Path(folder, "a.csv"), RECTANGLE.splitlines(keepends=True), load("paper"))
+        return Path(folder, "a.csv").read_bytes()[:200_000]
