@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: mutated slices, arcs, profiles, recordings and other files, as many as asked for.
+"""``python -m tests.fuzz``: mutated slices, arcs, profiles and other files, as many as asked for.
 
 A seed gives the same case anywhere; what fails is written into the folder of --keep.
 """
