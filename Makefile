@@ -23,5 +23,6 @@ fuzz:
 	$(PYTHON) -m tests.fuzz $(FUZZ)
 
 audit:
+	@$(PYTHON) -c 'import bandit, pip_audit' 2>/dev/null || { echo "pip install -e '.[audit]' first"; exit 1; }
 	$(PYTHON) -m bandit -q -c pyproject.toml -r hframe_post
 	$(PYTHON) -m pip_audit --skip-editable

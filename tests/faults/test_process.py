@@ -157,3 +157,59 @@ def test_two_processes_on_one_file(folder: Path) -> None:
     assert "Traceback" not in told
     assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
+
+
+def test_two_processes_write_one_file(folder: Path) -> None:
+    """Whoever is last has it, whole."""
+    shell("$ME in.gcode -q -o one; $ME in.gcode -q -c none -o other", folder)
+    done = shell("$ME in.gcode -q -o out & $ME in.gcode -q -c none -o out; a=$?; wait $!", folder)
+    assert done == (0, "")
+    whole = [(folder / name).read_bytes() for name in ("one", "other")]
+    assert (folder / "out").read_bytes() in whole
+    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "one", "other", "out"}
+
+
+# ---------------------------------------------------------------------- disks, without being root
+
+
+ON_A_DISK = """
+mount -t tmpfs -o size=200k none disk || exit 99
+cp in.gcode disk && cd disk && mount -o "remount,$OPTIONS" "$PWD" || exit 99
+eval "$COMMAND"
+status=$?
+cmp in.gcode ../in.gcode >&2 && [ "$(ls -A)" = in.gcode ] && exit $status
+exit 98
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "to", "cause"),
+    [
+        ("rw", "", "No space left"), ("rw", "-o out.csv", "No space left"),
+        ("ro", "", "is write-protected"), ("ro", "-o out.gcode", "Read-only file system"),
+    ],
+)  # fmt: skip
+def test_a_disk_that_is_full_or_cannot_be_written(
+    folder: Path, options: str, to: str, cause: str
+) -> None:
+    """A small one, mounted where only this test sees it, which takes no root."""
+    if shutil.which("unshare") is None or shell("unshare -rm mount -t tmpfs none .", folder)[0]:
+        pytest.skip("no disk can be mounted here")
+    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)[:1200]
+    (folder / "in.gcode").write_bytes(b"".join(lines))
+    (folder / "disk").mkdir()
+    command = f"{ME} in.gcode -q {to}"
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "OPTIONS": options, "COMMAND": command}
+    done = subprocess.run(
+        ["unshare", "-rm", "bash", "-c", ON_A_DISK],
+        cwd=folder, env=env, capture_output=True, check=False, timeout=300,
+    )  # fmt: skip
+    told = done.stderr.decode()
+    assert (done.returncode, told.count("\n")) == (1, 1), told
+    assert cause in told
+
+
+def test_what_is_write_protected_is_not_replaced(folder: Path) -> None:
+    (folder / "in.gcode").chmod(0o444)
+    refused(shell("$ME in.gcode -q", folder), folder, "in.gcode: is write-protected")
+    assert (folder / "in.gcode").stat().st_mode & 0o777 == 0o444
