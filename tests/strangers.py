@@ -11,8 +11,8 @@ from hframe_post.arrays import Array, Z
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.identification.accelerometer import oriented
 from hframe_post.identification.identify import Identified, Run, Settings, identify
+from hframe_post.identification.proof_motion import motion_of
 from hframe_post.identification.sweep import runs as planned
-from hframe_post.identification.verification import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.contour import contour_error

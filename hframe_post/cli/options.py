@@ -208,3 +208,21 @@ def opened(
     else:
         with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
             yield lines
+
+
+def figure_option(what: str) -> Callable[[Command], Command]:
+    """``--figure FILE``, which draws that."""
+    return click.option(
+        "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+        help=f"Draw {what} (.png or .svg); needs matplotlib.",
+    )  # fmt: skip
+
+
+def check_figure(figure: Path | None) -> None:
+    """Says at once that it cannot be drawn."""
+    from hframe_post import plotting
+
+    if figure is not None:
+        if figure.suffix not in (".png", ".svg"):
+            raise click.UsageError("--figure must end in .png or .svg")
+        plotting.canvas(1, 1, (1.0, 1.0))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hframe_post.cli.options import (
+    check_figure,
+    figure_option,
     files_read,
     json_option,
     open_json,
@@ -45,10 +47,7 @@ NO_CANDIDATE = (
 @click.option("--draws", type=click.IntRange(0, 1000), default=10, show_default=True,
               help="How many printers to draw; 0 for the model alone.")  # fmt: skip
 @seed_option
-@click.option(
-    "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
-    help="Draw the trade-off (.png or .svg); needs matplotlib.",
-)  # fmt: skip
+@figure_option("the trade-off")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write a profile with the recommended values; may be the one given with -p.",
@@ -94,7 +93,7 @@ def tune(
         with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
             _tell_shaper(lines, profile, reading, open_json(findings, json_file), json_file)
         return
-    _check_figure(figure)
+    check_figure(figure)
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None
         with (
@@ -120,16 +119,6 @@ def tune(
             raise HframeError(NO_CANDIDATE)
         if file is not None:
             file.write(with_windows(printer, best.windows).encode())
-
-
-def _check_figure(figure: Path | None) -> None:
-    """Says at once that it cannot be drawn."""
-    from hframe_post import plotting
-
-    if figure is not None:
-        if figure.suffix not in (".png", ".svg"):
-            raise click.UsageError("--figure must end in .png or .svg")
-        plotting.canvas(1, 1, (1.0, 1.0))
 
 
 def _tell_shaper(

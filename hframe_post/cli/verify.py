@@ -8,6 +8,8 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.options import (
+    check_figure,
+    figure_option,
     files_read,
     json_option,
     open_json,
@@ -44,6 +46,7 @@ from hframe_post.cli.sensing import (
 @height_option
 @page_option
 @json_option
+@figure_option("the contour error along the motion, as measured and as predicted")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write the profile with a mark of what was measured, if it is good.",
@@ -51,7 +54,7 @@ from hframe_post.cli.sensing import (
 def verify(
     printer: str, gcode: Path | None, plain: tuple[Path, Path] | None,
     compensated: tuple[Path, Path] | None, axes: str, chips: tuple[str, ...], z: float,
-    report_file: Path | None, json_file: Path | None, output: Path | None,
+    report_file: Path | None, json_file: Path | None, figure: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Check on the machine what a profile does: first --gcode, then both recordings.
 
@@ -66,11 +69,12 @@ def verify(
         return
     if plain is None or compensated is None:
         raise click.UsageError("give --gcode, or both --plain and --compensated")
-    _judge(printer, plain, compensated, axes, report_file, json_file, output)
+    check_figure(figure)
+    _judge(printer, plain, compensated, axes, report_file, json_file, figure, output)
 
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
-    from hframe_post.identification.verification import runs
+    from hframe_post.identification.proof_motion import runs
     from hframe_post.printer.profile import check_identified, load
 
     profile = load(printer)
@@ -82,10 +86,11 @@ def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None
 
 def _judge(
     printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
-    report_file: Path | None, json_file: Path | None, output: Path | None,
+    report_file: Path | None, json_file: Path | None, figure: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
+    from hframe_post import plotting
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification import command_file
+    from hframe_post.identification import command_file, plots
     from hframe_post.identification.accelerometer import oriented, read
     from hframe_post.identification.verification import judge
     from hframe_post.identification.verification_page import verification_page
@@ -100,6 +105,7 @@ def _judge(
         with Outputs([*given, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
             drawn = findings.open(report_file) if report_file is not None else None
+            image = findings.open(figure) if figure is not None else None
             first, second = (
                 (command_file.read(command), oriented(read(recording), axes, QUIET))
                 for command, recording in (plain, compensated)
@@ -110,6 +116,8 @@ def _judge(
                 setup = [("plain", plain[1].name), ("compensated", compensated[1].name)]
                 name = profile.description or profile.name
                 drawn.write(verification_page(verdict, name, [*setup, ("axes", axes)]))
+            if figure is not None and image is not None:
+                plotting.save(plots.verification(verdict), image, figure.suffix.removeprefix("."))
         click.echo(verdict.as_text(), err=str(json_file) == "-")
         if verdict.fault is not None:
             raise IdentificationError(f"the profile is not verified: {verdict.fault}")

@@ -11,7 +11,8 @@ RINGING = 0.3  # damping below which a pair of poles is called a resonance
 UNEXPLAINED = 4.0  # residual over noise from which an order is too low
 SETTLED = 0.01  # of a command's lead over a zero, below which it may be cut off
 EARLIER = 0.1  # s of that lead that any window has to spare
-AT_BOUND = 0.01  # of the bounds' distance
+AT_BOUND = 0.01  # of the bounds' distance,
+LOOSE = 1e-3  # s, where that is more than this
 
 
 def of_roots(G: TransferFunction, band_hz: tuple[float, float]) -> list[str]:
@@ -47,9 +48,9 @@ def of_zeros(G: TransferFunction) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def of_delay(delay: float, bounds: tuple[float, float]) -> list[str]:
-    """A delay (s) at its bound."""
+    """A delay (s) at its bound, where that is not but a sample of the sensor away."""
     low, high = bounds
-    if high > low and min(delay - low, high - delay) < AT_BOUND * (high - low):
+    if high - low > LOOSE and min(delay - low, high - delay) < AT_BOUND * (high - low):
         return [
             f"the delay of {1e3 * delay:.3g} ms is at its bound: the recording does not start "
             "where it was thought to, or the order is wrong"

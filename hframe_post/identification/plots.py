@@ -9,6 +9,7 @@ import numpy as np
 from hframe_post.arrays import TS
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.identify import Measured
+from hframe_post.identification.verdict import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,4 +45,18 @@ def identification(name: str, measured: Measured, found: Fit) -> Figure:
     axis[1].set(ylabel="phase, °")
     axis[2].set(ylabel="coherence", ylim=(0.0, 1.05))
     axis[3].set(ylabel="model off, relative", xlabel="frequency, Hz")
+    return figure
+
+
+def verification(verdict: Verdict) -> Figure:
+    """Contour error along the test motion, plain and compensated, as measured and as predicted."""
+    figure, axes = canvas(2, 1, (7.0, 5.0))
+    pairs = zip(("none", "racking"), verdict.errors_measured, verdict.errors_predicted, strict=True)
+    for axis, (name, measured, predicted) in zip(axes[:, 0], pairs, strict=True):
+        strategy = STRATEGIES[name]
+        axis.plot(verdict.at, measured, color=strategy.colour, lw=0.7, label="measured")
+        axis.plot(verdict.at, predicted, color="k", lw=0.5, label="predicted")
+        axis.set(ylabel="contour error, µm", title=strategy.label)
+        axis.legend(fontsize=7)
+    axes[-1, 0].set(xlabel="time, s")
     return figure

@@ -48,6 +48,7 @@ APPROACH = 100.0  # mm/s, to the place of a run
 LIKELY = 20.0  # times, up to which a resonance of a printer may amplify
 LIFT = 5.0  # mm/s
 FINER = 2  # digits more than a print's: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration
+IN_TIME = 200  # segments over which the motion may be late; over 16 s it would be by 0.2 ms
 SETTLED = 2000  # samples of standstill before a recording, while which sensors are set up
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 STATE = "hframe_post_sweep"
@@ -180,8 +181,13 @@ def gcode(
     height = plain(z, 3)
     head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
-    yield from GcodeWriter("none", Klipper.of(printer), FINER).write(_samples(planned, chips, z))
+    yield from _writer(printer).write(_samples(planned, chips, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
+
+
+def _writer(printer: Printer) -> GcodeWriter:
+    """One that keeps time: what it is late by at one frequency would pass for the printer's lag."""
+    return GcodeWriter("none", Klipper.of(printer), FINER, steady=IN_TIME)
 
 
 def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hframe_post.identification.verification import Verdict
+from hframe_post.identification.verdict import Verdict
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page.measured import Card, Chart, Line, Section, page
 

@@ -54,7 +54,8 @@ class GcodeWriter:
 
     strategy: whose command is written; finer: digits that coordinates and F are given beyond
     those that a print needs. place, offset: where the stream goes on that another has begun: x,
-    y, z, e, and the user's G92; a new stream finds the machine in the user's hands.
+    y, z, e, and the user's G92; a new stream finds the machine in the user's hands. steady: see
+    ``Pace``.
     """
 
     def __init__(
@@ -64,12 +65,13 @@ class GcodeWriter:
         finer: int = 0,
         place: Position | None = None,
         offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        steady: int = 0,
     ) -> None:
         units = Units.of(finer)
         at = units.rounded(np.array(place)) if place is not None else None
         self._strategy, self._lines = strategy, 0
         self._ledger = Ledger(int(at[E]) if at is not None else 0)
-        self._machine = _Machine(player, self._ledger, units, at, offset)
+        self._machine = _Machine(player, self._ledger, units, at, offset, steady)
         self._held = Held()
         self._skip = 0  # samples of a pause that lie in the next chunks
 
@@ -143,9 +145,10 @@ class _Machine:
         units: Units,
         at: Integers | None,
         offset: tuple[float, float, float],
+        steady: int,
     ) -> None:
         self._player, self._ledger, self._units = player, ledger, units
-        self._pace = Pace(player, units.per_feed)
+        self._pace = Pace(player, units.per_feed, steady)
         self._at = at  # x, y, z, e, output units; None: only firmware knows
         self._feed = 0  # last F, output units; 0: to be told
         self._still = 0  # samples of standstill since the last segment

@@ -16,12 +16,13 @@ CATCH_UP = 0.01  # share of its time by which a segment is hurried or delayed
 class Pace:
     """Feed rates and dwells of one machine.
 
-    per_feed: units of F in a mm/s. ``lag``: s by which the machine is late, as far as rounding
-    tells; the next motion makes up for it.
+    per_feed: units of F in a mm/s. steady: segments over which time is kept inside a motion, too;
+    0: over a batch. It takes an F of many digits. ``lag``: s by which the machine is late, as far
+    as rounding tells; the next motion makes up for it.
     """
 
-    def __init__(self, player: Player, per_feed: float) -> None:
-        self._player, self._per_feed = player, per_feed
+    def __init__(self, player: Player, per_feed: float, steady: int = 0) -> None:
+        self._player, self._per_feed, self._steady = player, per_feed, steady
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
         # a lift by the speed that it leaves, and what was believed of it
         self._leaving: tuple[Callable[[float], Stroke], Stroke] | None = None
@@ -42,16 +43,24 @@ class Pace:
         T = self._player.possible_times(at, T, self._before)
         made_up = np.minimum(CATCH_UP * np.cumsum(T), abs(self.lag))
         hurried = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
-        v = self._player.feed_rates(at, hurried, rest, self._before, after)
-        feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
-        v = feeds / self._per_feed
-        taken = self._player.durations(at, v, rest, self._before, after)
+        feeds, taken = self._asked(at, hurried, rest, after)
+        if self._steady:
+            over = np.ones(min(self._steady, len(T)))
+            drift = np.convolve(taken - hurried, over, "same") / np.convolve(T, over, "same")
+            feeds, taken = self._asked(at, hurried - drift * T, rest, after)
         late = taken - T
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
             late[0], self._fresh = 0.0, False
         self.lag += float(late.sum())
-        self._before = min(float(v[-1]), after)
+        self._before = min(float(feeds[-1] / self._per_feed), after)
         return feeds
+
+    def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
+        """F by which segments are to last T (k,), and how long they then take, (k,) each."""
+        v = self._player.feed_rates(at, T, rest, self._before, after)
+        feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
+        v = feeds / self._per_feed
+        return feeds, self._player.durations(at, v, rest, self._before, after)
 
     @property
     def stands(self) -> bool:

@@ -11,7 +11,9 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.identification.accelerometer import oriented
-from hframe_post.identification.verification import Verdict, judge, runs
+from hframe_post.identification.proof_motion import runs
+from hframe_post.identification.verdict import Verdict
+from hframe_post.identification.verification import judge
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -59,6 +61,23 @@ def test_a_wrong_profile_fails(scale: float) -> None:
     assert found.fault is not None
 
 
+@pytest.mark.parametrize("wrong", ["sign", "place"])
+def test_wrong_racking_fails(wrong: str) -> None:
+    """Though ringing is so much more that compensation helps."""
+    exact = STRANGER.exact()
+    assert exact.Gxtheta is not None
+    Gxtheta, x_c = exact.Gxtheta, exact.x_c
+    if wrong == "sign":
+        Gxtheta = replace(Gxtheta, gain=-Gxtheta.gain)
+    else:
+        x_c += 60.0
+    plant = replace(exact, Gxtheta=Gxtheta, x_c=x_c)
+    found, true = verdict(STRANGER, replace(printer(STRANGER), plant=plant))
+    assert true > 0.5
+    assert found.fault is not None
+    assert "racks the other way" in found.fault
+
+
 def test_another_printers_profile_fails() -> None:
     found, true = verdict(STRANGER, printer(STRANGER))
     assert true < 0.0
@@ -86,9 +105,11 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
         recording = write_klipper(tmp_path / f"{k}.csv", CHIP.heard(STRANGER, rows[:, 1:], k))
         arguments += [f"--{name}", command, recording]
     report = tmp_path / "report.html"
-    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report)
+    figure = tmp_path / "figure.svg"
+    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report, "--figure", figure)
     assert done.exit_code == 0, done.output
     assert data_of(report)["cards"][0]["kind"] == "best"
+    assert b"<svg" in figure.read_bytes()
     plain, compensated = data_of(report)["sections"][0]["charts"][0]["lines"]
     assert max(plain["y"]) > 2.0 * max(compensated["y"]) > 0.0
     assert "VERDICT     good" in done.output
