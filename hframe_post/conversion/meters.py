@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -12,23 +13,28 @@ from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
 
+RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 
 
 @dataclass(frozen=True, slots=True)
 class InputSummary:
-    """What a file holds: lines, moves at known places, filament (mm)."""
+    """What a file holds: lines, moves at known places, filament (mm).
+
+    firmware_retractions: G10 and G11 that pass, of which only the firmware knows what they do.
+    """
 
     lines: int = 0
     moves: int = 0
     filament: float = 0.0
+    firmware_retractions: int = 0
 
 
 class InputMeter:
     """Counts what is read."""
 
     def __init__(self) -> None:
-        self._lines, self._moves, self._filament = 0, 0, 0.0
+        self._lines, self._moves, self._filament, self._retractions = 0, 0, 0.0, 0
 
     def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         """The lines of the file."""
@@ -46,12 +52,13 @@ class InputMeter:
                 self._filament += item.end[E] - item.start[E]
             else:
                 self._filament += item.filament
+                self._retractions += RETRACTION.match(item.text) is not None
             yield item
 
     @property
     def summary(self) -> InputSummary:
         """Of what has passed."""
-        return InputSummary(self._lines, self._moves, self._filament)
+        return InputSummary(self._lines, self._moves, self._filament, self._retractions)
 
 
 @dataclass(frozen=True, slots=True)

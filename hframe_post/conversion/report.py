@@ -13,6 +13,8 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
 
+GUESSED = 9  # G10 and G11 that may pass: one pair or a few, beside macros
+
 
 @dataclass(frozen=True, slots=True)
 class StepReport:
@@ -69,6 +71,7 @@ class Report:
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+            "firmware_retractions": self.read.firmware_retractions,
             **self.path.as_json(),
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
@@ -114,6 +117,11 @@ class Report:
             lines.append(
                 f"TOO DENSE   up to {self.busiest_second} lines in a second, and the profile's "
                 f"lines_per_second is {self.lines_per_second:g}: the printer may stutter there"
+            )
+        if (count := self.read.firmware_retractions) > GUESSED:
+            lines.append(
+                f"GUESSED     how long {count} G10 and G11 take: less is compensated beside them, "
+                "unless [retraction] of the profile tells what they do"
             )
         if self.clamped.samples:
             lines.append(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from hframe_post.gcode.commands import Dialect, Vocabulary, dialect
-from hframe_post.printer.settings import Printer, Travel
+from hframe_post.printer.settings import Printer, Retraction, Travel
 
 FileLimits = Literal["file", "file-all", "printer"]
 Extrusion = Literal["absolute", "relative"]
@@ -18,7 +18,8 @@ class ReadOptions:
 
     limits: which of the file's limits lower the printer's: those that its firmware obeys,
     all that are known, or none. extrusion: what E is before the first M82 or M83; None: as
-    the file shows. travel: where the path may go; None: anywhere.
+    the file shows. travel: where the path may go; None: anywhere. retraction: what G10 and G11
+    do; None: only the firmware knows.
     """
 
     dialect: Dialect
@@ -26,6 +27,7 @@ class ReadOptions:
     extrusion: Extrusion | None = None
     travel: Travel | None = None
     vocabulary: Vocabulary = field(default_factory=Vocabulary.of)
+    retraction: Retraction | None = None
 
     @classmethod
     def of(
@@ -34,4 +36,7 @@ class ReadOptions:
         """For a printer. Raises HframeError where its firmware is unknown."""
         firmware = printer.firmware
         vocabulary = Vocabulary.of(firmware.harmless, firmware.returns)
-        return cls(dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary)
+        return cls(
+            dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary,
+            printer.retraction,
+        )  # fmt: skip

@@ -7,13 +7,14 @@ Rules:
     is unknown, and the next move goes to the firmware as it stands.
  4. Lines that only set limits or the feed-rate factor are obeyed here and do not pass:
     inside a dense stream the firmware would obey them a second time.
+ 5. Firmware retraction becomes a move of filament where the profile tells what it is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, STEEPEST, PlainMoves
+from hframe_post.gcode.retraction import MACRO, PAIRED, PARAMETERS, SETTINGS, FirmwareRetraction
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 LONGEST_DWELL = 24 * 3600.0  # s
@@ -86,6 +88,7 @@ class _Reader:
         self._place = Coordinates(options.dialect, options.extrusion)
         self._limits = RequestedLimits(options.dialect)
         self._feed = Feed(options.dialect)
+        self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._moved = self._ran_macro = False
         self._cause = AT_THE_START
         self.items = Gathering(self._limits)
@@ -298,19 +301,66 @@ class _Reader:
 
     def _other(self, line: Line, name: str, arguments: bytes = b"") -> None:
         """A command or macro that is neither motion, mode nor limit."""
+        if self._retracts(line, name, arguments):
+            return
         effect = self._options.vocabulary.effect(name, arguments)
         if name == "M486" and self._dialect.rejoins:  # S goes to an object, which may be left out
             effect = Effect.WAITS
-        self._passthrough(line, effect.handling)
+        waits = name in ("G10", "G11") and effect is Effect.WAITS
+        self._passthrough(line, effect.handling, self._retraction.seconds(name) if waits else 0.0)
         if effect is not Effect.UNKNOWN:
             return
         self._cause = name[:40]
+        self._retraction.lost()
         if name == "G28":
             homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
             self._place.forget(homed or range(3), homed=True)
         else:
             self._place.forget()
             self._ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
+
+    def _retracts(self, line: Line, name: str, arguments: bytes) -> bool:
+        """Whether it is a G10 or G11 that is made a move of filament here.
+
+        The file's own count of filament knows nothing of it.
+        """
+        if name == MACRO:
+            self._retraction.set(name, parameters(line, PARAMETERS))
+        elif name in SETTINGS:
+            self._retraction.set(name, numbers_among(line, arguments, SETTINGS[name]))
+        place = self._place
+        if name not in ("G10", "G11") or arguments.strip():
+            return False
+        paired = self._options.retraction is not None and all(place.known) and self._paired()
+        if (moved := self._retraction.of(name, paired)) is None:
+            return False
+        filament, speed = moved
+        if filament:
+            x, y, z, e = old = place.position
+            place.position = new = (x, y, z, e + filament)
+            ox, oy, oz, oe = place.offset
+            place.offset = (ox, oy, oz, oe + filament)
+            speed = min(speed * self._feed.multiplier, self._limits.axes.velocity[3])
+            self.items.stand(Standing(line.number, old, new, speed))
+        return True
+
+    def _paired(self) -> bool:
+        """Whether a G11 comes before anything that may move the machine or retract itself."""
+        known = commands.MOTION_WORDS.keys() | commands.LIMIT_WORDS.keys() | commands.MODAL
+        for line in islice(self._source.ahead(), PAIRED):
+            coded = command(line)
+            if coded is not None:
+                name, arguments = coded.name, coded.arguments
+            else:
+                words = uncommented(line.text).split(maxsplit=1)
+                name, arguments = words[0].decode("latin-1").upper() if words else "", b""
+            if name == "G11" and not arguments.strip():
+                return True
+            if not name or name == commands.LIMITS or name in known:
+                continue
+            if self._options.vocabulary.effect(name, arguments).handling is Handling.RELEASE:
+                return False
+        return False
 
     def _e_is_absolute(self, line: Line) -> bool:
         """What E is, in a file that has not said so before the first."""

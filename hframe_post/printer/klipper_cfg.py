@@ -153,6 +153,15 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
             (f"{table}.shaper_freq_x", own.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
             (f"{table}.shaper_freq_y", own.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
         ]  # fmt: skip
+    if (retraction := printer.retraction) is not None:
+        back = retraction.return_speed or retraction.speed
+        pairs += [
+            ("retraction.length", retraction.length, "firmware_retraction", "retract_length", 0.0),
+            ("retraction.speed", retraction.speed, "firmware_retraction", "retract_speed", 20.0),
+            ("retraction.return_speed", back, "firmware_retraction", "unretract_speed", 10.0),
+            ("retraction.extra", retraction.extra,
+             "firmware_retraction", "unretract_extra_length", 0.0),
+        ]  # fmt: skip
     for key, wanted, section, option, default in pairs:
         has = config.number(section, option, default)
         if math.isnan(has):

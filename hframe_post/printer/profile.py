@@ -27,6 +27,7 @@ from hframe_post.printer.settings import (
     Limits,
     Motors,
     Printer,
+    Retraction,
     Speed,
     Steps,
     Sweep,
@@ -111,7 +112,7 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps", "sweep", "speed", "verified")
+    optional = ("kinematics", "steps", "sweep", "speed", "retraction", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -140,6 +141,9 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         _verified(document),
         checked_value(bool, document["plant"].get("invented", False), {}, "plant.invented"),
         checked(Speed, document.get("speed", {}), "speed"),
+        checked(Retraction, document["retraction"], "retraction")
+        if "retraction" in document
+        else None,
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer

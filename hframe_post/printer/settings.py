@@ -181,6 +181,16 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True)
+class Retraction:
+    """What G10 and G11 do: mm of filament and mm/s; return_speed 0: that of retracting."""
+
+    length: float = within(0.01, 100.0)
+    speed: float = within(0.1, 1e3)
+    return_speed: float = not_negative(0.0, most=1e3)
+    extra: float = field(default=0.0, metadata={"least": -1.0, "most": 10.0})
+
+
+@dataclass(frozen=True, slots=True)
 class Speed:
     """How accuracy is spent on speed where no option says so.
 
@@ -232,3 +242,4 @@ class Printer:
     verified: Verified | None = None
     invented: bool = False
     speed: Speed = Speed()
+    retraction: Retraction | None = None

@@ -12,6 +12,7 @@ import pytest
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.firmware.klipper_macros import macros
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Retraction
 from hframe_post.writers.deferred import DeferredLine
 
 from .host import Playback, play
@@ -217,6 +218,35 @@ def test_a_print_that_stops_anywhere_brakes_as_hard_as_the_motors_hold(tmp_path:
         asked[name] = belts_acceleration(play(tmp_path / "stopped.gcode", workdir=tmp_path / name))
     assert asked["as written"] <= MOTORS
     assert asked["without bounds"] > MOTORS
+
+
+@pytest.mark.klipper
+def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> None:
+    """As much filament, in hardly more time."""
+    lines = strokes(12)
+    taken = [k for k, line in enumerate(lines) if line in ("G1 E-1.6 F2400", "G1 E1.6 F2400")]
+    for k in taken:
+        lines[k] = "G10" if "-" in lines[k] else "G11"
+    lines[4:4] = ["G11"]  # what the file finds is the firmware's
+    paper = load("paper")
+    own = replace(paper, retraction=Retraction(1.6, 40.0, 25.0, 0.02))
+    file = [line.encode() + b"\n" for line in lines]
+    conversion = GcodeConversion(file, own, Options("racking"))
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    assert text.count(b"G10\n") == 0
+    (tmp_path / "sliced.gcode").write_bytes(b"".join(file))
+    (tmp_path / "converted.gcode").write_bytes(text)
+    sections = (
+        "[firmware_retraction]\nretract_length: 1.6\nretract_speed: 40\nunretract_speed: 25\n"
+        "unretract_extra_length: 0.02\n"
+    )
+    sliced, converted = (
+        play(tmp_path / f"{n}.gcode", workdir=tmp_path / n, sections=sections)
+        for n in ("sliced", "converted")
+    )
+    ends = [played.extruded(played.end + 1.0)[0] for played in (sliced, converted)]
+    assert ends[1] == pytest.approx(ends[0], abs=2e-3)
+    assert converted.duration <= 1.03 * sliced.duration
 
 
 PARK = [b"G90\n", b"G1 X20 Y20 F18000\n"]
