@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,10 @@ from hframe_post.cli.options import (
 
 if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
+    from hframe_post.library import Tuning
     from hframe_post.printer.settings import Printer
+    from hframe_post.studies.pareto import Pareto
+    from hframe_post.studies.tuning import Trial
 
 NO_CANDIDATE = (
     "no candidate stays within the motors' limits: try larger --effort, or a slower print"
@@ -53,6 +57,10 @@ NO_CANDIDATE = (
     help="Write a profile with the recommended values; may be the one given with -p.",
 )  # fmt: skip
 @click.option(
+    "--keep-limits", is_flag=True,
+    help="Choose window and weight alone: acceleration and jerk stay the profile's.",
+)  # fmt: skip
+@click.option(
     "--shaper", is_flag=True,
     help="Instead, for those who want no dense stream: the [input_shaper] section for Klipper's "
     "printer.cfg that serves this printer and print best.",
@@ -62,14 +70,15 @@ def tune(
     source: Path | None, path: str | None, printer: str, limits: FileLimits,
     extrusion: Extrusion | None, knots: tuple[int, ...], effort: tuple[float, ...],
     model_error: float, draws: int, seed: int, figure: Path | None, output: Path | None,
-    shaper: bool, json_file: Path | None,
+    keep_limits: bool, shaper: bool, json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best the motors can follow.
 
     More weight (λ) drives the motors less hard and leaves more error; finer knots (small L)
-    can cancel faster ringing. Recommended is the gentlest of those whose error, under model
-    error, is within a tenth of the best. The settings of compensation.stops are shown with
-    the print time that each takes.
+    can cancel faster ringing. Of those whose error, under model error, is within a tenth of the
+    best the gentlest is taken. Then acceleration and jerk are chosen with them, on half a minute
+    of the print: gentler ones as long as they halve the error for a tenth of the time.
+    The settings of compensation.stops are shown with the print time that each takes.
 
     \b
     Example:
@@ -78,10 +87,14 @@ def tune(
     from hframe_post import library, plotting
     from hframe_post.errors import HframeError
     from hframe_post.gcode.options import ReadOptions
-    from hframe_post.printer.edit import with_windows
     from hframe_post.studies.plots import trade_off
-    from hframe_post.studies.tuning import EFFORTS, KNOTS
-    from hframe_post.studies.tuning_report import stops_table, summary, trials_table
+    from hframe_post.studies.tuning_report import (
+        pace_as_json,
+        pace_table,
+        stops_table,
+        summary,
+        trials_table,
+    )
     from hframe_post.writers.atomic_file import Outputs
 
     profile = library.load_printer(printer)
@@ -94,31 +107,81 @@ def tune(
             _tell_shaper(lines, profile, reading, open_json(findings, json_file), json_file)
         return
     check_figure(figure)
+    asked = _Asked(knots, effort, model_error, draws, seed, limits, extrusion)
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None
-        with (
-            opened(source, path, profile, quiet=False) as lines,
-            Outputs([*reads, *([output] if output else [])]) as findings,
-        ):
+        with Outputs([*reads, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
             drawing = findings.open(figure) if figure is not None else None
-            tuned = library.tune(
-                lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
-                model_error=model_error, draws=draws, seed=seed, limits=limits, extrusion=extrusion,
-            )  # fmt: skip
-            trials, best = tuned.trials, tuned.best
-            write_json(summary(trials, best, model_error, draws, tuned.stops))
+            with opened(source, path, profile, quiet=False) as lines:
+                tuned = asked.tuned(lines, profile)
+            windows_alone = keep_limits or str(source) == "-"
+            pace = None if windows_alone else asked.paced(source, tuned, profile)
+            told = summary(tuned.trials, tuned.best, model_error, draws, tuned.stops)
+            write_json(told | (pace_as_json(pace) if pace else {}))
             if figure is not None and drawing is not None:
-                kind = figure.suffix.removeprefix(".")
-                plotting.save(trade_off(trials, best, profile.motors), drawing, kind)
-        click.echo(trials_table(trials, best), err=str(json_file) == "-")
+                drawn = trade_off(tuned.trials, tuned.best, profile.motors, pace)
+                plotting.save(drawn, drawing, figure.suffix.removeprefix("."))
+        table = trials_table(tuned.trials, tuned.best) + (pace_table(pace) if pace else "")
         if tuned.stops:
-            told = stops_table(tuned.stops, profile.compensation.stops)
-            click.echo(f"\n{told}", err=str(json_file) == "-")
-        if best is None:
+            table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
+        click.echo(table, err=str(json_file) == "-")
+        if tuned.best is None:
             raise HframeError(NO_CANDIDATE)
         if file is not None:
-            file.write(with_windows(printer, best.windows).encode())
+            file.write(_written(printer, tuned.best, pace).encode())
+
+
+def _written(printer: str, best: Trial, pace: Pareto | None) -> str:
+    """The profile with what is recommended."""
+    from hframe_post.printer.edit import with_windows
+
+    if pace is None or pace.chosen is None:
+        return with_windows(printer, best.windows)
+    chosen = pace.chosen
+    limits = {"acceleration": chosen.acceleration, "jerk": chosen.jerk}
+    return with_windows(printer, chosen.trial.windows, limits)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What is tried, and on which printers."""
+
+    knots: tuple[int, ...]
+    effort: tuple[float, ...]
+    model_error: float
+    draws: int
+    seed: int
+    limits: FileLimits
+    extrusion: Extrusion | None
+
+    def tuned(self, lines: Iterable[bytes], profile: Printer) -> Tuning:
+        """Windows and weights, as the profile plans the print."""
+        from hframe_post import library
+        from hframe_post.studies.tuning import EFFORTS, KNOTS
+
+        return library.tune(
+            lines, profile, knots=self.knots or KNOTS, efforts=self.effort or EFFORTS,
+            model_error=self.model_error, draws=self.draws, seed=self.seed, limits=self.limits,
+            extrusion=self.extrusion,
+        )  # fmt: skip
+
+    def paced(self, source: Path | None, tuned: Tuning, profile: Printer) -> Pareto | None:
+        """The best windows with other accelerations and jerks; None if there is no best."""
+        from hframe_post.studies import pareto
+        from hframe_post.studies.reference_path import rectangle
+        from hframe_post.studies.uncertainty import draws
+
+        if tuned.best is None:
+            return None
+        grid = pareto.windows(tuned.trials, tuned.best, profile.motors)
+        plants = draws(profile.plant, self.model_error, self.draws, self.seed)
+        if source is None:
+            kept = pareto.pieces(rectangle(profile), profile)
+        else:
+            with source.open("rb") as lines:
+                kept = pareto.pieces(lines, profile)
+        return pareto.pareto(kept, profile, grid, plants)
 
 
 def _tell_shaper(

@@ -18,14 +18,19 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import model_digest, parse, shipped, text_of
 
 Windows = tuple[Window, Window]
+Tables = Mapping[str, dict[str, Any]]  # of a profile: settings by name
 
 
-def with_windows(name_or_path: str, windows: Windows) -> str:
+def with_windows(
+    name_or_path: str, windows: Windows, limits: Mapping[str, float] | None = None
+) -> str:
     """The text of that profile with these windows. A shipped one is extended, not copied.
 
-    Raises PrinterError where the text is laid out so that it cannot be changed safely.
+    limits: what is changed in [limits]. Raises PrinterError where the text is laid out so that it
+    cannot be changed safely.
     """
-    return _changed(name_or_path, windows, "")
+    tables = {"compensation": _settings(windows), **({"limits": dict(limits)} if limits else {})}
+    return _changed(name_or_path, tables, "")
 
 
 def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str]) -> str:
@@ -37,7 +42,8 @@ def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequenc
     """
     before = parse(_own(name_or_path)[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
-    return _changed(name_or_path, windows, _plant(plant, notes, before.invented), strategy)
+    tables = {"compensation": {**_settings(windows), **strategy}}
+    return _changed(name_or_path, tables, _plant(plant, notes, before.invented))
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -64,25 +70,21 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
     return changed.replace("\n", newline)
 
 
-def _changed(
-    name_or_path: str, windows: Windows, plant: str, more: Mapping[str, Any] | None = None
-) -> str:
-    """The profile's text with these windows and, unless empty, this table ``plant``.
-
-    more: of [compensation].
-    """
+def _changed(name_or_path: str, tables: Tables, plant: str) -> str:
+    """The profile's text with these settings and, unless empty, this table ``plant``."""
     text, newline = _own(name_or_path)
-    settings = {**_settings(windows), **(more or {})}
     try:
-        changed = _edited(text, settings, plant)
-        if tomllib.loads(changed) != _merged(text, settings, plant):
+        changed = _edited(text, tables, plant)
+        if tomllib.loads(changed) != _merged(text, tables, plant):
             raise ValueError("more was changed than meant")
     except (TOMLKitError, ValueError, RecursionError):
-        lines = ", ".join(f"{key} = {value}" for key, value in settings.items())
+        lines = ", ".join(
+            f"{key} = {value}" for settings in tables.values() for key, value in settings.items()
+        )
         advice = f"write these lines yourself: {lines}"
         if plant:
             advice = "this file cannot be changed: extend a shipped profile"
-        raise PrinterError(advice, "compensation", name_or_path) from None
+        raise PrinterError(advice, next(iter(tables)), name_or_path) from None
     parse(changed, name_or_path)  # what is written can be loaded
     return changed.replace("\n", newline)
 
@@ -103,17 +105,18 @@ def _settings(windows: Windows) -> dict[str, Any]:
     return {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": effort}
 
 
-def _edited(text: str, settings: dict[str, Any], plant: str) -> str:
+def _edited(text: str, tables: Tables, plant: str) -> str:
     document = tomlkit.parse(text)
-    if "compensation" not in document:
-        document.append("compensation", tomlkit.table())
-    table: Any = document["compensation"]
-    for key, value in settings.items():
-        if isinstance(value, list) and len(table.get(key, ())) == len(value):
-            for k, number in enumerate(value):  # one by one: comments between them stay
-                table[key][k] = number
-        else:
-            table[key] = value
+    for name, settings in tables.items():
+        if name not in document:
+            document.append(name, tomlkit.table())
+        table: Any = document[name]
+        for key, value in settings.items():
+            if isinstance(value, list) and len(table.get(key, ())) == len(value):
+                for k, number in enumerate(value):  # one by one: comments between them stay
+                    table[key][k] = number
+            else:
+                table[key] = value
     if not plant:
         return document.as_string()
     document.pop("plant", None)
@@ -121,13 +124,13 @@ def _edited(text: str, settings: dict[str, Any], plant: str) -> str:
     return f"{document.as_string().rstrip()}\n\n{plant}"
 
 
-def _merged(text: str, settings: dict[str, Any], plant: str) -> dict[str, Any]:
+def _merged(text: str, tables: Tables, plant: str) -> dict[str, Any]:
     """What the changed text must say."""
     before = tomllib.loads(text)
     if plant:
         before.pop("verified", None)
-    compensation = {**before.get("compensation", {}), **settings}
-    return {**before, "compensation": compensation, **tomllib.loads(plant)}
+    changed = {name: {**before.get(name, {}), **settings} for name, settings in tables.items()}
+    return {**before, **changed, **tomllib.loads(plant)}
 
 
 def _plant(plant: Plant, notes: Sequence[str], was_invented: bool) -> str:

@@ -15,6 +15,8 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.compensation.stops import rests
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.conversion.stages import Stages
+from hframe_post.errors import HframeError
+from hframe_post.firmware.registry import passing
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant
@@ -84,7 +86,8 @@ class Trial:
 
     errors: by kind (mm), of each plant that it was judged on, the model first; seconds: of it
     all, and of its layers by place; held (NAMES, CAUSES): seconds by kind and by what kept them
-    from being fewer; clamped: samples at which a command had to be taken back.
+    from being fewer; clamped: samples at which a command had to be taken back; refused: why it
+    cannot be driven so at all.
     """
 
     driven: Driven
@@ -93,6 +96,7 @@ class Trial:
     layers: dict[int, float]
     held: Array
     clamped: int
+    refused: str = ""
 
     @property
     def held_by(self) -> dict[str, float]:
@@ -165,11 +169,15 @@ class Drive:
         printer, options = self.settings(driven)
         seen = _Seen(driven, self._free, self._measure, self.top)
         stages = Stages(printer, self._options, self._compensator, self._options.strategies)
-        for piece in pieces:
-            items = self._paced(piece.items, options, piece)
-            commands = stages.computed(plan(items, printer.limits))
-            seen.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
-        return seen.trial(stages.summary.clamped.samples)
+        refused = ""
+        try:
+            for piece in pieces:
+                items = self._paced(piece.items, options, piece)
+                commands = stages.computed(plan(items, printer.limits))
+                seen.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
+        except HframeError as error:
+            refused = str(error)
+        return seen.trial(stages.summary.clamped.samples, refused)
 
     def of_all(self, driven: Driven, plants: tuple[Plant, ...]) -> Trial:
         """The whole print driven so, judged on each plant."""
@@ -177,14 +185,18 @@ class Drive:
         options = replace(self._options, paces=options.paces)
         commands = Commands(self._lines(), printer, options, compensator=self._compensator)
         seen = _Seen(driven, self._free, self._measure, self.top)
-        seen.add(commands, Labels(by_name=False), plants)
+        try:
+            seen.add(commands, Labels(by_name=False), plants)
+        except HframeError as error:  # the file itself was read to its end before
+            return seen.trial(0, str(error))
         return seen.trial(commands.report().clamped.samples)
 
     def layers(self, driven: Driven) -> dict[int, float]:
         """Seconds of each layer, by place in the print: planned, not compensated."""
         printer, options = self.settings(driven)
         items = self._paced(read(self._lines(), self._reading), options, None)
-        waits = rests(printer.compensation.stops, options.strategy)
+        lifts = passing(printer, options.tolerance)
+        waits = rests(printer.compensation.stops, options.strategy, lifts)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sample(plan(items, printer.limits), printer.limits, waits):
             _count(layers, labels.of(chunk)[0])
@@ -236,7 +248,7 @@ class _Seen:
                     (contour,) = judgement.contour.values()
                     errors.add(contour[here])
 
-    def trial(self, clamped: int) -> Trial:
+    def trial(self, clamped: int, refused: str = "") -> Trial:
         """Of all that was taken."""
         errors = {
             name: [measured(errors, self._measure) for errors in of]
@@ -244,7 +256,7 @@ class _Seen:
             if of[0].count >= FEW
         }
         seconds = self._samples * TS
-        return Trial(self._driven, errors, seconds, self._layers, self._held, clamped)
+        return Trial(self._driven, errors, seconds, self._layers, self._held, clamped, refused)
 
     def _causes(self, chunk: Samples, labels: Labels, layer: Integers, feature: Integers) -> Array:
         """Seconds of a chunk, (NAMES, CAUSES): by kind, and by the first cause that holds."""

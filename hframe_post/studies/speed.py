@@ -145,7 +145,13 @@ class _Pieces:
         return self._judged_by_all(self._corrected(best))
 
     def _trial(self, driven: Driven, plants: tuple[Plant, ...]) -> Trial:
-        return self._drive.of_pieces(self._pieces, driven, plants)
+        """The pieces driven so, or gentler if that cannot be."""
+        for _ in range(MOST_ROUNDS):
+            trial = self._drive.of_pieces(self._pieces, driven, plants)
+            if not trial.refused:
+                return trial
+            driven = gentler(driven)
+        raise HframeError(trial.refused)
 
     def _judged_by_all(self, driven: Driven) -> tuple[Driven, tuple[Plant, ...]]:
         """Corrected on all printers; the model, and those that are worst for some kind."""
@@ -274,6 +280,9 @@ def _within(
         shares, short = bound.shares(trial), cooling.short(trial.layers)
         keeps = all(share <= 1.0 for share in shares.values())
         outruns = trial.clamped > 0 and not may_clamp and number < MOST_ROUNDS
+        if trial.refused:
+            driven = gentler(driven)
+            continue
         if keeps and not short and not outruns:
             good.append(trial)
         if good and (number >= ROUNDS or spent(trial, shares, drive.top)):
@@ -284,6 +293,8 @@ def _within(
         driven = cooling.slowed(driven, trial.layers)
         if outruns:
             driven = gentler(driven)
+    if trial.refused:
+        raise HframeError(trial.refused)
     worst = max(shares, key=lambda name: shares[name])
     raise HframeError(
         f"no pace keeps this print within that error: {worst} is off by "
@@ -330,10 +341,14 @@ def slower(driven: Driven, gains: dict[str, float]) -> Driven:
 
 
 def gentler(driven: Driven) -> Driven:
-    """What is driven hardest, less hard."""
+    """What is driven hardest, less hard, and all else a rung lower."""
     own = driven.acceleration
     hard = OUTRUN * max(own.values())
-    return replace(driven, acceleration={name: min(a, hard) for name, a in own.items()})
+    rungs: dict[str, Any] = {
+        name: ladder[max(ladder.index(getattr(driven, name)) - 1, 0)]
+        for name, ladder in LADDERS.items()
+    }
+    return replace(driven, acceleration={name: min(a, hard) for name, a in own.items()}, **rungs)
 
 
 def spent(trial: Trial, shares: dict[str, float], top: float) -> bool:

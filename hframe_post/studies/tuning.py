@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from hframe_post.arrays import X, Y, Z
+from hframe_post.arrays import TS, X, Y, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.plausibility import check_model, reach
 from hframe_post.compensation.stops import rests, solvers, stand
@@ -43,7 +43,7 @@ ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them
 @dataclass
 class Trial:
     """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²;
-    furthest: mm that its commands leave the path."""
+    furthest: mm that its commands leave the path; seconds: of what it was tried on."""
 
     windows: tuple[Window, Window]
     refused: str = ""
@@ -52,6 +52,7 @@ class Trial:
     velocity: float = 0.0
     acceleration: float = 0.0
     furthest: float = 0.0
+    seconds: float = 0.0
 
     @property
     def robust(self) -> float:
@@ -114,13 +115,6 @@ def tune(
     stops: settings that are tried in the same pass, where the profile's own window can be used.
     """
     check_model(printer)
-    trials = [Trial(windows) for windows in grid]
-    compensators: list[tuple[Trial, Compensator]] = []
-    for trial in trials:
-        try:
-            compensators.append((trial, Compensator(printer.plant, trial.windows)))
-        except ValueError as error:
-            trial.refused = str(error)
     try:
         own = Compensator(printer.plant, printer.compensation.windows)
         stops = list(stops)
@@ -129,15 +123,36 @@ def tune(
     items = plan(read(lines, reading or ReadOptions.of(printer)), printer.limits)
     planned, *others = branches(items, 1 + len(stops))
     waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
-    samples = sample(planned, printer.limits, waits)
-    running = [
+    beside = [
         _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
     ]
-    running += [
-        _tried(trial, compensator, branch, printer, drawn)
-        for (trial, compensator), branch in zip(
-            compensators, branches(samples, len(compensators)), strict=True
-        )
+    return tried(sample(planned, printer.limits, waits), printer, grid, drawn, beside)
+
+
+def tried(
+    samples: Iterable[Samples], printer: Printer, grid: list[tuple[Window, Window]],
+    drawn: list[Plant], beside: Iterable[Iterator[None]] = (),
+) -> list[Trial]:  # fmt: skip
+    """A trial of every candidate on samples of the path, in one pass. Raises HframeError.
+
+    beside: what goes on in step with it, a chunk at a time.
+    """
+    check_model(printer)
+    trials = [Trial(windows) for windows in grid]
+    compensators: list[tuple[Trial, Compensator]] = []
+    for trial in trials:
+        try:
+            compensators.append((trial, Compensator(printer.plant, trial.windows)))
+        except ValueError as error:
+            trial.refused = str(error)
+    running = [
+        *beside,
+        *(
+            _tried(trial, compensator, branch, printer, drawn)
+            for (trial, compensator), branch in zip(
+                compensators, branches(samples, len(compensators)), strict=True
+            )
+        ),
     ]
     for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
         pass
@@ -202,6 +217,7 @@ def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> I
     """The chunks as they are; how hard the belts are driven is noted."""
     differences = Differences(kinematics)
     for chunk in chunks:
+        trial.seconds += TS * len(chunk)
         if len(chunk):
             rates = differences.of(chunk.commands["racking"])
             trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))

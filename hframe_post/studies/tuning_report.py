@@ -9,6 +9,7 @@ from hframe_post.arrays import TS
 from hframe_post.writers.print_time import duration
 
 if TYPE_CHECKING:
+    from hframe_post.studies.pareto import Pareto, Point
     from hframe_post.studies.tuning import StopsTrial, Trial
 
 WHY_FAST = (
@@ -40,6 +41,51 @@ def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
         "print_time_s": {name: round(n * TS, 3) for name, n in seconds.items()},
         "contour_error_um": trial.contour.micrometres(),
     }
+
+
+def point_as_json(point: Point) -> dict[str, Any]:
+    """One way to plan and to compensate, ready for ``json.dumps``."""
+    return {
+        "acceleration": point.acceleration, "jerk": point.jerk,
+        "seconds": round(point.trial.seconds, 3), **trial_as_json(point.trial),
+    }  # fmt: skip
+
+
+def pace_as_json(pace: Pareto) -> dict[str, Any]:
+    """Time against error: what no other beats in both, the quickest first."""
+    return {
+        "pareto": [point_as_json(point) for point in pace.front],
+        "chosen": point_as_json(pace.chosen) if pace.chosen else None,
+    }
+
+
+def pace_table(pace: Pareto) -> str:
+    """The same for a person, the chosen one marked."""
+    front, chosen = pace.front, pace.chosen
+    if chosen is None:
+        return ""
+    quickest = front[0].trial.seconds
+    lines = [
+        "",
+        "time against error: each is the quickest with so little error",
+        f"{'':2s}{'acceleration':>13s}{'jerk':>9s}{'L':>4s}{'effort (λ)':>14s}{'time':>9s}"
+        f"{'µm RMS: the model':>20s}{'model error':>13s}",
+    ]
+    for point in front:
+        x, y = point.trial.windows
+        longer = 100.0 * (point.trial.seconds / quickest - 1.0)
+        lines.append(
+            f"{'→' if point is chosen else '':2s}{point.acceleration:13.0f}{point.jerk:9.0e}"
+            f"{x.L:4d}{f'{x.effort:g}, {y.effort:g}':>14s}{f'+{longer:.1f} %':>9s}"
+            f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:13.2f}"
+        )
+    x, y = chosen.trial.windows
+    lines += [
+        "",
+        f"recommended: acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, L = {x.L}, "
+        f"n_C = {x.n_C}, n_up = {x.n_up}, effort = [{x.effort:g}, {y.effort:g}]",
+    ]
+    return "\n".join(lines)
 
 
 def summary(

@@ -11,6 +11,7 @@ from subprocess import PIPE, CompletedProcess, Popen
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -21,7 +22,7 @@ from tests.cli.test_main import run
 from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
-SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0")  # one candidate on the model alone
+SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0", "--keep-limits")  # one, on the model
 STRATEGIES = {"none", "fbs", "racking"}
 
 
@@ -137,6 +138,7 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     done = run(
         "tune", "--path", "rectangle", "-p", mine, "-L", "10", "--effort", "30", "--effort", "300",
         "--draws", "2", "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", mine,
+        "--keep-limits",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr.decode()
     assert "recommended: L = 10, n_C = 44, n_up = 22" in done.stdout.decode()
@@ -155,9 +157,44 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     assert len(list(tmp_path.iterdir())) == 3
 
 
+def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path) -> None:
+    out = tmp_path / "out.toml"
+    done = run(
+        "tune", "--path", "rectangle", "-L", "8", "--effort", "10", "--draws", "2",
+        "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", out,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode()
+    told = json.loads((tmp_path / "t.json").read_text())
+    seconds = [point["seconds"] for point in told["pareto"]]
+    error = [point["median_under_model_error_um"] for point in told["pareto"]]
+    assert seconds == sorted(seconds)
+    assert error == sorted(error, reverse=True)
+    chosen = told["chosen"]
+    assert chosen in told["pareto"]
+    # worth it: no other point halves the error for a tenth of the time
+    cost = [e * t ** (np.log(2.0) / np.log(1.1)) for e, t in zip(error, seconds, strict=True)]
+    assert chosen == told["pareto"][int(np.argmin(cost))]
+    profile = load(str(out))
+    assert (profile.limits.acceleration, profile.limits.jerk) == (
+        chosen["acceleration"], chosen["jerk"],
+    )  # fmt: skip
+    assert profile.limits.jerk < 5e7
+    assert "recommended: acceleration = " in done.stdout.decode()
+
+
 def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
-    arguments = ["--path", "rectangle", "-L", "10", "--effort", "0", "--effort", "100"]
+    arguments = [
+        "--path",
+        "rectangle",
+        "-L",
+        "10",
+        "--effort",
+        "0",
+        "--effort",
+        "100",
+        "--keep-limits",
+    ]
     summary = told(run("tune", *arguments, "-L", "200", "--draws", "0", "--json", "-", "-o", out))
     refused_trials = [trial for trial in summary["trials"] if "refused" in trial]
     assert refused_trials
