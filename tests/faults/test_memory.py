@@ -86,7 +86,7 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
     ),
     "4000 objects": lambda: chain.from_iterable(map(labelled, range(4000))),
     "4000 layers": lambda: chain.from_iterable(map(layer, range(4000))),
-    "200 000 retractions": lambda: chain.from_iterable(map(retraction, range(100_000))),
+    "40 000 retractions": lambda: chain.from_iterable(map(retraction, range(20_000))),
     "20 000 circles": lambda: (f"G2 X150 Y100 I-{5 + k % 9} E1" for k in range(20_000)),
 }
 
