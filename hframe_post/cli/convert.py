@@ -31,7 +31,7 @@ from hframe_post.cli.speed import asked, hastened, speed_options, told, told_as_
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.options import Options
+    from hframe_post.conversion.options import Options, Retract
     from hframe_post.gcode.options import Extrusion, FileLimits
     from hframe_post.printer.settings import Printer
 
@@ -69,6 +69,11 @@ if TYPE_CHECKING:
     "--every-sample", is_flag=True, help="G-code for Klipper: write a line for every millisecond."
 )
 @click.option(
+    "--retract", type=click.Choice(["standing", "moving"]), default="standing", show_default=True,
+    help="For Klipper: where to retract, before the travel as the file has it, or on it where "
+    "there is time, without stopping.",
+)  # fmt: skip
+@click.option(
     "--predict", type=click.Choice(["chosen", "all", "off"]), default="chosen", show_default=True,
     help="Contour error to predict: of no compensation and the chosen one, of all, of none.",
 )  # fmt: skip
@@ -92,7 +97,7 @@ def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: FileLimits,
     extrusion: Extrusion | None, on_limit: str, i_know: bool, tolerance: float | None,
-    every_sample: bool, predict: str, max_error: dict[str, float] | None,
+    every_sample: bool, retract: Retract, predict: str, max_error: dict[str, float] | None,
     error_measure: str | None, speed_up: float | None, model_error: float | None,
     jobs: int | None, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
@@ -124,6 +129,7 @@ def convert(
     profile = replace(profile, invented=profile.invented and not i_know)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip
+    options = replace(options, retract=retract)
     log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")
     found = None
     if fast is not None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from hframe_post.gcode.options import Extrusion, FileLimits
 from hframe_post.planner.pacing import Paces
+
+Retract = Literal["standing", "moving"]
 
 TOLERANCE = 0.014  # mm by which G-code may be off the computed command; the nozzle is by 1 µm RMS
 
@@ -17,7 +20,8 @@ class Options:
     strategy: what is written; predict: strategies whose contour error is reported;
     limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
     beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
-    for every sample; paces: by what is printed, in place of the file's own.
+    for every sample; paces: by what is printed, in place of the file's own; retract: before the
+    travel, or ``moving``, on it.
     """
 
     strategy: str
@@ -27,6 +31,7 @@ class Options:
     tolerance: float | None = TOLERANCE
     extrusion: Extrusion | None = None
     paces: Paces | None = None
+    retract: Retract = "standing"
 
     @property
     def strategies(self) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ class SpanWriter:
         printer, options, compensator = self.made_of
         stages = Stages(printer, options, compensator, options.strategies, self._at_stops)
         begun = span.beginning
-        firmware = player(printer, options.tolerance)
+        firmware = player(printer, options.tolerance, options.retract == "moving")
         writer = GcodeWriter(options.strategy, firmware, place=begun.place, offset=begun.offset)
         result = WrittenSpan(())
 

@@ -88,7 +88,7 @@ class Stages:
     def computed(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """The commands as they are computed, the first sample being 0; neither judged nor timed."""
         options, limits, times = self._options, self._printer.limits, self.times
-        lifts = passing(self._printer, options.tolerance)
+        lifts = passing(self._printer, options.tolerance, options.retract == "moving")
         waits = rests(self._printer.compensation.stops, options.strategy, lifts)
         samples = times.of("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)

@@ -39,6 +39,7 @@ FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
 USUAL_NOZZLE = 0.4  # mm
 THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut
 SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
+SHARE_OF_CORNER = 0.3  # that filament in motion changes its speed by in a sample
 MOST_LONGER = 1.1  # times the duration of a lift that is made to be in time
 CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
 
@@ -83,6 +84,15 @@ def passing(printer: Printer) -> Rests:
     corner = StreamLimits.of(printer.limits, printer.motors, printer.kinematics).lift_corner
     allowed = corner <= printer.limits.square_corner_velocity
     return Rests(corner=corner if allowed else 0.0, labels=labels_object)
+
+
+def retracts_moving(printer: Printer) -> float:
+    """Acceleration (mm/s²) of filament that is retracted in motion.
+
+    At a junction Klipper lets extrusion change by the extruder's corner velocity, of which the
+    change of x's and y's speed needs the most.
+    """
+    return SHARE_OF_CORNER * printer.limits.extruder_corner_velocity / TS
 
 
 def labels_object(text: bytes) -> bool:
@@ -137,13 +147,15 @@ class Klipper:
     """Klipper as a ``Player``.
 
     tolerance: mm by which the decimated command may miss a sample; None keeps them all.
-    travel: mm/s at which a machine may catch up that comes from elsewhere.
+    travel: mm/s at which a machine may catch up that comes from elsewhere. retracts_moving: whether
+    filament is retracted in motion, which takes every sample there.
     """
 
     own: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
     travel: float = math.inf
+    retracts_moving: bool = False
 
     @classmethod
     def of(cls, printer: Printer, tolerance: float | None = None) -> Klipper:
@@ -227,6 +239,10 @@ class Klipper:
         """Decimated to the tolerance."""
         if self.tolerance is None:
             return np.arange(1, len(points)), points[1:]
+        if self.retracts_moving:
+            back = np.flatnonzero(np.diff(points[:, E]) < 0.0)
+            forced = forced.copy()
+            forced[back] = forced[back + 1] = True
         ends = _thinned(points, breakpoints(points, forced, self.tolerance))
         return ends, fitted(points, ends)
 

@@ -93,6 +93,8 @@ class _Sampler:
         self._line = 0
         self._acceleration = 0.0  # of the last motion, mm/s²
         self._labelled = False  # since motion last set out from rest
+        self._retraction: Trapezoid | None = None  # that is made on the way, so many samples of it
+        self._retracted = 0
         self._events: list[Event] = []
         self._at_rest: list[bytes] = []  # lines at the end of motion: the command comes to rest
         self._held: list[Samples] = []
@@ -135,6 +137,8 @@ class _Sampler:
             marks = self._pin(plan, marks, s, xyze)
             if arrives:
                 xyze[-1] = plan.points[-1]
+            if self._retraction is not None:
+                xyze[:, E] += self._held_back(n)
             self._emit(xyze, plan.line[move])
             yield from self.flush()
         for mark in marks:  # between the last sample of this plan and the first of the next
@@ -210,6 +214,8 @@ class _Sampler:
 
     def _standing(self, move: Standing, motion: Plan | None) -> Iterator[Samples]:
         """A retraction or a lift, which may pass from and into motion without rest."""
+        if motion is not None and self._on_the_way(move, motion):
+            return
         entry = leaving = 0.0
         if not self._rested:
             entry = self._passing(self._acceleration)
@@ -226,6 +232,30 @@ class _Sampler:
         )
         yield from self._moved(move, profile)
         self._rested = leaving == 0.0
+
+    def _on_the_way(self, move: Standing, motion: Plan) -> bool:
+        """Whether it is a retraction that is made on the travel, which has time for it."""
+        length = move.start[E] - move.end[E]
+        if not self._rests.moving or self._rested or length <= 0.0 or move.end[Z] != move.start[Z]:
+            return False
+        speed = min(move.speed, self._limits.extruder_velocity)
+        way = Trapezoid(length, speed, self._rests.moving)
+        still = np.flatnonzero(np.diff(motion.points[:, E]) != 0.0)
+        travel = float(motion.s[still[0]] if len(still) else motion.s[-1])
+        if travel < way.seconds * float(motion.cruise.max()):
+            return False
+        self._retraction, self._retracted = way, 0
+        return True
+
+    def _held_back(self, n: int) -> Array:
+        """Filament (n,), mm, that a retraction on the way has not taken yet at the next samples."""
+        way = self._retraction
+        assert way is not None
+        t = TS * np.arange(self._retracted + 1.0, self._retracted + n + 1.0)
+        self._retracted += n
+        if t[-1] >= way.seconds:
+            self._retraction = None
+        return np.where(t < way.seconds, way.length - way.way(t), 0.0)
 
     def _passing(self, acceleration: float) -> float:
         """Speed of z, mm/s, at which a lift passes from or into motion with that acceleration."""

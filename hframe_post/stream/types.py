@@ -143,7 +143,8 @@ class Rests:
     aside: instead of both where it is ``long`` samples or longer, and at the ends of a stretch.
     corner: mm/s at which z passes from motion in x and y into a lift and the other way round, where
     none of these is needed; 0: it comes to rest there. labels: whether a carried line is one after
-    which the machine must set out from rest.
+    which the machine must set out from rest. moving: mm/s², with which filament is retracted on the
+    travel that follows, where there is time; 0: before it.
     """
 
     before: int = 0
@@ -152,6 +153,7 @@ class Rests:
     long: int = 1 << 60
     corner: float = 0.0
     labels: Callable[[bytes], bool] = _no_line
+    moving: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

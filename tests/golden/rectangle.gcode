@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper, settings 7c5bd6629244
+; processed by hframe-post 0.1.0, printer paper, settings 316ace9879cc
 ; hframe-post:
 ;FLAVOR:Marlin
 G28

@@ -140,6 +140,21 @@ def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
 
 
 @pytest.mark.klipper
+def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
+    """Klipper's rule for extrusion at corners holds nothing up, and no filament is lost."""
+    lines = [line for line in hops(0, 14) if b"Z0.3 F1200" not in line and line[:4] != b"G1 Z"]
+    run = lines_played(lines, tmp_path, Options("racking", limits="printer", retract="moving"))
+    standing = sum(row.startswith(b"G1 E-") for row in run.text.splitlines())
+    assert 0 < standing < 10  # of 14, where travel is too short
+    start, offset = first_offset(run)
+    t = np.arange(start, len(run.command)) * TS + offset
+    off = np.hypot(*(run.playback.position(t)[:, :2] - run.command[start:]).T)
+    assert np.sqrt(np.square(off).mean()) < 0.012
+    end = run.playback.end
+    assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
+
+
+@pytest.mark.klipper
 def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     options = Options("racking", limits="printer", tolerance=None)
     check(played("rectangle.gcode", tmp_path, options))

@@ -384,6 +384,50 @@ def test_a_short_lift_passes_no_faster_than_it_can() -> None:
     assert 0.0 < pause.entry == pause.leaving < 2.0
 
 
+# ---------------------------------------------------------------------- retractions on the way
+
+MOVING = replace(RESTS, moving=300.0)
+
+
+def taken_back(length: float, rests: Rests = MOVING, size: int = 100) -> tuple[Array, list[object]]:
+    """Printed, retracted, travelled (50 mm at 100 mm/s), printed."""
+    e = 2.0 - length
+    back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
+    after = moves([(50, 0, 0.2, e), (100, 0, 0.2, e), (100, 50, 0.2, e + 3.0)])
+    return whole(sampled([there(), back, *cut(after, size)], rests=rests))
+
+
+def test_a_retraction_is_made_on_the_travel_with_all_of_its_filament() -> None:
+    xyze, events = taken_back(0.8)
+    assert not [e for e in events if isinstance(e, Pause)]
+    e, x = xyze[:, E], xyze[:, 0]
+    rate = np.diff(e) / TS
+    travel = (x[1:] > 50.0) & (xyze[1:, 1] == 0.0)
+    assert (rate[travel] <= 1e-9).all()
+    assert np.abs(np.diff(rate[travel])).max() <= 300.0 * TS * 1.01
+    assert e[np.argmax(xyze[:, 1] > 0.0) - 1] == pytest.approx(1.2)  # before it prints again
+    assert e[-1] == pytest.approx(4.2)
+    stood, with_pause = taken_back(0.8, RESTS)
+    assert len([e for e in with_pause if isinstance(e, Pause)]) == 1
+    assert len(xyze) < len(stood) - 30
+    np.testing.assert_array_equal(xyze[-1], stood[-1])
+
+
+def test_it_stands_where_the_travel_is_too_short_or_follows_no_motion() -> None:
+    _, events = taken_back(30.0)
+    assert len([e for e in events if isinstance(e, Pause)]) == 1
+    back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
+    for before in (list[Item](), [there(), DWELL], [there(), LIFT]):
+        _, events = whole(sampled([*before, back, there(50.0)], rests=MOVING))
+        assert [e for e in events if isinstance(e, Pause) and e.action is back]
+
+
+def test_filament_comes_forth_at_rest() -> None:
+    primed = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 2.8), 45.0)
+    _, events = whole(sampled([there(), primed, there(50.0)], rests=MOVING))
+    assert [e for e in events if isinstance(e, Pause)]
+
+
 def standing(start: Array, end: Array, speed: float) -> tuple[Pause, Array]:
     action = Standing(1, tuple(start.tolist()), tuple(end.tolist()), speed)
     blocks = sampled([action])
