@@ -97,3 +97,7 @@ def test_figures_of_nothing_are_zero() -> None:
     told = Figures().as_json()
     assert told["tracking_error_um"] == {"x": 0.0, "y": 0.0}
     assert told["peak_belt_speed"] == told["peak_belt_acceleration"] == 0.0
+
+
+def test_statistics_of_nothing_are_zero() -> None:
+    assert ErrorStatistics().micrometres() == {"rms": 0.0, "p95": 0.0, "peak": 0.0}

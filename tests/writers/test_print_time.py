@@ -1,31 +1,15 @@
-"""Running statistics, and output files that are whole or not there."""
+"""Lines that tell of print time, and the summary: what is known only at the end, in its place."""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.writers.atomic_file import Outputs
 from hframe_post.writers.deferred import SUMMARY, DeferredLine, Output, carried
 from hframe_post.writers.print_time import commented, duration, told_anew, write_output
-
-
-def test_statistics_are_those_of_the_whole_stream() -> None:
-    errors = np.random.default_rng(0).lognormal(-6, 1, 50_000)
-    statistics = ErrorStatistics()
-    for piece in np.array_split(errors, 37):
-        statistics.add(piece)
-    assert statistics.rms == pytest.approx(np.sqrt((errors**2).mean()))
-    assert statistics.peak == errors.max()
-    assert statistics.percentile(0.95) == pytest.approx(np.quantile(errors, 0.95), rel=0.02)
-
-
-def test_statistics_of_nothing_are_zero() -> None:
-    assert ErrorStatistics().micrometres() == {"rms": 0.0, "p95": 0.0, "peak": 0.0}
 
 
 @pytest.mark.parametrize(
