@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-BUILT_FOR = 2  # as in kernels.h: raised whenever a signature changes
+BUILT_FOR = 3  # as in kernels.h: raised whenever a signature changes
 
 _D, _I = ctypes.c_double, ctypes.c_int64
 _FLOATS, _INTEGERS, _BYTES = "float64", "int64", "uint8"

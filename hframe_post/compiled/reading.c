@@ -70,7 +70,7 @@ static const char *words(const char *c, const char *last, double *value, int *gi
  * offset of each from what the file calls it, feed rate and speed (mm/s). rules: mm in the file's
  * unit, factor on the speed, least feed rate, greatest coordinate, greatest filament of a move,
  * least x, y, z, greatest x, y, z, whether E is relative, acceleration, corner velocity, greatest
- * filament per mm of path. rows (most,
+ * filament per mm of path, least path. rows (most,
  * ROW): line, x, y, z, e, speed, and these two, of each move in which x or y travels. taken: lines, bytes. Returns how many rows there are. */
 EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64_t first_line,
                              int64_t most, double *state, const double *rules, double *rows, int64_t *taken)
@@ -102,7 +102,8 @@ EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int
         double dx = to[X] - at[X], dy = to[Y] - at[Y], dz = to[Z] - at[Z], de = fabs(to[E] - at[E]);
         if (moves && (!inside || !travels || de > rules[4]))
             break;
-        if (moves && de > rules[14] * sqrt(dx * dx + dy * dy + dz * dz))
+        double path = sqrt(dx * dx + dy * dy + dz * dz);
+        if (moves && (de > rules[14] * path || path <= rules[15]))
             break;
         state[8] = rate, state[9] = speed;
         if (!moves)

@@ -20,6 +20,7 @@ from hframe_post.gcode.lines import Lines
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 MOST_FILAMENT = 2e3  # mm of one move; loading takes less
 STEEPEST = 100.0  # mm of filament per mm of path; Klipper refuses more than a quarter
+NO_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
 _BEGINNINGS = (b"G1 ", b"G0 ")
 
 
@@ -35,7 +36,7 @@ class PlainMoves:
         self._source, self._place, self._feed, self._items = source, place, feed, items
         self._edges = (*bed.least, *bed.greatest)
         self._run = kernel("plain_moves")
-        self._state, self._rules = np.empty(10), np.empty(15)
+        self._state, self._rules = np.empty(10), np.empty(16)
         self._rows, self._lines = np.empty((items.room, 8)), np.empty(2, dtype=np.int64)
         arrays = (self._state, self._rules, self._rows, self._lines)
         self._addresses = tuple(array.ctypes.data for array in arrays)
@@ -52,7 +53,7 @@ class PlainMoves:
         self._state[:] = (*place.position, *place.offset, feed.rate, feed.speed)
         self._rules[:] = (
             place.scale, feed.multiplier, SLOWEST, FARTHEST, MOST_FILAMENT, *self._edges,
-            not place.absolute_e, *self._items.limits, 0.99 * STEEPEST,
+            not place.absolute_e, *self._items.limits, 0.99 * STEEPEST, NO_PATH,
         )  # fmt: skip
         state, rules, rows, lines = self._addresses
         count = self._run(

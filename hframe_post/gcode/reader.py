@@ -41,7 +41,7 @@ from hframe_post.gcode.lexer import (
 from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, STEEPEST, PlainMoves
+from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, NO_PATH, STEEPEST, PlainMoves
 from hframe_post.gcode.retraction import MACRO, PAIRED, PARAMETERS, SETTINGS, FirmwareRetraction
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
@@ -149,7 +149,7 @@ class _Reader:
             self.items.stand(Standing(line.number, old, (*old[:3], e), speed))
         elif filament > IMPOSSIBLE * path:
             raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
-        else:
+        elif path > NO_PATH:
             self.items.travel(line.number, old, new, self._feed.speed)
         self._place.position = new
 

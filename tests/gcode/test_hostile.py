@@ -69,6 +69,15 @@ def test_filament_without_a_path_is_fed_at_rest(
             items(*text[:-2], line)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_leads_nowhere_is_no_move(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
+    if not compiled:
+        monkeypatch.setattr(kernels, "built", lambda: None)
+    text = (*HOME, "M83", "G1 X1", "G1 X1 Y0." + "0" * 170 + "1", "G5", "G1 X2", "G5 I0", "G1 X3")
+    found = moves(*text, firmware="marlin")
+    assert [block.points[:, 0].tolist() for block in found] == [[0.0, 1.0, 2.0, 3.0]]
+
+
 def test_marlin_ignores_a_feed_rate_of_zero() -> None:
     (block,) = moves("G1 X1 F600", "G1 X2 F0", firmware="marlin")
     assert block.speed.tolist() == [10, 10]
