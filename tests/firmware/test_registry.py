@@ -10,7 +10,7 @@ from hframe_post.cli.convert import convert
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.klipper import Klipper
 from hframe_post.firmware.marlin import Marlin
-from hframe_post.firmware.registry import FIRMWARES, player
+from hframe_post.firmware.registry import FIRMWARES, passing, player
 from hframe_post.printer.firmware_tables import TABLES, Firmware
 from hframe_post.printer.profile import load, parse, played_by
 from hframe_post.printer.settings import Printer
@@ -30,6 +30,17 @@ def test_command_line_offers_what_is_registered() -> None:
 def test_player_is_that_of_the_profile() -> None:
     assert isinstance(player(load("paper"), None), Klipper)
     assert isinstance(player(load("paper-marlin"), None), Marlin)
+
+
+def test_lifts_pass_and_filament_is_retracted_on_the_way_only_where_that_is_known() -> None:
+    paper, marlin = load("paper"), load("paper-marlin")
+    assert 2.0 < passing(paper, 0.014).corner < paper.limits.square_corner_velocity
+    gentle = replace(paper, limits=replace(paper.limits, square_corner_velocity=1.0))
+    assert passing(gentle, 0.014).corner == 0.0  # no faster than a corner of the user's
+    assert passing(paper, None).corner == passing(marlin, 0.014).corner == 0.0
+    assert passing(paper, 0.014, moving=True).moving == pytest.approx(300.0)
+    with pytest.raises(HframeError, match="Marlin does not retract in motion"):
+        passing(marlin, 0.014, moving=True)
 
 
 def with_dialect(name: str) -> Printer:
