@@ -1,6 +1,6 @@
 PYTHON ?= python3
 
-.PHONY: check lint test slow bench fuzz audit
+.PHONY: check lint test slow bench fuzz strangers audit
 
 check: lint test
 
@@ -21,6 +21,9 @@ bench:
 
 fuzz:
 	$(PYTHON) -m tests.fuzz $(FUZZ)
+
+strangers:
+	$(PYTHON) -m tests.identification.strangers $(STRANGERS)
 
 audit:
 	@$(PYTHON) -c 'import bandit, pip_audit' 2>/dev/null || { echo "pip install -e '.[audit]' first"; exit 1; }

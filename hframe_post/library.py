@@ -36,6 +36,7 @@ from hframe_post.studies.tuning import StopsTrial, Trial
 from hframe_post.studies.uncertainty import draws as drawn
 from hframe_post.writers.atomic_file import Outputs
 
+UNKNOWN = 0.05  # by which a printer may differ from its model, where nothing is known of that
 Source = str | Path | Iterable[bytes]  # a file of G-code, or its lines
 
 
@@ -191,7 +192,7 @@ def tune(
     *,
     knots: Iterable[int] = tuning.KNOTS,
     efforts: Iterable[float] = tuning.EFFORTS,
-    model_error: float = 0.05,
+    model_error: float | None = None,
     draws: int = 10,
     seed: int = 0,
     limits: FileLimits = "file",
@@ -200,17 +201,24 @@ def tune(
     """Which window and weight suit this printer and this kind of print.
 
     knots: L, samples between knots; efforts: λ of x. Each pair is judged on the model and on
-    ``draws`` printers that are off by up to ``model_error``. Recommended is the gentlest of those
-    that are about as good as the best the motors can follow. Raises HframeError, OSError.
+    ``draws`` printers that are off by up to ``model_error`` (None: ``known_to``). Recommended is
+    the gentlest of those that are about as good as the best the motors can follow. Raises
+    HframeError, OSError.
     """
     grid = tuning.candidates(printer.compensation, knots, tuple(efforts))
-    plants = drawn(printer.plant, model_error, draws, seed)
+    share = known_to(printer) if model_error is None else model_error
+    plants = drawn(printer.plant, share, draws, seed)
     with _lines_of(source) as lines:
         reading = ReadOptions.of(printer, limits, extrusion)
         stops = tuple(tuning.StopsTrial(name) for name in STOPS)
         trials = tuning.tune(lines, printer, grid, plants, reading, stops)
     tried = tuple(trial for trial in stops if trial.samples)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
+
+
+def known_to(printer: Printer) -> float:
+    """Share by which the printer may differ from its model: as `identify` measured it, or 0.05."""
+    return UNKNOWN if printer.uncertainty is None else printer.uncertainty
 
 
 @contextmanager

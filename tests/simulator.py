@@ -154,25 +154,37 @@ class Machine:
         both = signal.TransferFunction(num, np.polymul(x.den, mode))
         return Plant(Gxx, Gyy, _discrete(both, self.x.delay, True), self.x_c)
 
-    def played(self, command: Array, keep: int = STEPS) -> Array:
+    def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
         """x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.
 
         command (m, 2): mm every 1 ms, from rest. The first row is at one step after the start.
+        step: mm of belt, in whole steps of which the motors go; 0: along straight lines.
         """
         start = command[0]
-        u = np.ascontiguousarray(command - start)
+        u, per = np.ascontiguousarray(command - start), STEPS
+        if step:
+            u, per = self._stepped(command, step) - start, 1
         m = len(u)
-        out = np.zeros(((m - 1) * STEPS // keep, 6))
+        out = np.zeros(((m - 1) * per // keep, 6))
         both = (_Axis * 2)(*(_packed(axis, self.along) for axis in (self.x, self.y)))
         number = ctypes.c_double
         _library().simulate(
-            _pointer(u), ctypes.c_long(m), STEPS, number(1.0 / RATE), both,
+            _pointer(u), ctypes.c_long(m), per, number(1.0 / RATE), both,
             number(2.0 * np.pi * self.racking_mode.hz), number(self.racking_mode.damping),
             number(self.racking), number(self.x_c), number(start[0]), number(self.middle),
             _pointer(out), ctypes.c_long(keep),
         )  # fmt: skip
         out[:, :2] += start
         return out
+
+    def _stepped(self, command: Array, step: float) -> Array:
+        """The command every 50 µs, with both motors on whole steps, as Klipper rounds them."""
+        at = np.arange((len(command) - 1) * STEPS + 1) / STEPS
+        x, y = (np.interp(at, np.arange(len(command)), one) for one in command.T)
+        if self.kinematics == "cartesian":
+            return np.ascontiguousarray(np.column_stack([x, y]) / step).round() * step
+        A, B = (np.round(one / step) * step for one in (x + y, x - y))
+        return np.column_stack([A + B, A - B]) / 2.0
 
 
 @dataclass(frozen=True)
@@ -196,10 +208,10 @@ class Chip:
     lead: float = 0.0
     offset: tuple[float, float] = (0.0, 0.0)
 
-    def heard(self, machine: Machine, command: Array, seed: int) -> Recording:
-        """What it records while the machine plays the command."""
+    def heard(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
+        """What it records while the machine plays the command. step: as of ``played``."""
         rng = np.random.default_rng(seed)
-        motion = machine.played(command, 1)
+        motion = machine.played(command, 1, step)
         seconds = len(motion) / RATE
         t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.rate_error)))
         t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))

@@ -17,9 +17,8 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.contour import contour_error
 from hframe_post.prediction.predict import in_motion
-from hframe_post.prediction.quantise import stepped
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer, Steps
+from hframe_post.printer.settings import Printer
 from hframe_post.studies.reference_path import rectangle
 from tests.simulator import Axis, Chip, Machine, Mode
 
@@ -48,15 +47,17 @@ def swept(
     y: tuple[float, ...],
     seed: int,
     rate: float = 4.0,
-    steps: Steps | None = None,
+    step: float = 0.0,
 ) -> list[Run]:
-    """The runs of a sweep, as a sensor on the nozzle recorded them. steps: of the motors."""
+    """The runs of a sweep, as a sensor on the nozzle recorded them.
+
+    step: mm of belt, of the motors.
+    """
     profile = printer(machine, rate)
     runs = []
     for axis, places in ((0, x), (1, y)):
         for k, run in enumerate(planned(profile, axis, [(place, 147.5) for place in places])):
-            motors = stepped(run.command, profile.kinematics, steps) if steps else run.command
-            recording = chip.heard(machine, motors, 1000 * seed + 10 * axis + k)
+            recording = chip.heard(machine, run.command, 1000 * seed + 10 * axis + k, step)
             runs.append(Run(run.name, run.command, oriented(recording, quiet=0.5)))
     return runs
 
@@ -119,6 +120,7 @@ def relative(found: Array, true: Array) -> float:
 # ---------------------------------------------------------------------- drawn printers
 
 FAULTS = ("friction", "play", "second", "third", "along")
+CLASSES = ("linear", *FAULTS)
 
 
 def drawn(seed: int) -> tuple[Machine, Chip, str]:

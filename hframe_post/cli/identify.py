@@ -152,7 +152,8 @@ def identify(
                 _draw(found, folder, findings)
             middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
             plant, elsewhere = found.plant(middle), found.elsewhere(middle)
-            compensation = None if found.useless else recommend(plant, profile, elsewhere)
+            known = found.uncertainty
+            compensation = None if found.useless else recommend(plant, profile, known, elsewhere)
             report = IdentificationReport(
                 found, plant, compensation, reading.setup, reading.findings
             )
@@ -163,7 +164,8 @@ def identify(
         if compensation is None:
             raise IdentificationError(found.useless or NO_WINDOW)
         if file is not None:
-            text = with_plant(printer, report.plant, compensation.windows, report.origin())
+            windows, notes = compensation.windows, report.origin()
+            text = with_plant(printer, report.plant, windows, notes, round(known, 4))
             file.write(text.encode())
 
 

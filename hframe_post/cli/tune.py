@@ -45,8 +45,9 @@ NO_CANDIDATE = (
     help="Weights of x to try; may be repeated. Default: 0.1 to 1000.",
 )  # fmt: skip
 @click.option(
-    "--model-error", default="5%", show_default=True, type=share, metavar="PERCENT",
-    help="Printers drawn around the model, on which the recommendation must be good too.",
+    "--model-error", type=share, metavar="PERCENT",
+    help="Printers drawn around the model, on which the recommendation must be good too. Default: "
+    "the profile's plant.uncertainty, which `identify` measures, or 5%.",
 )  # fmt: skip
 @click.option("--draws", type=click.IntRange(0, 1000), default=10, show_default=True,
               help="How many printers to draw; 0 for the model alone.")  # fmt: skip
@@ -69,7 +70,7 @@ NO_CANDIDATE = (
 def tune(
     source: Path | None, path: str | None, printer: str, limits: FileLimits,
     extrusion: Extrusion | None, knots: tuple[int, ...], effort: tuple[float, ...],
-    model_error: float, draws: int, seed: int, figure: Path | None, output: Path | None,
+    model_error: float | None, draws: int, seed: int, figure: Path | None, output: Path | None,
     keep_limits: bool, shaper: bool, json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best the motors can follow.
@@ -98,6 +99,7 @@ def tune(
     from hframe_post.writers.atomic_file import Outputs
 
     profile = library.load_printer(printer)
+    model_error = library.known_to(profile) if model_error is None else model_error
     reads = files_read(source, printer)
     if shaper:
         if figure is not None or output is not None:

@@ -16,6 +16,14 @@ from hframe_post.arrays import X, Y
 from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.along_x import Moving, moving
+from hframe_post.identification.certainty import (
+    DAILY,
+    MOST,
+    SIGMAS,
+    Certainty,
+    certainty,
+    of_centre,
+)
 from hframe_post.identification.fit import Fit, at_one_time, fit, with_gain
 from hframe_post.identification.frequency_response import FrequencyResponse, average, spread
 from hframe_post.identification.heard import (
@@ -66,7 +74,8 @@ class Identified:
     warnings: of the recordings; those of a fit are in ``fits``. racks: whether the kinematics
     can. silent: racking was looked for,
     and is less than its own uncertainty. moving: how Gxx changes along x. nonlinear: what the
-    sweep's harmonics tell.
+    sweep's harmonics tell. certain: how well each function is known; centred: standard deviations
+    of x_c (mm) and racking (relative).
     """
 
     measured: dict[str, Measured]
@@ -78,6 +87,16 @@ class Identified:
     silent: bool
     moving: Moving | None
     nonlinear: Nonlinearity | None
+    certain: dict[str, Certainty]
+    centred: tuple[float, float] | None
+
+    @property
+    def uncertainty(self) -> float:
+        """Share by which the printer may differ from the model."""
+        shares = [DAILY, *(one.share for name, one in self.certain.items() if name != "Gxtheta")]
+        if self.centred is not None:
+            shares.append(min(SIGMAS * self.centred[1], MOST))
+        return max(shares)
 
     @property
     def gains(self) -> dict[str, float]:
@@ -149,7 +168,24 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     return Identified(
         measured, fits, x_c, arms if racking else None, _warnings(arms, ends, measured),
         settings.racks, arms is not None and not racking, along_x, nonlinear,
+        _certain(fits, measured, settings),
+        _centred(x_runs, measured["Gxx"]) if arms and racking else None,
     )  # fmt: skip
+
+
+def _certain(
+    fits: dict[str, Fit], measured: dict[str, Measured], settings: Settings
+) -> dict[str, Certainty]:
+    known = {
+        name: certainty(found, [run for _, run in measured[name].places], settings.band_hz)
+        for name, found in fits.items()
+    }
+    return {name: one for name, one in known.items() if one is not None}
+
+
+def _centred(x_runs: Together, along: Measured) -> tuple[float, float]:
+    heard = x_runs.runs
+    return of_centre([run.place for run in heard], [run.y for run in heard], along.mean)
 
 
 def _swept(runs: Sequence[Run], axis: int, settings: Settings) -> Together:

@@ -18,7 +18,6 @@ from hframe_post.studies.simulation_report import SimulationReport
 from hframe_post.studies.tuning import candidates, recommended, tune
 from hframe_post.studies.uncertainty import draws
 
-MODEL_ERROR = 0.05  # of the printers for which the window and λ are chosen
 DRAWS = 10
 
 
@@ -62,15 +61,17 @@ class Recommendation:
 
 @one_thread()
 def recommend(
-    plant: Plant, profile: Printer, elsewhere: Sequence[Plant] = ()
+    plant: Plant, profile: Printer, model_error: float, elsewhere: Sequence[Plant] = ()
 ) -> Recommendation | None:
     """The best windows for the plant on that machine, and for the same printer ``elsewhere``.
+
+    model_error: share by which the printer may differ from the plant.
 
     None if the motors can follow none, or if a printer as near to the plant as it is known would
     be worse off than without compensation.
     """
     own = replace(profile, plant=plant, name="the printer that was found")
-    printers = [*draws(plant, MODEL_ERROR, DRAWS, seed=0), *elsewhere]
+    printers = [*draws(plant, model_error, DRAWS, seed=0), *elsewhere]
     trials = tune(rectangle(own), own, candidates(own.compensation), printers)
     best = recommended(trials, own.motors)
     if best is None:
@@ -79,7 +80,7 @@ def recommend(
     chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
     own = replace(own, compensation=chosen)
     options = Options("racking", tuple(STRATEGIES), clamp=True)
-    study = Study(plant, {MODEL_ERROR: printers}, name=own.name)
+    study = Study(plant, {model_error: printers}, name=own.name)
     predicted = simulate(rectangle(own), own, options, study)
     (like,) = predicted.model_error
     if like.better("racking", "none") < len(printers):

@@ -88,12 +88,26 @@ class IdentificationReport:
         return {
             "functions": {name: self._function(name) for name in self.identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": self.identified.x_c is not None},
+            "uncertainty": {
+                "share": round(self.identified.uncertainty, 5),
+                **{
+                    name: {"hz": one.hz, "damping": one.damping, "gain": one.gain}
+                    for name, one in self.identified.certain.items()
+                },
+                **self._of_centre(),
+            },
             "sensor_gain": {axis: round(gain, 5) for axis, gain in gains},
             **(self.compensation.as_json() if self.compensation else {}),
             "setup": self.setup,
             "warnings": self.warnings(),
             "notes": self.notes(),
         }
+
+    def _of_centre(self) -> dict[str, float]:
+        if self.identified.centred is None:
+            return {}
+        x_c, size = self.identified.centred
+        return {"x_c_mm": round(x_c, 4), "racking": round(size, 5)}
 
     def _function(self, name: str) -> dict[str, Any]:
         found, measured = self.identified.fits[name], self.identified.measured[name]
@@ -117,11 +131,24 @@ class IdentificationReport:
             lines.append(f"x_c         {self.plant.x_c:.2f} mm{measured}")
         lines += [
             f"sensor      {self._sensor()}",
+            *(f"known to    {text}" for text in self._known()),
             *(self.compensation.as_text() if self.compensation else []),
             *(f"note        {text}" for text in self.notes()),
             *(f"WARNING     {text}" for text in self.warnings()),
         ]
         return "\n".join(lines)
+
+    def _known(self) -> list[str]:
+        """Twice the standard deviations, a line for each function, and what `tune` makes of it."""
+        found = self.identified
+        lines = []
+        for name, one in found.certain.items():
+            hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd in one.hz)
+            lines.append(f"{name}: modes {hz}; gain ±{200.0 * one.gain:.2f} %")
+        if found.centred is not None:
+            x_c, size = found.centred
+            lines.append(f"x_c ±{2.0 * x_c:.2f} mm, racking ±{200.0 * size:.2f} %")
+        return [*lines, f"the printer, from day to day: {100.0 * found.uncertainty:.1f} %"]
 
     def _sensor(self) -> str:
         reads = []

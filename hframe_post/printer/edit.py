@@ -33,17 +33,22 @@ def with_windows(
     return _changed(name_or_path, tables, "")
 
 
-def with_plant(name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str]) -> str:
+def with_plant(
+    name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
+    uncertainty: float | None = None,
+) -> str:  # fmt: skip
     """The text of that profile with this plant, told about in ``notes``, and these windows.
 
     A shipped one is extended. It is the printer's own from now on: a profile that said
-    ``invented`` says so no more, and one that compensated nothing does. Raises PrinterError
+    ``invented`` says so no more, and one that compensated nothing does. uncertainty: share by which
+    the printer may differ from the plant, where that is known. Raises PrinterError
     where the text cannot be changed safely.
     """
     before = parse(_own(name_or_path)[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
-    return _changed(name_or_path, tables, _plant(plant, notes, before.invented))
+    table = _plant(plant, notes, before.invented, uncertainty)
+    return _changed(name_or_path, tables, table)
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -133,7 +138,9 @@ def _merged(text: str, tables: Tables, plant: str) -> dict[str, Any]:
     return {**before, **changed, **tomllib.loads(plant)}
 
 
-def _plant(plant: Plant, notes: Sequence[str], was_invented: bool) -> str:
+def _plant(
+    plant: Plant, notes: Sequence[str], was_invented: bool, uncertainty: float | None
+) -> str:
     """The table ``plant`` with notes, and its transfer functions.
 
     What does not rack says so by a gain of zero: the profile that is extended may rack.
@@ -142,7 +149,8 @@ def _plant(plant: Plant, notes: Sequence[str], was_invented: bool) -> str:
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or silent}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
     measured = "invented = false\n" if was_invented else ""
-    head = f"[plant]\n{comments}{measured}Ts = {TS}\nx_c = {plant.x_c!r}\n"
+    known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
+    head = f"[plant]\n{comments}{measured}{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     return head + "".join(_transfer_function(name, G) for name, G in functions.items())
 
 

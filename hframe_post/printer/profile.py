@@ -23,6 +23,7 @@ from hframe_post.printer.schema import (
 )
 from hframe_post.printer.settings import (
     PLACES,
+    SHARE,
     Compensation,
     Limits,
     Motors,
@@ -144,6 +145,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Retraction, document["retraction"], "retraction")
         if "retraction" in document
         else None,
+        _uncertainty(document["plant"]),
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
@@ -193,7 +195,7 @@ def check_identified(printer: Printer) -> None:
 
 
 def _plant(table: dict[str, Any]) -> Plant:
-    known_keys(table, ("Ts", "x_c", "invented", "Gxx", "Gyy", "Gxtheta"), "plant")
+    known_keys(table, ("Ts", "x_c", "invented", "uncertainty", "Gxx", "Gyy", "Gxtheta"), "plant")
     for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
         if key not in table:
             raise PrinterError("the key is missing", f"plant.{key}")
@@ -214,6 +216,13 @@ def _plant(table: dict[str, Any]) -> Plant:
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
+
+
+def _uncertainty(table: dict[str, Any]) -> float | None:
+    if "uncertainty" not in table:
+        return None
+    share: float = checked_value(float, table["uncertainty"], SHARE, "plant.uncertainty")
+    return share
 
 
 def _transfer_function(table: Any, key: str) -> TransferFunction:

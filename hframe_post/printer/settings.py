@@ -14,6 +14,7 @@ from hframe_post.printer.schema import not_negative, positive, within
 from hframe_post.stream.features import KINDS
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
+SHARE = {"least": 0.0, "most": 0.99}
 STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
 LONGEST_RAMP = 60.0  # s
 LONGEST_PREVIEW = 2000  # samples; a window is solved with a matrix of its square
@@ -224,7 +225,8 @@ class Printer:
 
     sweep: the motion by which its plant is identified, of no part in a conversion. verified:
     None unless this very plant and window were; ``digest`` does not tell it. invented: the
-    plant is of no printer, or of another one. speed: of conversions alone.
+    plant is of no printer, or of another one. speed: of conversions alone. uncertainty: share by
+    which the printer may differ from its plant, where that was measured.
     """
 
     name: str
@@ -243,3 +245,4 @@ class Printer:
     invented: bool = False
     speed: Speed = Speed()
     retraction: Retraction | None = None
+    uncertainty: float | None = None

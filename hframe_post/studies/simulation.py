@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hframe_post.arrays import Integers
+from hframe_post.compensation.plausibility import check_prediction
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.model.kinematics import Differences, Kinematics
@@ -58,7 +59,8 @@ def simulate(
 ) -> SimulationReport:
     """What the options' strategies would do; memory does not grow with the print.
 
-    view: what looks on, for a picture of the layers. Raises HframeError.
+    view: what looks on, for a picture of the layers. Raises HframeError, also where the printer
+    would be none that prints.
     """
     source = Commands(lines, printer, replace(options, predict=()), options.strategies)
     parts, uncertainties = Parts(), list[Uncertainty]()
@@ -83,6 +85,8 @@ def simulate(
         if view is not None:
             view.add(judgement, layer, feature, labels)
     contour = {name: figures.contour for name, figures in parts.whole.items()}
+    if "none" in contour:
+        check_prediction(contour["none"].rms)
     return SimulationReport(
         **known(replace(source.report(), contour=contour)), plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),

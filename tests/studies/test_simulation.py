@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.pipeline import Options
-from hframe_post.errors import GcodeError
+from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import gathering
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner import sampling
 from hframe_post.prediction.labels import BEFORE, TRAVEL
 from hframe_post.printer import profile
@@ -215,3 +216,12 @@ def test_text_shows_the_worst_layers_unless_all_are_asked_for() -> None:
     assert short[heading + 1].split()[0] == "6"
     shown = next(k for k, line in enumerate(long) if line.startswith("layer"))
     assert [line.split()[0] for line in long[shown + 1 : shown + 9]] == [str(k) for k in range(8)]
+
+
+def test_a_plant_that_is_no_printers_is_an_error() -> None:
+    """As in a conversion: without compensation it would be millimetres off."""
+    paper = profile.load("paper")
+    crawling = TransferFunction(np.zeros(0, complex), np.array([0.995 + 0j]), 0.005)
+    plant = replace(paper.plant, Gxx=crawling)
+    with pytest.raises(HframeError, match="no printer that prints has"):
+        simulated(rectangle(paper), Study(plant), ("none",))

@@ -1,0 +1,68 @@
+"""How well a model is known: as far as repeated measurements scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import Array
+from hframe_post.identification.certainty import DAILY, Certainty, certainty, of_centre
+from hframe_post.identification.fit import Fit, fit
+from hframe_post.identification.frequency_response import FrequencyResponse, average
+from tests.identification.test_modal import BAND, HZ, TWO, continuous
+
+RUNS = 4
+
+
+def measured(noise: float, seed: int) -> list[FrequencyResponse]:
+    rng = np.random.default_rng(seed)
+    H = continuous(TWO.x, HZ)
+    coherence = np.full(len(HZ), 1.0 / (1.0 + noise**2))
+    runs = []
+    for _ in range(RUNS):
+        real, imaginary = rng.normal(size=(2, len(HZ))) * np.sqrt(0.5)
+        heard = H + noise * np.abs(H) * (real + 1j * imaginary)
+        runs.append(FrequencyResponse(HZ, heard, coherence, np.ones(len(HZ))))
+    return runs
+
+
+def known(noise: float, seed: int) -> tuple[Fit, Certainty]:
+    runs = measured(noise, seed)
+    found = fit(runs, average(runs), 4, 1.0, BAND)
+    sure = certainty(found, runs, BAND)
+    assert sure is not None
+    return found, sure
+
+
+def test_it_is_what_repeated_measurements_scatter() -> None:
+    several = [known(0.05, seed) for seed in range(6)]
+    lowest = np.array([found.modes[0][0] for found, _ in several])
+    scatter = float(np.std(lowest) / np.mean(lowest))
+    told = float(np.mean([sure.hz[0] for _, sure in several]))
+    assert scatter / 3.0 < told < 3.0 * scatter
+
+
+def test_more_noise_less_certainty() -> None:
+    (_, quiet), (_, loud) = (known(noise, 1) for noise in (0.01, 0.1))
+    assert loud.hz[0] > 3.0 * quiet.hz[0]
+    assert loud.share > quiet.share
+    assert quiet.share < DAILY
+
+
+def test_the_centre_is_known_as_well_as_the_noise_lets_it() -> None:
+    along = average(measured(0.01, 1))
+    places = [80.0, 140.0, 200.0]
+    theta = 1e-3 * (2.0 * np.pi * HZ) ** 2 / 1e4
+
+    def across(noise: float) -> tuple[float, float]:
+        coherence: Array = np.full(len(HZ), 1.0 / (1.0 + noise**2))
+        power = np.ones(len(HZ))
+        heard = [
+            FrequencyResponse(HZ, ((p - 130.0) * theta).astype(complex), coherence, power)
+            for p in places
+        ]
+        return of_centre(places, heard, along)
+
+    (x_c, size), (worse, less) = across(0.02), across(0.2)
+    assert 0.0 < x_c < worse < 20.0
+    assert less == pytest.approx(10.0 * size, rel=0.5)

@@ -1,0 +1,26 @@
+"""What a print asks of the belts is one figure, whoever tells it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hframe_post import library
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.reference_path import rectangle
+from tests.strangers import cube
+
+
+@pytest.mark.parametrize("path", ["rectangle", "cube"])
+def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path, path: str) -> None:
+    lines = rectangle(paper) if path == "rectangle" else cube()
+    x, _ = paper.compensation.windows
+    tuned = library.tune(lines, paper, knots=[x.L], efforts=[x.effort], draws=0)
+    (trial,) = tuned.trials
+    simulated = library.simulate(lines, paper).parts.whole["racking"]
+    converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks
+    assert converted.belt_acceleration > 1000.0
+    assert simulated.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
+    assert trial.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
+    assert trial.velocity == pytest.approx(converted.belt_velocity, rel=1e-6)
