@@ -124,11 +124,11 @@ def nozzle(*runs: tuple[Played, Path]) -> list[str | Path]:
 
 
 def check_recovered(
-    bench: Bench, places: Sequence[float], *more: str | Path, within_um: float = 0.0
+    bench: Bench, places: Sequence[float], *more: str | Path, times: float = 1.5
 ) -> None:
     """The three transfer functions are found, and the profile compensates the true plant.
 
-    within_um: contour error of the rectangle that is good enough in any case.
+    times: the exact model's contour error of the rectangle, at most.
     """
     mine, true = bench.folder / "mine.toml", bench.folder / "true.toml"
     x_runs, y_runs = bench.runs("x", places, SENSOR), bench.runs("y", places[:2], SENSOR)
@@ -144,7 +144,7 @@ def check_recovered(
     windows = found.compensation.windows
     true.write_text(with_plant(str(bench.profile), bench.plant, windows, []))
     exact = compensated(true, true, bench.folder)
-    assert compensated(mine, true, bench.folder) <= max(1.5 * exact, within_um)
+    assert compensated(mine, true, bench.folder) <= times * exact
 
 
 FAST = """
