@@ -42,6 +42,15 @@ def _columns(text: str) -> tuple[str, ...]:
     return names
 
 
+def _reading(text: str) -> tuple[float, float, float]:
+    """The last three numbers of a line such as ACCELEROMETER_QUERY prints."""
+    numbers = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
+    if len(numbers) < 3:
+        raise click.BadParameter(f"{text!r} is not three numbers, of x, y and z")
+    x, y, z = (float(number) for number in numbers[-3:])
+    return x, y, z
+
+
 def _order(text: str) -> tuple[str, int]:
     """``Gxx=4``: a transfer function and its order."""
     name, _, number = text.partition("=")
@@ -84,6 +93,11 @@ def _order(text: str) -> tuple[str, int]:
     "--order", "orders", type=_order, multiple=True, metavar="NAME=N",
     help="Poles of Gxx, Gyy or Gxtheta, where the choice is not to be left to the tool.",
 )  # fmt: skip
+@click.option(
+    "--at-rest", "readings", type=_reading, multiple=True, metavar="X,Y,Z",
+    help="What ACCELEROMETER_QUERY prints; six times at least, each axis of the sensor pointing up "
+    "once and down once. Gravity then tells the sensor's gains.",
+)  # fmt: skip
 @click.option("--x-c", type=float, metavar="MM",
               help="Where racking does not move the nozzle, if no run tells.")  # fmt: skip
 @click.option(
@@ -106,6 +120,7 @@ def identify(
     bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: str, bridge_axes: str,
     columns: tuple[str, ...] | None, unit: str, band: tuple[float, float],
     estimator: Literal["H1", "H2", "Hv"], orders: tuple[tuple[str, int], ...],
+    readings: tuple[tuple[float, float, float], ...],
     x_c: float | None, offset: tuple[float, float], folder: Path | None,
     report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
@@ -119,8 +134,11 @@ def identify(
     Example:
       hframe-post identify -p my.toml -n x.csv x.recording.csv -n y.csv y.recording.csv -o my.toml
     """
+    import numpy as np
+
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError
+    from hframe_post.identification.gravity import along_printer, gains
     from hframe_post.identification.heard import STEP
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
@@ -146,7 +164,8 @@ def identify(
             runs += [reading.bridge(*files) for files in bridge]
             _check_bed(runs, profile)
             racks, step = profile.kinematics.racks, profile.steps.belt if profile.steps else STEP
-            settings = Settings(band, estimator, L_G, dict(orders), racks, offset, step)
+            sensor = along_printer(gains(np.array(readings)), axes) if readings else None
+            settings = Settings(band, estimator, L_G, dict(orders), racks, offset, step, sensor)
             found = identified(runs, settings)
             if folder is not None:
                 _draw(found, folder, findings)

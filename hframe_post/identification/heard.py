@@ -66,7 +66,7 @@ class Settings:
     """How to identify. L_G: mm between P1 and P2. orders: of what is not to be chosen.
 
     racks: whether the kinematics can. offset: from the nozzle to its sensor in x and y, mm.
-    step: mm of belt, of the motors.
+    step: mm of belt, of the motors. sensor: its gains along x and y, where gravity told them.
     """
 
     band_hz: tuple[float, float]
@@ -76,6 +76,7 @@ class Settings:
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
     step: float = STEP
+    sensor: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ from hframe_post.identification.certainty import (
 )
 from hframe_post.identification.fit import Fit, at_one_time, fit, with_gain
 from hframe_post.identification.frequency_response import FrequencyResponse, average, spread
+from hframe_post.identification.gravity import CERTAIN
 from hframe_post.identification.heard import (
     Heard,
     Run,
@@ -284,5 +285,12 @@ def _fit(name: str, measured: Measured, settings: Settings, linear: bool = True)
     runs = [response for _, response in measured.places]
     return fit(
         runs, measured.mean, settings.orders.get(name), AT_REST[name], settings.band_hz,
-        measured.late, linear,
+        measured.late, linear, _sensor(name, settings),
     )  # fmt: skip
+
+
+def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
+    """The gain that gravity told, with its standard deviation."""
+    if settings.sensor is None or name == "Gxtheta":
+        return None
+    return settings.sensor[("Gxx", "Gyy").index(name)], CERTAIN
