@@ -19,7 +19,7 @@ from hframe_post.gcode.lines import Lines
 
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 MOST_FILAMENT = 2e3  # mm of one move; loading takes less
-STEEPEST = 100.0  # mm of filament per mm of path; Klipper refuses more than a quarter
+STEEPEST = 10.0  # mm of filament per mm of path; Klipper refuses more than a quarter
 NO_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
 _BEGINNINGS = (b"G1 ", b"G0 ")
 
