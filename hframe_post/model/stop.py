@@ -181,8 +181,9 @@ class StopSolver:
             place = known + by_p @ added
             beyond = np.abs(np.clip(place, pressure.low, pressure.high) - place)
             excess = max(float(share.max()), 1.0) + float(beyond.max())
+            hard = float((share * limit).max()) / (BARELY * self._limit)  # next to the hold, too
             cost = float(p @ (0.5 * (H @ p) + g)) + MORE_COSTS * (excess - 1.0)
-            if (known_as := (max(excess, BARELY), cost)) < least:
+            if (known_as := (max(hard, 1.0) + float(beyond.max()), cost)) < least:
                 best, kept, least = p, pressure, known_as
             if excess <= 1.0:
                 break
