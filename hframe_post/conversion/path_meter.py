@@ -48,7 +48,8 @@ class HeldBack:
 class PathSummary:
     """Path and filament of all that travels, mm; what passed as it stood, by its cause.
 
-    acceleration, corner: held back by the file, mm/s² and mm/s; speed: by the profile, mm/s.
+    acceleration, corner: held back by the file, or what is said ``by``, mm/s² and mm/s; speed:
+    by the profile, mm/s.
     """
 
     path: float = 0.0
@@ -57,6 +58,7 @@ class PathSummary:
     acceleration: HeldBack = field(default_factory=HeldBack)
     corner: HeldBack = field(default_factory=HeldBack)
     speed: HeldBack = field(default_factory=HeldBack)
+    by: str = "the file"
 
     @property
     def path_share(self) -> float:
@@ -111,10 +113,10 @@ class PathSummary:
         held = []
         if self.acceleration.path:
             a = self.acceleration
-            held.append(f"acceleration by the file ({_range(a)} mm/s², {self._percent(a.path)})")
+            held.append(f"acceleration by {self.by} ({_range(a)} mm/s², {self._percent(a.path)})")
         if self.corner.path:
             c = self.corner
-            held.append(f"corners by the file ({_range(c)} mm/s, {self._percent(c.path)})")
+            held.append(f"corners by {self.by} ({_range(c)} mm/s, {self._percent(c.path)})")
         if self.speed.path:
             v = self.speed
             held.append(f"speed by the profile ({_range(v)} mm/s, {self._percent(v.path)})")
@@ -150,9 +152,9 @@ def _range(held: HeldBack) -> str:
 class PathMeter:
     """Measures the path, and compares the file's limits with the profile's."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, paced: bool = False) -> None:
         self._limits = limits
-        self.summary = PathSummary()
+        self.summary = PathSummary(by="the error allowed" if paced else "the file")
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         """What the reader made of the file."""

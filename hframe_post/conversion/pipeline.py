@@ -47,7 +47,8 @@ class _Source:
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._lines, self._printer, self._options = lines, printer, options
-        self._input, self._path = InputMeter(), PathMeter(printer.limits)
+        self._input = InputMeter()
+        self._path = PathMeter(printer.limits, options.paces is not None)
         self._times = StageTimes()
 
     def spans(self) -> Spans:

@@ -14,6 +14,7 @@ CAUSES = {
     "error": "the error allowed",
 }  # fmt: skip
 NOTHING = 1e-5  # mm; straight lines at one speed, such as those that prime
+VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the first first
 HARDLY = 0.01  # of the time; a cause of less is not told
 
 
@@ -47,19 +48,22 @@ def speed_as_text(found: Fastest) -> str:
     """A few lines for a person."""
     trial, original = found.trial, found.original
     change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
+    measure = MEASURES[found.bound.measure]
     lines = [
         f"faster      {duration(trial.seconds)} instead of {duration(original.seconds)} "
-        f"({change:+.0f} %)"
+        f"({change:+.0f} %){_promised(found, measure)}"
     ]
     for name, errors in sorted(trial.errors.items()):
         if errors[0] < NOTHING:
             continue
         um, worse = errors[0] * 1e3, max(errors) * 1e3
         before = original.errors.get(name, 0.0) * 1e3
+        feed = trial.driven.feed[name]
+        slower = f"; at {100.0 * feed:.0f} % of the file's feed" if feed < 1.0 else ""
         lines.append(
-            f"within      {name} {um:.0f} µm {MEASURES[found.bound.measure]}, {worse:.0f} if the "
+            f"within      {name} {um:.0f} µm {measure}, {worse:.0f} if the "
             f"model is off; {found.bound.of(name) * 1e3:.0f} allowed; {before:.0f} as the file "
-            "has it, uncompensated"
+            f"has it, uncompensated{slower}"
         )
     total = sum(trial.held_by.values()) or 1.0
     held = [
@@ -69,3 +73,16 @@ def speed_as_text(found: Fastest) -> str:
     ]
     lines.append(f"held by     {', '.join(held)} of the time")
     return "\n".join(lines)
+
+
+def _promised(found: Fastest, measure: str) -> str:
+    """What the most visible kind of feature is within, and would be without compensation."""
+    name = next((name for name in VISIBLE if found.trial.errors.get(name)), None)
+    if name is None:
+        return ""
+    worse = max(found.trial.errors[name]) * 1e3
+    before = found.original.errors.get(name, 0.0) * 1e3
+    return (
+        f", {name} within {worse:.0f} µm ({measure}), model error included; "
+        f"uncompensated it would be {before:.0f} µm"
+    )

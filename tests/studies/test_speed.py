@@ -99,7 +99,9 @@ def test_no_layer_is_too_short_and_what_held_it_back_is_told(
         assert seconds > 0.97 * min(least, loose.original.layers[number])
     assert loose.trial.held.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.held_by["file"] > 0.0
-    assert re.search(r"faster .*\(-\d+ %\)", speed_as_text(loose))
+    told = speed_as_text(loose)
+    assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", told)
+    assert re.search(r"uncompensated it would be \d+ µm", told)
 
 
 def test_what_cannot_be_is_an_error(paper: Printer) -> None:
@@ -121,6 +123,20 @@ def test_convert_within_an_error(tmp_path: Path) -> None:
     told = json.loads((tmp_path / "s.json").read_text())
     assert told["speed"]["features"]["outer-wall"]["bound_um"] == 30.0
     assert told["print_time_s"]["after"] == pytest.approx(told["speed"]["print_time_s"]["after"])
+
+
+@pytest.mark.slow
+def test_same_bytes_each_time_and_whatever_the_processes(tmp_path: Path) -> None:
+    part = tmp_path / "in.gcode"
+    part.write_bytes(b"".join(cube()))
+    made = []
+    for jobs in (1, 2):
+        out = tmp_path / f"{jobs}.gcode"
+        options = ("--max-error", "100um", "--speed-up", "max", "--jobs", jobs, "--predict", "off")
+        done = run(part, "-o", out, *options)
+        assert done.returncode == 0, done.stderr
+        made.append(out.read_bytes())
+    assert made[0] == made[1]
 
 
 def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
