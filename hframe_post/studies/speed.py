@@ -49,11 +49,12 @@ LADDERS = {  # what is tried beside the accelerations
 PLANNED = 2  # times that the layers' least times are planned
 ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound
 STRIDE = (0.3, 3.0)  # of one correction
-AIM = 0.95  # share of a bound that is aimed at
+HOLDS = 0.95  # share of a bound that the judged printers may use up: another may be worse
+AIM = 0.92  # share that is aimed at
 SAFER = 0.85  # of that share, after each round that did not keep it
 TINY = 1e-9  # share of a bound, at least, to divide by
 NEAR = 0.85  # share of a bound from which a kind is as fast as it can be
-DECIDE = 1  # drawn printers that are judged for each kind, the worst for it
+DECIDE = 2  # drawn printers that are judged for each kind, the worst for it
 RUNG, MOST_RUNGS = 0.8, 20  # of feeds, from the greatest to the file's
 SLOWEST = 0.3  # times the file's feed, where that leaves the path by too much
 CHANGING = [CAUSES.index(cause) for cause in ("motors", "error")]  # held by the acceleration
@@ -278,7 +279,8 @@ def _within(
     for number in range(1, MOST_ROUNDS + 1):
         trial = drive.of_all(driven, plants)
         shares, short = bound.shares(trial), cooling.short(trial.layers)
-        keeps = all(share <= 1.0 for share in shares.values())
+        allowed = HOLDS if number < MOST_ROUNDS else 1.0
+        keeps = all(share <= allowed for share in shares.values())
         outruns = trial.clamped > 0 and not may_clamp and number < MOST_ROUNDS
         if trial.refused:
             driven = gentler(driven)
@@ -308,9 +310,9 @@ def _gains(shares: dict[str, float], aims: dict[str, float]) -> dict[str, float]
 
     aims: by kind, of those that were beyond it; lowered with each time.
     """
-    aims.update({k: SAFER * aims.get(k, AIM) for k, share in shares.items() if share > 1.0})
+    aims.update({k: SAFER * aims.get(k, AIM) for k, share in shares.items() if share > HOLDS})
     return {
-        name: aims[name] / share if share > 1.0
+        name: aims[name] / share if share > HOLDS
         else 1.0 if share > NEAR or name in aims
         else AIM / max(share, TINY)
         for name, share in shares.items()
@@ -354,7 +356,7 @@ def gentler(driven: Driven) -> Driven:
 def spent(trial: Trial, shares: dict[str, float], top: float) -> bool:
     """Whether harder driving would gain next to nothing."""
     if trial.held_by["error"] < HARDLY * trial.seconds:
-        return max(shares.values(), default=0.0) <= 1.0
+        return max(shares.values(), default=0.0) <= HOLDS
     own = trial.driven.acceleration
-    return all(NEAR <= share <= 1.0 or (share <= 1.0 and own[name] >= top)
+    return all(NEAR <= share <= HOLDS or (share <= HOLDS and own[name] >= top)
                for name, share in shares.items())  # fmt: skip
