@@ -132,7 +132,16 @@ def test_same_bytes_each_time_and_whatever_the_processes(tmp_path: Path) -> None
     made = []
     for jobs in (1, 2):
         out = tmp_path / f"{jobs}.gcode"
-        options = ("--max-error", "100um", "--speed-up", "max", "--jobs", jobs, "--predict", "off")
+        options = (
+            "--max-error",
+            "100um",
+            "--speed-up",
+            "max",
+            "--jobs",
+            str(jobs),
+            "--predict",
+            "off",
+        )
         done = run(part, "-o", out, *options)
         assert done.returncode == 0, done.stderr
         made.append(out.read_bytes())
