@@ -22,7 +22,7 @@ from hframe_post.identification.weighting import weights
 
 DRAWS, SEED = 12, 0
 TRIED = 150  # frequencies of each draw
-DAILY = 0.02  # relative: what a printer changes from day to day
+DAILY = 0.05  # relative: what belts, bearings and warmth change from day to day
 MOST = 0.2  # relative, beyond which a spread is not a model's
 SIGMAS = 2.0
 
