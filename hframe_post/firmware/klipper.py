@@ -1,4 +1,4 @@
-"""What Klipper does with a stream: its ramps inside segments, its limits, its commands."""
+"""Klipper as a player of the stream: what it is told, and how it makes moves at rest."""
 
 from __future__ import annotations
 
@@ -8,75 +8,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
-from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
+from hframe_post.firmware.klipper_segments import (
+    LATE,
+    SQUARE_CORNER_VELOCITY,
+    Ramped,
+    StreamLimits,
+    made_up,
+    thinned,
+)
 from hframe_post.firmware.player import (
-    VELOCITY_HEADROOM,
     Dwelling,
     Rejoined,
     Stroke,
     coordinates,
     plain,
 )
-from hframe_post.model import cornering
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.trapezoid import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Limits, Motors, Printer
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Rests
-
-SQUARE_CORNER_VELOCITY = 20.0  # mm/s; corners are the stream's business
-LATE = 2e-5  # s; what a segment is late by in spite of its feed rate, if more, is made up for
 
 STAND = "G4 P0"  # comes to rest, but keeps what is queued for the motors, as M400 does not
 LABELS = re.compile(  # of objects, by Klipper's commands and those that hosts put them for
     rb"EXCLUDE_OBJECT_(START|END)\b|M486\b|;\s*(stop )?printing object\b|;MESH:", re.IGNORECASE
 )
 NUDGE = 0.001  # mm
-FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
-USUAL_NOZZLE = 0.4  # mm
-THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut
-SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
 SHARE_OF_CORNER = 0.3  # that filament in motion changes its speed by in a sample
 MOST_LONGER = 1.1  # times the duration of a lift that is made to be in time
-CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
-
-
-@dataclass(frozen=True, slots=True)
-class StreamLimits:
-    """Klipper's limits while the stream runs; mm, s.
-
-    acceleration: what the motors hold in any direction, and so the most with which a pause or a
-    cancelled print brakes.
-    """
-
-    velocity: float
-    acceleration: float
-    z_velocity: float
-    z_acceleration: float
-    extruder_velocity: float
-    extruder_acceleration: float
-    extruder_corner_velocity: float
-
-    @classmethod
-    def of(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
-        """High enough never to shape the stream, and no higher: they may be left behind."""
-        return cls(
-            VELOCITY_HEADROOM * kinematics.reach * motors.belt_velocity,
-            math.floor(kinematics.reach_everywhere * motors.belt_acceleration),
-            limits.z_velocity,
-            limits.z_acceleration,
-            limits.extruder_velocity,
-            limits.extruder_acceleration,
-            limits.extruder_corner_velocity,
-        )
-
-    @property
-    def lift_corner(self) -> float:
-        """At which Klipper takes the corner between a lift and motion in x and y, mm/s."""
-        return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)
 
 
 def passing(printer: Printer) -> Rests:
@@ -98,48 +59,6 @@ def retracts_moving(printer: Printer) -> float:
 def labels_object(text: bytes) -> bool:
     """Whether a line is an object's start or end: a cancelled one's moves are left out."""
     return LABELS.match(text.lstrip()) is not None
-
-
-def speeds(
-    delta: Array, T: Array, rest: Flags, before: float, limits: StreamLimits,
-    after: float = math.inf,
-) -> Array:  # fmt: skip
-    """Cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
-
-    delta (k, 4): x, y, z, e of each segment; rest (k + 1,): whether Klipper stands at each
-    end; before: speed of the segment that precedes; after: greatest speed at the last end.
-    """
-    d, a, _, caps = _shape(delta, rest, limits, after)
-    return ramps.speeds(d, T, a, caps, before)
-
-
-def durations(
-    delta: Array, v: Array, rest: Flags, before: float, limits: StreamLimits,
-    after: float = math.inf,
-) -> Array:  # fmt: skip
-    """Time (k,) that Klipper takes for segments at cruise speeds v (k,); see ``speeds``."""
-    d, a, top, caps = _shape(delta, rest, limits, after)
-    return ramps.durations(d, np.minimum(v, top), a, caps, before)
-
-
-def _shape(
-    delta: Array, rest: Flags, limits: StreamLimits, after: float
-) -> tuple[Array, Array, Array, Array]:
-    """Length, acceleration and greatest speed of each segment, and the caps at their ends.
-
-    z and retraction lower acceleration and speed.
-    """
-    d = lengths(delta[:, :E])
-    with np.errstate(divide="ignore"):
-        per_z = d / np.abs(delta[:, Z])
-        per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
-    a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
-    top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
-    a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
-    square = cornering.deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
-    inner = cornering.junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
-    corners = np.concatenate([[math.inf], inner, [after]])
-    return d, a, top, np.where(rest, 0.0, corners)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +162,7 @@ class Klipper:
             back = np.flatnonzero(np.diff(points[:, E]) < 0.0)
             forced = forced.copy()
             forced[back] = forced[back + 1] = True
-        ends = _thinned(points, breakpoints(points, forced, self.tolerance))
+        ends = thinned(points, breakpoints(points, forced, self.tolerance))
         return ends, fitted(points, ends)
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
@@ -254,19 +173,19 @@ class Klipper:
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
         """Ramps in mind. What is late in spite of them is made up for by those after it."""
-        delta = np.diff(at, axis=0)
-        v = speeds(delta, T, rest, before, self.limits, after)
-        late = durations(delta, v, rest, before, self.limits, after) - T
+        ramped = Ramped.of(np.diff(at, axis=0), rest, self.limits, after)
+        v = ramped.speeds(T, before)
+        late = ramped.durations(v, before) - T
         if late.max() > LATE:
-            shorter = _made_up(T, np.where(late > LATE, late, 0.0))
-            v = speeds(delta, shorter, rest, before, self.limits, after)
+            v = ramped.speeds(made_up(T, np.where(late > LATE, late, 0.0)), before)
         return v
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
         """Ramps and limits in mind."""
-        return durations(np.diff(at, axis=0), v, rest, before, self.limits, after)
+        ramped = Ramped.of(np.diff(at, axis=0), rest, self.limits, after)
+        return ramped.durations(v, before)
 
     def lift_corner(self, at: Array, speed: float) -> float:
         """At a right angle, of which a short lift can use only half of its way."""
@@ -299,45 +218,6 @@ class Klipper:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
-
-
-def _thinned(points: Array, ends: Integers) -> Integers:
-    """More ends (k,), so that no segment is one that Klipper refuses as too thick an extrusion.
-
-    Beside a stop a command may crawl where the path does not. Klipper allows a width of 4 nozzles
-    squared (``max_extrude_cross_section``), and more than that in pieces of no more filament than
-    it would take for a line as long as the nozzle is wide. That is told by how thick the
-    other segments are, of a line as wide and half as high; but it is taken to be no
-    wider than USUAL_NOZZLE, since a flow may be high.
-    """
-    start = np.append(0, ends[:-1])
-    delta = points[ends] - points[start]
-    d, e = lengths(delta[:, :E]), delta[:, E]
-    lays = (e > 0.0) & (d > 0.0)
-    if not lays.any():
-        return ends
-    usual = float(e[lays].sum() / d[lays].sum())
-    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE)
-    most = SAFELY * nozzle * 4.0 * nozzle**2 / FILAMENT
-    thick = (e > most) & (e > THICK * usual * d)
-    if not thick.any():
-        return ends
-    pieces = [ends]
-    for first, end in zip(start[thick].tolist(), ends[thick].tolist(), strict=True):  # few
-        piece = np.floor((points[first:end, E] - points[first, E]) / most)
-        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
-    return np.unique(np.concatenate(pieces))
-
-
-def _made_up(T: Array, late: Array) -> Array:
-    """T (k,), shortened after segments that are late (k,), s, whatever is asked of them.
-
-    A queue: what is late waits, and each segment in time takes CATCH_UP of its T away.
-    """
-    taken = np.where(late > 0.0, 0.0, CATCH_UP * T)
-    total = np.cumsum(late - taken)
-    waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
-    return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
