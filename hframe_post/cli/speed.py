@@ -119,7 +119,8 @@ def asked(
 def hastened(source: Path, printer: Printer, options: Options, asked: Speed) -> Fastest:
     """How that file is printed in the least time. Raises HframeError."""
     from hframe_post.studies.drive import Freedom
-    from hframe_post.studies.speed import Bound, fastest
+    from hframe_post.studies.speed import fastest
+    from hframe_post.studies.speed_bound import Bound
     from hframe_post.studies.uncertainty import draws
 
     def lines() -> Iterator[bytes]:
