@@ -125,7 +125,7 @@ def convert(
     kind = _kind(source, output, to_stdout, asked_format, dry_run)
     finely = tolerance is not None or every_sample
     profile = _profile(printer, firmware, kind, finely)
-    fast = asked(profile.speed, source, max_error, error_measure, speed_up, model_error)
+    fast = asked(profile, source, max_error, error_measure, speed_up, model_error)
     profile = replace(profile, invented=profile.invented and not i_know)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip

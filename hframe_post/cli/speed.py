@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -81,7 +82,8 @@ def speed_options(command: F) -> F:
             click.option(
                 "--model-error", type=share, metavar="PERCENT",
                 help="With --max-error: by how much the printer may differ from its model while "
-                "the error must still hold. Default: the profile's, else 5%.",
+                "the error must still hold. Default: the profile's, or the plant's uncertainty "
+                "if that is more, else 5%.",
             ),
         )
     ):  # fmt: skip
@@ -90,19 +92,21 @@ def speed_options(command: F) -> F:
 
 
 def asked(
-    own: Speed, source: Path, max_error: dict[str, float] | None, measure: str | None,
+    printer: Printer, source: Path, max_error: dict[str, float] | None, measure: str | None,
     speed_up: float | None, model_error: float | None,
 ) -> Speed | None:  # fmt: skip
     """What is asked for by options and, where they say nothing, by the profile; None: nothing.
 
     Raises UsageError.
     """
+    own = printer.speed
     options: dict[str, Any] = {
         "max_error": max_error, "error_measure": measure, "speed_up": speed_up,
         "model_error": model_error,
     }  # fmt: skip
     given = {name: value for name, value in options.items() if value is not None}
-    chosen = replace(own, **given)
+    known = replace(own, model_error=max(own.model_error, printer.uncertainty or 0.0))
+    chosen = replace(known, **given)
     if not chosen.max_error:
         if given.keys() - {"max_error"}:
             names = ", ".join("--" + name.replace("_", "-") for name in given)
@@ -129,7 +133,10 @@ def hastened(source: Path, printer: Printer, options: Options, asked: Speed) -> 
 
     limits, errors = printer.limits, asked.max_error
     drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
-    freedom = Freedom(asked.speed_up, limits.filament_velocity, limits.min_layer_time)
+    freedom = Freedom(
+        asked.speed_up, limits.filament_velocity, limits.min_layer_time,
+        asked.filament_acceleration or math.inf,
+    )  # fmt: skip
     others = errors.get("", max(errors.values()))
     kinds = {name: error for name, error in errors.items() if name}
     bound = Bound(others, kinds, asked.error_measure)  # type: ignore[arg-type]

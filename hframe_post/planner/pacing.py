@@ -3,8 +3,8 @@
     file's moves ──► kind of each (outer wall, infill, travel …) ──► its pace ──► look-ahead
 
 What is kept as the file has it (first layers, bridges, …) keeps its limits, too. A pace never
-asks for more than the hot end can melt, nor makes a layer shorter than it may be: for that each
-layer has a factor of its own.
+asks for more than the hot end can melt, nor for more than the extruder can accelerate, nor makes a
+layer shorter than it may be: for that each layer has a factor of its own.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ AS_ASKED = Pace(math.inf, math.inf)
 class Paces:
     """The pace of each kind of feature; a kind without one keeps what the file has.
 
-    flow: mm of filament a second, at most, where the feed is raised. first_layers: how many keep
+    flow: mm of filament a second, at most, where the feed is raised; filament_acceleration: mm/s²
+    of it, at most, where the acceleration is. first_layers: how many keep
     what the file has, and with them all that lies as low, where objects are printed one by one.
     layers: factor on the feed of a layer, by its place in the print from 1, where it is not 1.
     """
@@ -49,6 +50,7 @@ class Paces:
     flow: float = math.inf
     first_layers: int = 1
     layers: dict[int, float] = field(default_factory=dict)
+    filament_acceleration: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +130,10 @@ class _Pacer:
         speed, own_acceleration = _by_axis(moves, np.abs(delta) / length[:, None])
         asked = speed * feed * self._factors(layer)
         with np.errstate(divide="ignore"):
-            melts = self._paces.flow / np.maximum(delta[:, E] / length, 0.0)
+            path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm, of a mm of filament
+        melts, fed = self._paces.flow * path, self._paces.filament_acceleration * path
         asked = np.minimum(asked, np.maximum(melts, np.minimum(asked, speed)))
+        acceleration = np.minimum(acceleration, np.maximum(fed, own_acceleration))
         return replace(
             moves,
             speed=frozen(np.where(chosen, asked, speed)),

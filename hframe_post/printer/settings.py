@@ -198,6 +198,8 @@ class Speed:
     max_error: mm that may not be exceeded, by kind of feature, of all others under no name;
     empty: prints keep the file's speeds. error_measure: what of the error that is. speed_up:
     times the file's feed rates, at most. model_error: share by which the printer may be off.
+    filament_acceleration: mm/s² of filament being laid, at most, where a move is driven harder than
+    the file has it; 0: no bound. Pressure advance pushes the extruder in proportion to it.
     """
 
     max_error: dict[str, float] = field(
@@ -206,6 +208,7 @@ class Speed:
     error_measure: str = field(default="p95", metadata={"choices": ("p95", "rms", "peak")})
     speed_up: float = within(1.0, 20.0, default=1.0)
     model_error: float = within(0.0, 0.99, default=0.05)
+    filament_acceleration: float = not_negative(0.0, most=1e6)
 
 
 @dataclass(frozen=True, slots=True)

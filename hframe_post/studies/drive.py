@@ -41,7 +41,16 @@ DRIVEN = tuple(name for name in (*KINDS, OTHER) if name not in KEPT)
 OF_BELTS = 0.5  # of the belts' acceleration that the path may have; compensation needs the rest
 CORNER_AT = 1e4  # mm/s²; speeds at corners grow with the acceleration, which keeps their shape
 JUDGED_EVERY = 4  # samples
-CAUSES = ("file", "cooling", "travel", "flow", "feed", "motors", "error")  # the first counts
+CAUSES = (
+    "file",
+    "cooling",
+    "travel",
+    "flow",
+    "extruder",
+    "feed",
+    "motors",
+    "error",
+)  # the first counts
 FIRST = 1  # layers that keep what the file has
 FEW = 50  # judged samples below which a kind says nothing of itself
 AT_LIMIT = 0.95  # share of the flow that counts as all of it
@@ -52,12 +61,14 @@ STEADY = 0.02  # share of a pace's acceleration below which the path is at cruis
 class Freedom:
     """What may be changed. speed_up: times the file's feed rates, at most.
 
-    flow: mm of filament a second, at most, where the feed is raised; min_layer_time: s.
+    flow: mm of filament a second, at most, where the feed is raised; min_layer_time: s;
+    filament_acceleration: mm/s² of filament, at most, where the acceleration is raised.
     """
 
     speed_up: float = 1.0
     flow: float = np.inf
     min_layer_time: float = 0.0
+    filament_acceleration: float = np.inf
 
 
 AS_IT_IS = Freedom()  # feed rates of the file
@@ -142,7 +153,9 @@ class Drive:
                 own.square_corner_velocity, *(p.corner for p in kinds.values())
             ),
         )  # fmt: skip
-        paces = Paces(kinds, self._free.flow, FIRST, driven.slowed)
+        paces = Paces(
+            kinds, self._free.flow, FIRST, driven.slowed, self._free.filament_acceleration
+        )
         digest = f"{self._printer.digest} jerk {driven.jerk:g}"
         printer = replace(self._printer, limits=limits, digest=digest)
         return printer, replace(self._asked, paces=paces)
@@ -267,11 +280,13 @@ class _Seen:
         speed = np.sqrt(np.square(np.diff(chunk.xyze[:, :E], axis=0)).sum(axis=1)) / TS
         change = np.abs(np.diff(speed, prepend=speed[:1])) / TS
         rate = np.diff(chunk.xyze[:, E], prepend=chunk.xyze[:1, E]) / TS
+        fed = np.diff(rate, prepend=rate[:1]) / TS
         holds = {
             "file": np.isin(NAMES, KEPT)[kinds] | (layer <= FIRST),
             "cooling": np.isin(layer, list(self._driven.slowed)),
             "travel": kinds == NAMES.index(TRAVEL),
             "flow": rate >= AT_LIMIT * self._free.flow,
+            "extruder": np.abs(fed) >= AT_LIMIT * self._free.filament_acceleration,
             "feed": np.append(change < STEADY * acceleration[1:], True)[: len(layer)],
             "motors": acceleration >= self._top,
         }

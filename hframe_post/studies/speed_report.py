@@ -9,10 +9,15 @@ from hframe_post.writers.print_time import duration
 
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
 CAUSES = {
-    "file": "what keeps the file's speeds", "cooling": "least time of a layer",
-    "travel": "travel", "flow": "the hot end", "feed": "feed rates", "motors": "the motors",
+    "file": "what keeps the file's speeds",
+    "cooling": "least time of a layer",
+    "travel": "travel",
+    "flow": "the hot end",
+    "extruder": "the extruder",
+    "feed": "feed rates",
+    "motors": "the motors",
     "error": "the error allowed",
-}  # fmt: skip
+}
 NOTHING = 1e-5  # mm; straight lines at one speed, such as those that prime
 VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the first first
 HARDLY = 0.01  # of the time; a cause of less is not told

@@ -63,6 +63,15 @@ def test_no_faster_than_the_hot_end_melts_but_never_slower_than_the_file() -> No
     assert moves.speed[4] == pytest.approx(30.0)  # as the file has it, which is too fast already
 
 
+def test_the_extruder_is_not_accelerated_beyond_its_bound_but_by_the_file() -> None:
+    """0.5 mm on 10 mm at 8000 mm/s² are 400 mm/s² of filament."""
+    moves = paced(Paces({"outer-wall": WALL, "travel": GONE}, filament_acceleration=300.0))
+    assert moves.acceleration[1] == pytest.approx(6000.0)
+    assert moves.acceleration[3] == GONE.acceleration
+    moves = paced(Paces({"outer-wall": WALL}, filament_acceleration=1.0))
+    assert moves.acceleration.tolist() == paced(Paces({})).acceleration.tolist()
+
+
 def test_a_layer_can_be_slowed() -> None:
     moves = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={2: 0.5}))
     assert moves.speed.tolist() == [30.0, 30.0, 60.0, 150.0, 30.0, 30.0]
