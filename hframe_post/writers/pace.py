@@ -10,6 +10,7 @@ from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.firmware.player import Dwelling, Player, Stroke
 from hframe_post.stream.types import Pause
 
+SOON = 1.0  # s, over which what is late is made up for, where motion lasts so long
 CATCH_UP = 0.01  # share of its time by which a segment is hurried or delayed
 
 
@@ -41,17 +42,19 @@ class Pace:
         rest = rest.copy()
         rest[0] |= self.stands
         T = self._player.possible_times(at, T, self._before)
-        made_up = np.minimum(CATCH_UP * np.cumsum(T), abs(self.lag))
+        late, passed = abs(self.lag), np.cumsum(T)
+        share = min(CATCH_UP, late / min(float(passed[-1]), SOON))
+        made_up = np.minimum(share * passed, late)
         hurried = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
         feeds, taken = self._asked(at, hurried, rest, after)
         if self._steady:
-            over = np.ones(min(self._steady, len(T)))
-            drift = np.convolve(taken - hurried, over, "same") / np.convolve(T, over, "same")
+            near = np.ones(min(self._steady, len(T)))
+            drift = np.convolve(taken - hurried, near, "same") / np.convolve(T, near, "same")
             feeds, taken = self._asked(at, hurried - drift * T, rest, after)
-        late = taken - T
+        over = taken - T
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
-            late[0], self._fresh = 0.0, False
-        self.lag += float(late.sum())
+            over[0], self._fresh = 0.0, False
+        self.lag += float(over.sum())
         self._before = min(float(feeds[-1] / self._per_feed), after)
         return feeds
 

@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
-from hframe_post.writers import gcode, motion
+from hframe_post.writers import machine, motion
 from hframe_post.writers.atomic_file import Outputs
 
 PART = (
@@ -107,7 +107,7 @@ def test_filament_that_is_not_where_it_was(
         at[int(first * k) : max(int(last * k), int(first * k) + 1), 3] -= 2000
         return replace(made, at=at)
 
-    monkeypatch.setattr(gcode, "segments", faulty)
+    monkeypatch.setattr(machine, "segments", faulty)
     nothing_appears(tmp_path, cause)
 
 

@@ -229,11 +229,11 @@ def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
 def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
     marlin: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def plainly(self: Marlin, at: Array, T: Array, rest: Array, before: float) -> Array:
+    def plainly(self: Marlin, at: Array, T: Array, *_: object) -> Array:
         return np.asarray(self._blocks(at).d / T)
 
     monkeypatch.setattr(Marlin, "feed_rates", plainly)
-    monkeypatch.setattr(Marlin, "durations", lambda self, at, v, rest, before: 0.0 * v)
+    monkeypatch.setattr(Marlin, "durations", lambda self, at, v, *_: 0.0 * v)
     monkeypatch.setattr("hframe_post.writers.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
