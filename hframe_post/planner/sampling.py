@@ -102,17 +102,7 @@ class _Sampler:
 
     def run(self, plan: Plan) -> Iterator[Samples]:
         """Samples of the runs of a plan."""
-        self._line = int(plan.line[0])
-        self._pass_at_rest()
-        if self._last is None:
-            yield from self._stand(plan.points[0], 1)  # from where the motion starts
-        if self._rested:
-            self._labelled = False
-            aside = self._aside
-            yield from self._rest(plan.points[0], self._rests.aside if aside else self._rests.after)
-            self._rested = self._aside = False
-        if not self._moving:
-            self._section, self._clock, self._moving = self._index - 1, 0.0, True
+        yield from self._set_out(plan)
         phases, self._clock = self._phases(plan)
         stops = plan.speed[-1] == 0.0
         stop = self._section + (
@@ -144,6 +134,20 @@ class _Sampler:
             self._events.append(Mark(self._index, mark.text))
             self._pinned = float(plan.points[mark.index, E])
         self._moving = not stops
+
+    def _set_out(self, plan: Plan) -> Iterator[Samples]:
+        """From standstill, if the machine stands."""
+        self._line = int(plan.line[0])
+        self._pass_at_rest()
+        if self._last is None:
+            yield from self._stand(plan.points[0], 1)  # from where the motion starts
+        if self._rested:
+            self._labelled = False
+            aside = self._aside
+            yield from self._rest(plan.points[0], self._rests.aside if aside else self._rests.after)
+            self._rested = self._aside = False
+        if not self._moving:
+            self._section, self._clock, self._moving = self._index - 1, 0.0, True
 
     def _phases(self, plan: Plan) -> tuple[Phases, float]:
         """Phases of all runs on the section's clock, points of rest on whole samples."""

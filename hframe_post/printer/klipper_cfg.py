@@ -127,8 +127,8 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         )
 
 
-def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """Each number of printer.cfg that the profile repeats."""
+def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float, str, str, float]]:
+    """Numbers of printer.cfg that the profile repeats: key, value, section, option, default."""
     own, limits = printer.firmware.klipper, printer.limits
     velocity = config.number("printer", "max_velocity")
     acceleration = config.number("printer", "max_accel")
@@ -162,7 +162,12 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
             ("retraction.extra", retraction.extra,
              "firmware_retraction", "unretract_extra_length", 0.0),
         ]  # fmt: skip
-    for key, wanted, section, option, default in pairs:
+    return pairs
+
+
+def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """Each number of printer.cfg that the profile repeats."""
+    for key, wanted, section, option, default in _repeated(config, printer):
         has = config.number(section, option, default)
         if math.isnan(has):
             yield Finding(
