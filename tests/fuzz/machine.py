@@ -1,7 +1,8 @@
 """What a firmware would do with a file, as far as a check needs it: independent of the package.
 
-It follows places, filament and modes of Klipper, Marlin or RepRapFirmware. Arcs count by their
-ends; a command that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note where it stands.
+It follows places, filament and modes of Klipper, Marlin or RepRapFirmware. Arcs reach no further
+than their ends; a command that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note
+where it stands.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ SHORT = 2e-3  # mm; ends that are no further apart are one place, as they are wr
 class Stand(NamedTuple):
     """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
 
-    place: of the machine; told: as the firmware would tell it, after G92; step: filament of the
-    next line that moves it.
+    place: of the machine; told: as the firmware would tell it, after G92; rate: filament per mm
+    of the last line that moved it; step, way: filament and mm of the next.
     """
 
     number: int
@@ -31,7 +32,9 @@ class Stand(NamedTuple):
     filament: float
     modes: tuple[bool, bool]
     e: float
+    rate: float = 0.0
     step: float = 0.0
+    way: float = 0.0
 
 
 @dataclass
@@ -56,6 +59,7 @@ class Machine:
     least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     waiting: int = 0  # the first stand whose step is not known
+    rate: float = 0.0  # of the last line that moved, see Stand
     feed: float = 25.0  # mm/s
     seconds: float = 0.0
     standing: float = 0.0
@@ -78,7 +82,7 @@ class Machine:
             told = tuple(
                 None if p is None else p - o for p, o in zip(self.place, self.offset, strict=True)
             )
-            stand = Stand(int(mark[1]), tuple(self.place), told, self.filament, modes, e)
+            stand = Stand(int(mark[1]), tuple(self.place), told, self.filament, modes, e, self.rate)
             self.stands.append(stand)
             return
         code = re.sub(rb"\([^)]*\)", b"", raw).split(b";")[0].split(b"*")[0].strip()
@@ -102,7 +106,7 @@ class Machine:
 
     def _do(self, name: str, words: dict[str, float]) -> None:
         if name in ("G0", "G1", "G2", "G3", "G5"):
-            self._move(words, straight=name in ("G0", "G1"))
+            self._move(name, words)
         elif name in ("G90", "G91"):
             self.absolute = name == "G90"
             if self.firmware == "marlin":
@@ -120,7 +124,7 @@ class Machine:
                 if letter in words or not words.keys() & set("XYZ"):
                     self.place[axis] = None
 
-    def _move(self, words: dict[str, float], straight: bool) -> None:
+    def _move(self, name: str, words: dict[str, float]) -> None:
         if words.get("F", 0.0) > 0.0:
             self.feed = words["F"] * self.unit / 60.0
         before, filament = list(self.place), self.filament
@@ -134,12 +138,13 @@ class Machine:
         self.seconds += (length or abs(fed)) / self.feed
         if words.keys() & set("XYZE"):
             waiting = self.stands[self.waiting :]
-            self.stands[self.waiting :] = [stand._replace(step=fed) for stand in waiting]
+            self.stands[self.waiting :] = [s._replace(step=fed, way=length) for s in waiting]
             self.waiting = len(self.stands)
+            self.rate = fed / (self._round(name, words, before) or length or SHORT)
             self.flow = max(self.flow, abs(fed) * self.feed / (length or SHORT))
         if fed > UNSEEN and length < SHORT:
             self.nearly += fed  # or along a circle
-        if not straight:  # its length is not known here
+        if name not in ("G0", "G1"):  # a curve has no one length for all firmwares
             return
         if fed > 0.0 and length > 0.0:
             self.sharpest = max(self.sharpest, fed / length)
@@ -147,6 +152,20 @@ class Machine:
             self.standing += fed
         elif fed > UNSEEN:
             self.steepest = max(self.steepest, fed / length)
+
+    def _round(self, name: str, words: dict[str, float], start: list[float | None]) -> float:
+        """Length in the plane of an arc about the centre that is given; 0 of all else."""
+        centre = [words.get(letter, 0.0) * self.unit for letter in "IJ"]
+        ends = (*start[:2], *self.place[:2])
+        if name not in ("G2", "G3") or not any(centre) or None in ends:
+            return 0.0
+        x, y, x_e, y_e = (end for end in ends if end is not None)
+        begin, end = (
+            math.atan2(-centre[1], -centre[0]),
+            math.atan2(y_e - y - centre[1], x_e - x - centre[0]),
+        )
+        sweep = (end - begin if name == "G3" else begin - end) % math.tau
+        return math.hypot(*centre) * (sweep if math.dist((x, y), (x_e, y_e)) > 0.0 else math.tau)
 
     def _go(self, words: dict[str, float]) -> None:
         for axis, letter in enumerate("XYZ"):
