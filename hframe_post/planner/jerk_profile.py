@@ -14,6 +14,9 @@ from hframe_post.stream.types import Plan
 
 ALMOST = 0.999  # share of a limit that counts as all of it
 DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
+# Lengths, mm, in which Ruckig is asked, one after the other. It checks in absolute numbers, and at
+# great accelerations in mm rounding fails them. Powers of two change no digit.
+UNITS = (1.0, 16.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +69,16 @@ class Profiler:
         t, j, acceleration = ramps(v0, v1, length, jerk)
         one_speed = (v0 == v1) & (v0 >= ALMOST * plan.cruise)
         forced = one_speed | (acceleration >= ALMOST * plan.acceleration)
-        self._input.max_jerk = [jerk]
         columns = np.stack([v0, v1, length, plan.cruise, plan.acceleration], axis=1)
-        free = np.flatnonzero(~forced)
-        solved = [self._solve(*row) for row in columns[free].tolist()]
         chosen_t, chosen_j = t.copy(), j.copy()
-        if solved:
-            chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
+        free = np.flatnonzero(~forced)
+        for unit in UNITS:
+            self._input.max_jerk = [jerk / unit]
+            solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
+            if solved:
+                chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
+                chosen_j[free] *= unit
+            free = free[_misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
         wrong = _misses(chosen_t, chosen_j, v0, length)
         chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
         wrong = _misses(chosen_t, chosen_j, v0, length)

@@ -644,6 +644,19 @@ def test_every_run_gets_a_profile_within_its_limits(jerk: float) -> None:
     assert_profiles_fit(random_runs(1, 2500, jerk), jerk)
 
 
+@pytest.mark.parametrize("jerk", [5e6, 1e7, 5e7, 1e9])
+def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
+    """v up, along, and down again: L/v + v/a + a/j, at great accelerations, too."""
+    rng, n = np.random.default_rng(3), 3000
+    a, v = rng.uniform(500.0, 50e3, n), rng.uniform(150.0, 300.0, n)
+    a = np.minimum(a, 0.99 * np.sqrt(v * jerk))
+    length = (v * v / a + v * a / jerk) * (1.01 + 10.0 ** rng.uniform(-2.0, 2.0, n))
+    s, count = np.append(0.0, np.cumsum(length)), np.arange(n + 1)
+    points = np.column_stack([s, np.zeros((n + 1, 3))])
+    t, _ = Profiler().profiles(Plan(count[:-1], points, s, count, 0.0 * s, v, a, ()), jerk)
+    np.testing.assert_allclose(t.sum(axis=1), np.diff(s) / v + v / a + a / jerk, rtol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 10))
 @pytest.mark.parametrize("jerk", [1e4, 1e5, 1e6, 5e6, 5e7, 1e8, 1e9])
