@@ -31,7 +31,7 @@ from hframe_post.studies.drive import (
     Original,
     Trial,
 )
-from hframe_post.studies.speed_bound import AIM, TINY, Bound, gentler, harder, slower
+from hframe_post.studies.speed_bound import AIM, TINY, Bound, gentler, harder, milder, slower
 from hframe_post.studies.speed_pieces import Pieces
 
 ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound
@@ -103,7 +103,7 @@ def _within(
             driven = slower(harder(driven, gains, drive.top), gains)
         driven = cooling.slowed(driven, trial.layers)
         if outruns:
-            driven = gentler(driven)
+            driven = milder(driven) if number < ROUNDS else gentler(driven)
     if trial.refused:
         raise HframeError(trial.refused)
     worst = max(shares, key=lambda name: shares[name])

@@ -25,6 +25,7 @@ AIM = 0.92  # share that is aimed at
 TINY = 1e-9  # share of a bound, at least, to divide by
 SLOWEST = 0.3  # times the file's feed, where that leaves the path by too much
 OUTRUN = 0.8  # of the hardest acceleration, where a motor would be outrun
+MILDER = 0.93  # of all accelerations, where that is so in some places of the whole print
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,11 @@ def slower(driven: Driven, gains: dict[str, float]) -> Driven:
         for name, own in driven.feed.items()
     }
     return replace(driven, feed=feed)
+
+
+def milder(driven: Driven) -> Driven:
+    """All a little less hard."""
+    return replace(driven, acceleration={k: MILDER * a for k, a in driven.acceleration.items()})
 
 
 def gentler(driven: Driven) -> Driven:
