@@ -53,6 +53,8 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
             yield from sampler.halt()
         else:
             yield from sampler.pause(item, motion)
+        if sampler.held >= SAMPLES_PER_CHUNK:  # many moves in a row beside x and y
+            yield from sampler.flush()
     yield from sampler.finish()
 
 
@@ -316,11 +318,16 @@ class _Sampler:
             self._index += len(xyze)
             self._last = xyze[-1]
 
+    @property
+    def held(self) -> int:
+        """Samples that are in no chunk yet."""
+        return sum(map(len, self._held))
+
     def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
         """What is held, as one chunk with its events."""
         if not self._held and not self._events:
             return
-        first = self._index - sum(map(len, self._held))
+        first = self._index - self.held
         empty = Samples(first, frozen(np.zeros((0, 4))), np.zeros(0, dtype=np.int64))
         chunks = self._held or [empty]
         xyze = np.concatenate([c.xyze for c in chunks])

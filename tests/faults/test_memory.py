@@ -71,6 +71,8 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
     "half an hour of waiting": lambda: iter(["G4 P1800000"]),
     "ten hours of waiting": lambda: iter(["G4 P36000000"]),
     "a lift of an hour and a half": lambda: iter(["G1 Z100 F1"]),
+    "an hour of filament in place": lambda: repeat("G1 E1400 F3600", 160),
+    "40 minutes of lifts": lambda: (f"G1 Z{20 - 19.8 * (k % 2)} F60" for k in range(120)),
     "a million M73": lambda: repeat("M73 P5 R10", 1_000_000),
     "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
     "ten million lines": lambda: repeat(";", 10_000_000),

@@ -494,6 +494,13 @@ def test_standing_move_keeps_its_axis_limits(distance: float, axis: int, speed: 
 # ---------------------------------------------------------------------- cutting
 
 
+def test_chunks_stay_short_however_long_it_stands() -> None:
+    feeds = [Standing(k, (0, 0, 0, 900.0 * k), (0, 0, 0, 900.0 * (k + 1)), 60.0) for k in range(9)]
+    sizes = [len(block) for block in sampled(feeds)]
+    assert sum(sizes) > 4 * sampling.SAMPLES_PER_CHUNK
+    assert max(sizes) < 2 * sampling.SAMPLES_PER_CHUNK
+
+
 def mixed() -> list[Item]:
     """Paths of several plans each, with pauses of all kinds between them."""
     items: list[Item] = []
