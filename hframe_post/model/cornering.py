@@ -39,7 +39,8 @@ def junction_speeds(
     delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
     deviations (n,) or one for all; the lower of two neighbours' products counts.
     """
-    unit = delta[:, :E] / length[:, None]
+    # not delta / length: at a turn back all of 1 − cosθ is what Klipper's rounding leaves of it
+    unit = delta[:, :E] * (1.0 / length)[:, None]
     x, y, z = (unit[:-1] * unit[1:]).T
     cosine = np.clip(-(x + y + z), -1.0, 1.0)
     sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))

@@ -29,6 +29,8 @@ class Pace:
         self._leaving: tuple[Callable[[float], Stroke], Stroke] | None = None
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
+        # s that the last segment takes, by the speed at its end: that of the one that follows
+        self._ending: Callable[[float], float] | None = None
 
     def begin(self) -> None:
         """The machine is taken over: what it is late by does not matter any more."""
@@ -51,12 +53,23 @@ class Pace:
             near = np.ones(min(self._steady, len(T)))
             drift = np.convolve(taken - hurried, near, "same") / np.convolve(T, near, "same")
             feeds, taken = self._asked(at, hurried - drift * T, rest, after)
+            self._join(at, feeds, rest, after)
         over = taken - T
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
             over[0], self._fresh = 0.0, False
         self.lag += float(over.sum())
         self._before = min(float(feeds[-1] / self._per_feed), after)
         return feeds
+
+    def _join(self, at: Array, feeds: Integers, rest: Flags, after: float) -> None:
+        """What ended a batch slows down to the speed at which this one begins."""
+        v = feeds / self._per_feed
+        if self._ending is not None and not rest[0]:
+            slower = min(self._before, float(v[0]))
+            self.lag += self._ending(slower) - self._ending(self._before)
+        entry = float(v[-2]) if len(v) > 1 else self._before
+        last = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
+        self._ending = lambda end: float(self._player.durations(*last, end)[0])
 
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
         """F by which segments are to last T (k,), and how long they then take, (k,) each."""
@@ -72,7 +85,7 @@ class Pace:
 
     def moves(self, speed: float) -> None:
         """The machine has begun to move."""
-        self._before = speed
+        self._before, self._ending = speed, None
 
     def stop(self) -> None:
         """The machine stands."""
@@ -93,7 +106,7 @@ class Pace:
         stroke = leaving(corner)
         self._leaving = (leaving, stroke) if pause.leaving else None
         self.lag += stroke.seconds - planned
-        self._before = stroke.left
+        self._before, self._ending = stroke.left, None
         return stroke
 
     def leave(self, speed: float) -> Stroke:

@@ -35,6 +35,17 @@ def test_square_corner_of_short_segments_is_slower() -> None:
     assert junction((5.0, 0, 0, 0), (0, 0.02, 0, 0)) == pytest.approx(expected)
 
 
+def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
+    """Its unit vectors are d·(1/|d|), which is not always ±1: 0.7 µm/s that 20 ns are lost by."""
+    for d in np.random.default_rng(1).uniform(1e-4, 0.1, (200, 2)):
+        back = [float(one) * (1.0 / float(one)) for one in d]
+        cosine = back[0] * back[1]
+        half, other = (math.sqrt(max(0.5 * (1.0 + k * cosine), 0.0)) for k in (-1.0, 1.0))
+        corner = half / (1.0 - half) * float(DEVIATION) * A
+        expected = math.sqrt(min(corner, 0.5 * d.min() * A * half / other))
+        assert junction((d[0], 0.0, 0.0, 0.0), (-d[1], 0.0, 0.0, 0.0)) == expected
+
+
 def test_straight_on_is_free_and_reversal_a_stop() -> None:
     assert junction((1.0, 0, 0, 0.04), (2.0, 0, 0, 0.08)) == math.inf
     assert junction((1.0, 0, 0, 0), (-1.0, 0, 0, 0)) == 0.0
