@@ -113,11 +113,11 @@ def by_nozzle(runs: list[Run], settings: Settings) -> Together:
         for u, run in zip(commands, runs, strict=True)
         if run.nozzle is not None
     ]
-    lags = [
-        place_mark.lag(u, one.acceleration[:, run.axis])
+    answers = [
+        place_mark.answer(u, one.acceleration[:, run.axis])
         for u, one, run in zip(commands, found, runs, strict=True)
     ]
-    place_mark.check([run.name for run in runs], [float(run.command[0, X]) for run in runs], lags)
+    _check_places(runs, answers)
     angles = [
         heading(u, one.acceleration, run.axis)
         for u, one, run in zip(commands, found, runs, strict=True)
@@ -134,9 +134,14 @@ def by_nozzle(runs: list[Run], settings: Settings) -> Together:
     return together(heard)
 
 
+def _check_places(runs: list[Run], answers: list[place_mark.Answer | None]) -> None:
+    places = [float(run.command[0, X]) for run in runs]
+    place_mark.check([run.name for run in runs], places, answers)
+
+
 def by_bridge(runs: list[Run], settings: Settings) -> Together:
     """Eq. 3, of two sensors that may have heard a run one after the other."""
-    heard, lags = [], []
+    heard, answers = [], []
     for run in runs:
         if settings.L_G is None:
             raise IdentificationError(
@@ -147,12 +152,12 @@ def by_bridge(runs: list[Run], settings: Settings) -> Together:
         u = acceleration(run.command[:, X])
         assert run.bridge is not None
         P1, P2 = (aligned(u, recording, Y) for recording in run.bridge)
-        lags.append(place_mark.lag(u, P1.acceleration[:, Y]))
+        answers.append(place_mark.answer(u, P1.acceleration[:, Y]))
         theta = (P1.acceleration[:, Y] - P2.acceleration[:, Y]) / settings.L_G
         response = estimate(u, theta, settings.method).within(settings.band_hz)
         late = max(P1.uncertainty, P2.uncertainty)
         heard.append(Heard(run.place, response, response, late))
-    place_mark.check([run.name for run in runs], [float(run.command[0, X]) for run in runs], lags)
+    _check_places(runs, answers)
     return together(heard)
 
 
