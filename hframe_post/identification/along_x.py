@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.frequency_response import FrequencyResponse
 from hframe_post.identification.modal import Data, Modal, refined
-from hframe_post.identification.weighting import weights
+from hframe_post.identification.weighting import modes_within, weights
 from hframe_post.model.transfer_function import TransferFunction
 
 MOVES = 0.02  # relative change of a frequency over the places that deserves a word,
@@ -56,7 +56,9 @@ def moving(
     for _, response in places:
         part = response.within(band_hz)
         delay = model.place.delay
-        data = Data(part.hz, part.H, weights(part), band_hz, (delay - 1e-6, delay + 1e-6))
+        data = Data(
+            part.hz, part.H, weights(part), modes_within(band_hz), (delay - 1e-6, delay + 1e-6)
+        )
         own.append(refined(data, model.structure, model.place))
     omega = np.array([one.place.omega for one in own])  # (places, modes)
     weight = np.abs(model.c) + np.abs(model.d)

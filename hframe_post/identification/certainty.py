@@ -18,7 +18,7 @@ from hframe_post.identification.fit import Fit
 from hframe_post.identification.frequency_response import FrequencyResponse, average
 from hframe_post.identification.lever_arm import centre, line
 from hframe_post.identification.modal import Data, Modal, refined, thinned
-from hframe_post.identification.weighting import weights
+from hframe_post.identification.weighting import modes_within, weights
 
 DRAWS, SEED = 12, 0
 TRIED = 150  # frequencies of each draw
@@ -58,7 +58,7 @@ def certainty(
         picked = rng.integers(len(inside), size=len(inside)).tolist()
         part = average([noisy(inside[k], rng) for k in picked])
         about = (model.place.delay - 1e-3, model.place.delay + 1e-3)
-        data = thinned(Data(part.hz, part.H, weights(part), band_hz, about), TRIED)
+        data = thinned(Data(part.hz, part.H, weights(part), modes_within(band_hz), about), TRIED)
         drawn = refined(data, model.structure, model.place)
         omega.append(drawn.place.omega)
         zeta.append(drawn.place.zeta)

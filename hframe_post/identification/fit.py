@@ -11,6 +11,7 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import diagnostics, selection
 from hframe_post.identification.frequency_response import FrequencyResponse
+from hframe_post.identification.linearity import Distortion
 from hframe_post.identification.modal import Modal
 from hframe_post.identification.rational import Rational
 from hframe_post.identification.selection import MOST_POLES, Case
@@ -63,16 +64,15 @@ def fit(
     at_rest: float,
     band_hz: tuple[float, float],
     late: tuple[float, float] = (0.0, 0.0),
-    linear: bool = True,
+    distortion: Distortion | None = None,
     sensor: tuple[float, float] | None = None,
 ) -> Fit:
     """The model of ``whole``, which ``runs`` have in common.
 
     order: poles, None: as many as the data support. at_rest: 1 for a position, 0 for racking.
-    late: bounds (s) of the recordings' own delay. linear: whether the sweep's harmonics say that
-    the printer is, so that free zeros have nothing else to bend around. sensor: its gain, mean and
-    standard deviation, where more is known of it than that it is a sensor. Raises
-    IdentificationError.
+    late: bounds (s) of the recordings' own delay. distortion: of ``whole``, by what the sweep's
+    harmonics say is not linear. sensor: its gain, mean and standard deviation, where more
+    is known of it than that it is a sensor. Raises IdentificationError.
     """
     inside = [run.within(band_hz) for run in runs]
     part = whole.within(band_hz)
@@ -80,7 +80,8 @@ def fit(
         raise IdentificationError(
             f"{len(part.hz)} frequencies in {band_hz[0]:g}–{band_hz[1]:g} Hz are too few to fit"
         )
-    case = Case.of(part, inside, at_rest, band_hz, late, linear, sensor)
+    known = None if distortion is None else distortion.at(part.hz)
+    case = Case.of(part, inside, at_rest, band_hz, late, known, sensor)
     return _told(case, selection.chosen(case, order))
 
 

@@ -36,7 +36,7 @@ from hframe_post.identification.heard import (
     by_nozzle,
 )
 from hframe_post.identification.lever_arm import Line, centre, line
-from hframe_post.identification.linearity import Nonlinearity, nonlinearity
+from hframe_post.identification.linearity import Distortion, Nonlinearity, nonlinearity
 from hframe_post.model.plant import Plant
 
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
@@ -46,8 +46,9 @@ RACKS = 3.0  # times its noise, in power, from which racking is one
 DISAGREE = 0.2  # relative, of racking by both ways, that deserves a word
 UNSURE = 1e-3  # s of a start that deserve a word
 USELESS = 0.35  # of the measurement that a model may leave unexplained at the most
-NEARLY = 0.04  # harmonics, of the answer, up to which any model may be fitted
-NONLINEAR = 0.25  # the same of a printer that is not linear
+NONLINEAR = 0.25  # the same of a printer that is not linear,
+BEYOND = 2.0  # where it is so many times what noise and harmonics make of it,
+BENT = 0.6  # and where it is not
 MOST_GAIN = 0.075  # of a sensor, relative: what it may read wrong
 AXES = "xy"
 
@@ -113,8 +114,10 @@ class Identified:
                     f"the sensor would read {100 * abs(gain - 1.0):.0f} % wrong in {axis}, more "
                     f"than sensors do: {self._cause}"
                 )
-        most = NONLINEAR if self.nonlinear else USELESS
         for name, found in self.fits.items():
+            most = USELESS
+            if self.nonlinear is not None:
+                most = NONLINEAR if found.over > BEYOND else BENT
             if found.residual > most and name != "Gxtheta":
                 return (
                     f"{name}: a model of order {found.order} leaves {100 * found.residual:.0f} % "
@@ -149,21 +152,21 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     measured = {"Gxx": _measured(x_runs, settings), "Gyy": _measured(y_runs, settings)}
     fits = {name: _fit(name, one, settings) for name, one in measured.items()}
     nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step)
-    linear = nonlinear is None or nonlinear.share < NEARLY
-    if not linear:
-        fits = {name: _fit(name, one, settings, linear) for name, one in measured.items()}
+    bent = nonlinear.distortions if nonlinear else {}
+    if bent:
+        fits = {name: _fit(name, one, settings, bent[name]) for name, one in measured.items()}
     fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
     along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)
     racking = arms is not None and arms.over_noise > RACKS
     if ends.runs:
         measured["Gxtheta"] = _measured(ends, settings)
-        fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, linear)
+        fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, bent.get("Gxx"))
     elif arms and racking:
         # the same recordings as those of Gxx, so the same delay
         late = (fits["Gxx"].delay,) * 2
         measured["Gxtheta"] = Measured(arms.by_place, arms.slope, arms.off, late)
-        found = _fit("Gxtheta", measured["Gxtheta"], settings, linear)
+        found = _fit("Gxtheta", measured["Gxtheta"], settings, bent.get("Gxx"))
         fits["Gxtheta"] = with_gain(found, fits["Gyy"].gain)
     x_c = centre(arms, measured["Gxx"].mean.H)[0] if arms and racking else None
     return Identified(
@@ -281,11 +284,13 @@ def _exchanged(places: list[float], responses: list[FrequencyResponse], off: flo
     return "Are files of two places exchanged, or was the sensor moved between runs?"
 
 
-def _fit(name: str, measured: Measured, settings: Settings, linear: bool = True) -> Fit:
+def _fit(
+    name: str, measured: Measured, settings: Settings, distortion: Distortion | None = None
+) -> Fit:
     runs = [response for _, response in measured.places]
     return fit(
         runs, measured.mean, settings.orders.get(name), AT_REST[name], settings.band_hz,
-        measured.late, linear, _sensor(name, settings),
+        measured.late, distortion, _sensor(name, settings),
     )  # fmt: skip
 
 

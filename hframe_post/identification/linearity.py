@@ -49,6 +49,7 @@ CAUSES = {
     "is loose",
     "one-sided": "a belt or mount that is stiffer one way than the other: set the belts' tension",
 }
+BIN_HZ = 1.0  # over which what is not linear is averaged
 ORDER = {"friction": 3, "backlash": 3, "hardening": 3, "one-sided": 2}  # of the harmonic
 
 
@@ -72,13 +73,26 @@ class Harmonics:
 
 
 @dataclass(frozen=True, slots=True)
+class Distortion:
+    """Of a measured response, by what is not linear: share (k,) of it at hz (k,), ascending."""
+
+    hz: Array
+    share: Array
+
+    def at(self, hz: Array) -> Array:
+        """Its share at other frequencies."""
+        return np.interp(hz, self.hz, self.share)
+
+
+@dataclass(frozen=True, slots=True)
 class Nonlinearity:
     """What was found. shares: axis → of its answer's amplitude that harmonics are; size: mm/s² of
-    friction, where that is the cause."""
+    friction, where that is the cause. distortions: of what is measured, by transfer function."""
 
     cause: str
     shares: dict[str, float]
     size: float
+    distortions: dict[str, Distortion]
 
     @property
     def share(self) -> float:
@@ -145,7 +159,29 @@ def nonlinearity(
         size = max(size, _friction(heard, G, lag))
     if not shares:
         return None
-    return Nonlinearity(max(likeness, key=lambda name: likeness[name]), shares, size)
+    cause = max(likeness, key=lambda name: likeness[name])
+    bent = {
+        name: _distortion(cause, _together(runs), G, lag) for name, (runs, G, lag) in axes.items()
+    }
+    return Nonlinearity(cause, shares, size, {f"G{name}{name}": one for name, one in bent.items()})
+
+
+def _distortion(cause: str, heard: Harmonics, G: TransferFunction, lag: float) -> Distortion:
+    """What the cause of a harmonic makes of the motion's own frequency."""
+    order = ORDER[cause]
+    used = _used(heard.hz, order)
+    shape, values = SHAPES[cause](heard, used, G, lag, order), heard.amplitude[used, order - 1]
+    size = abs(np.vdot(shape, values)) / np.vdot(shape, shape).real
+    inside = heard.hz > LOWEST_HZ
+    own = size * np.abs(SHAPES[cause](heard, inside, G, lag, 1)) * OWN[cause]
+    share = own / np.abs(heard.amplitude[inside, 0])
+    edges = np.arange(LOWEST_HZ, heard.hz.max(), BIN_HZ)
+    bins = np.digitize(heard.hz[inside], edges)
+    held = [k for k in range(1, len(edges) + 1) if (bins == k).any()]
+    return Distortion(
+        np.array([heard.hz[inside][bins == k].mean() for k in held]),
+        np.array([share[bins == k].mean() for k in held]),
+    )
 
 
 def _together(runs: Sequence[Harmonics]) -> Harmonics:
@@ -163,17 +199,11 @@ def _used(hz: Array, order: int) -> Flags:
 
 def _likeness(heard: Harmonics, G: TransferFunction, lag: float) -> dict[str, float]:
     """How well harmonics go along with each cause, 0 … 1: correlation, without the noise."""
-    shapes = {
-        "friction": _of_friction,
-        "backlash": _of_backlash,
-        "hardening": _of_hardening,
-        "one-sided": _of_one_side,
-    }
     told = {}
-    for name, shape in shapes.items():
+    for name, shape in SHAPES.items():
         order = ORDER[name]
         used = _used(heard.hz, order)
-        values, own = heard.amplitude[used, order - 1], shape(heard, used, G, lag)
+        values, own = heard.amplitude[used, order - 1], shape(heard, used, G, lag, order)
         size = heard.share(order) * np.linalg.norm(heard.amplitude[used, 0])
         length = float(np.linalg.norm(own)) * float(size)
         told[name] = min(float(abs(np.vdot(own, values))) / length, 1.0) if length else 0.0
@@ -183,28 +213,37 @@ def _likeness(heard: Harmonics, G: TransferFunction, lag: float) -> dict[str, fl
 def _friction(heard: Harmonics, G: TransferFunction, lag: float) -> float:
     """mm/s² of friction that the third harmonic would be of."""
     used = _used(heard.hz, 3)
-    shape = _of_friction(heard, used, G, lag)
+    shape = _of_friction(heard, used, G, lag, 3)
     return float(abs(np.vdot(shape, heard.amplitude[used, 2])) / np.vdot(shape, shape).real)
 
 
-def _of_friction(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
-    """The third harmonic of a unit of friction: on the carriage, behind no delay."""
-    return np.asarray(4.0 / (3.0 * np.pi) * 1j * _on_carriage(heard, used, G, lag, 3))
+def _of_friction(
+    heard: Harmonics, used: Flags, G: TransferFunction, lag: float, order: int
+) -> Complex:
+    """The harmonic of a unit of friction: on the carriage, behind no delay."""
+    unit = 4.0 / (order * np.pi) * (-1j) ** (order + 2)
+    return np.asarray(unit * _on_carriage(heard, used, G, lag, order))
 
 
-def _of_backlash(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+def _of_backlash(
+    heard: Harmonics, used: Flags, G: TransferFunction, lag: float, order: int
+) -> Complex:
     hz = heard.hz[used]
-    return np.asarray(hz**2 * G.response(6.0 * np.pi * hz * TS))
+    return np.asarray(order * hz**2 * G.response(2.0 * np.pi * order * hz * TS))
 
 
-def _of_hardening(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+def _of_hardening(
+    heard: Harmonics, used: Flags, G: TransferFunction, lag: float, order: int
+) -> Complex:
     size = np.abs(heard.amplitude[used, 0])
-    return np.asarray(size**3 * _on_carriage(heard, used, G, lag, 3))
+    return np.asarray(size**3 * _on_carriage(heard, used, G, lag, order))
 
 
-def _of_one_side(heard: Harmonics, used: Flags, G: TransferFunction, lag: float) -> Complex:
+def _of_one_side(
+    heard: Harmonics, used: Flags, G: TransferFunction, lag: float, order: int
+) -> Complex:
     size = np.abs(heard.amplitude[used, 0])
-    return np.asarray(size**2 * _on_carriage(heard, used, G, lag, 2))
+    return np.asarray(size**2 * _on_carriage(heard, used, G, lag, order))
 
 
 def _on_carriage(
@@ -215,3 +254,12 @@ def _on_carriage(
     prompt = G.response(omega * TS) * np.exp(1j * omega * lag)
     first = heard.amplitude[used, 0]
     return np.asarray((1.0 - prompt) * (first / np.abs(first)) ** order)
+
+
+SHAPES = {
+    "friction": _of_friction,
+    "backlash": _of_backlash,
+    "hardening": _of_hardening,
+    "one-sided": _of_one_side,
+}
+OWN = {"friction": 1.0, "backlash": 1.0, "hardening": 3.0, "one-sided": 1.0}

@@ -29,7 +29,7 @@ from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.hold import Term, delayed, held
-from hframe_post.identification.weighting import INSIDE, SENSOR
+from hframe_post.identification.weighting import SENSOR
 from hframe_post.model.transfer_function import TransferFunction
 
 DAMPING = (0.004, 1.0)  # of a mode
@@ -67,13 +67,13 @@ class Structure:
 class Data:
     """What is fitted, (k,) each; weight is one over the standard deviation of H.
 
-    gain: of the sensor, as expected: mean and standard deviation.
+    modes_hz: where modes may lie. gain: of the sensor, as expected: mean and standard deviation.
     """
 
     hz: Array
     H: Complex
     weight: Array
-    band_hz: tuple[float, float]
+    modes_hz: tuple[float, float]
     delay_bounds: tuple[float, float]
     gain: tuple[float, float] = SENSOR
 
@@ -121,6 +121,11 @@ class Modal:
     def b(self) -> Array:
         """Of the lags, (lags,)."""
         return self.coefficients[len(self.coefficients) - self.structure.lags :]
+
+    @property
+    def delay(self) -> float:
+        """τ, s."""
+        return self.place.delay
 
     @property
     def gain(self) -> float:
@@ -178,7 +183,7 @@ def fit(data: Data, structure: Structure, start: Modal | None = None) -> Modal:
 
 def _extended(data: Data, structure: Structure, place: Place) -> Modal:
     """The best model with one mode or lag more than ``place`` has."""
-    low, high = 2.0 * np.pi * np.array(_band(data))
+    low, high = 2.0 * np.pi * np.array(data.modes_hz)
     frequencies = np.geomspace(low * 1.2, high / 1.2, STARTS)
     first, last = data.delay_bounds
     count = 1 + int(np.ceil((last - first) / DELAY_STEP))
@@ -206,15 +211,10 @@ def thinned(data: Data, count: int) -> Data:
     return replace(data, hz=data.hz[s], H=data.H[s], weight=data.weight[s])
 
 
-def _band(data: Data) -> tuple[float, float]:
-    """Where modes may lie, Hz."""
-    return INSIDE * data.band_hz[0], data.band_hz[1]
-
-
 def refined(data: Data, structure: Structure, place: Place) -> Modal:
     """The least cost from a start."""
     n, k = structure.modes, structure.lags
-    low, high = np.log(2.0 * np.pi * np.array(_band(data)))
+    low, high = np.log(2.0 * np.pi * np.array(data.modes_hz))
     early, late = np.array(data.delay_bounds) / TS
     bounds = np.array(
         [[low, high]] * n + [list(np.log(DAMPING))] * n + [[low, high]] * k + [[early, late]]

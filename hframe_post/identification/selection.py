@@ -6,6 +6,11 @@ as well as the best is taken. A printer is modes behind a delay (`modal`); what 
 explain at all is given to a transfer function of freely placed zeros (`rational`), which must
 predict the unseen runs far better, as it can also bend itself around what is not linear.
 
+What a printer does that is not linear bends its response as often as it is swept, so no unseen
+run tells it from a mode. Its harmonics tell how much of the response that is (`distortion`), and
+of a response that is known to that only, the simplest model is taken that is as near: few modes,
+inside the band, none of which undoes what another does.
+
 A sensor is taken to read what is unless the measurement says clearly that it does not: where a
 slow pole explains as much as a gain does, a wrong gain would be a wrong pole.
 
@@ -21,11 +26,19 @@ from typing import Any
 
 import numpy as np
 
+from hframe_post.arrays import Array
 from hframe_post.identification import modal, rational
 from hframe_post.identification.frequency_response import FrequencyResponse, average
 from hframe_post.identification.modal import Modal, Structure
 from hframe_post.identification.rational import Rational
-from hframe_post.identification.weighting import EXACT, INSIDE, SENSOR, weights
+from hframe_post.identification.weighting import (
+    EXACT,
+    FLOOR,
+    INSIDE,
+    SENSOR,
+    modes_within,
+    weights,
+)
 
 MOST_POLES = 8
 PATIENCE = 2  # poles more than the best has, after which no more are tried
@@ -36,17 +49,19 @@ TRIED = 300  # frequencies by which structures are compared; all of them for the
 UNEXPLAINED = 2.0  # residual over noise from which a free rational model is tried
 MANY_POLES = 6  # of modes, from which it is tried for a linear printer, too
 CLEARLY = 0.5  # of the modes' score, below which it wins elsewhere
-FOLLOWS = 0.35  # |G − 1| at half of the band's low end, at most
+FOLLOWS = 0.35  # |G − 1| below the band and at modes of its low end, at most
 GAINS = (0.92, 1.08)  # of a sensor; beyond, it is the model that is wrong
 DOUBTED = 3.0  # standard deviations of a gain, from which a sensor does not read what is
+EXPLAINED = 1.0  # score from which the noise and what is not linear may be all that is missed
 PLAIN_MODES = 3  # of a printer that is not linear: what is not a mode must not pass for one
+OPPOSED = 4.0  # sum of |c_i| over that of c_i, above which its modes undo one another
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
     """A measurement to be explained. halves: (fitted, predicted) of the runs, if there are two.
 
-    at_rest, band_hz, late, linear, sensor: as `fit` takes them.
+    at_rest, band_hz, late, distortion, sensor: as `fit` takes them.
     """
 
     whole: FrequencyResponse
@@ -54,7 +69,7 @@ class Case:
     at_rest: float
     band_hz: tuple[float, float]
     late: tuple[float, float]
-    linear: bool
+    distortion: Array | None
     sensor: tuple[float, float] | None
 
     @classmethod
@@ -66,7 +81,14 @@ class Case:
     def data(self, part: FrequencyResponse) -> modal.Data:
         """For a fit of modes."""
         late = (self.late[0], self.late[1] + modal.LONGEST_DELAY)
-        return modal.Data(part.hz, part.H, weights(part), self.band_hz, late, self.sensor or SENSOR)
+        lie = modes_within(self.band_hz) if self.distortion is None else self.band_hz
+        return modal.Data(part.hz, part.H, self.weights(part), lie, late, self.sensor or SENSOR)
+
+    def weights(self, part: FrequencyResponse) -> Array:
+        """One over what is not known of H, (k,)."""
+        if self.distortion is None:
+            return weights(part)
+        return weights(part, np.hypot(FLOOR, self.distortion))
 
 
 def chosen(case: Case, order: int | None) -> Modal | Rational:
@@ -77,13 +99,19 @@ def chosen(case: Case, order: int | None) -> Modal | Rational:
 
 def _best(case: Case, order: int | None) -> Modal | Rational:
     """Modes, or what clearly wins over them."""
+    plain = (
+        _modes(case, order, plain=True) if case.distortion is not None and order is None else None
+    )
+    if plain is not None and plain[1] <= EXPLAINED:
+        return plain[0]
     by_modes = _modes(case, order)
+    if plain is not None:
+        wins = by_modes is not None and by_modes[1] < CLEARLY * plain[1]
+        return by_modes[0] if wins and by_modes else plain[0]
     if by_modes is None:
         return _free(case, order)[0]
     best, score = by_modes
-    if not case.linear and order is None:
-        return best
-    many = case.linear and best.structure.order > MANY_POLES
+    many = case.distortion is None and best.structure.order > MANY_POLES
     if many or over(case, best) > UNEXPLAINED:
         free, missed = _free(case, order)
         if missed < (1.0 / AS_GOOD if many else CLEARLY) * score and not _absurd(free, case):
@@ -93,7 +121,7 @@ def _best(case: Case, order: int | None) -> Modal | Rational:
 
 def over(case: Case, model: Modal | Rational) -> float:
     """RMS residual in units of the noise."""
-    return float(np.sqrt(2.0 * _missed(case.whole, model)))
+    return float(np.sqrt(2.0 * _missed(case, case.whole, model)))
 
 
 def _exact(case: Case, found: Modal | Rational) -> Modal | Rational:
@@ -107,23 +135,24 @@ def _exact(case: Case, found: Modal | Rational) -> Modal | Rational:
         other = modal.refined(sure.data(case.whole), found.structure, found.place)
     else:
         other = _rational(sure, case.whole, found.G.order)
-    n = 2 * int((weights(case.whole) > 0.0).sum())
-    worse = n * np.log(_missed(case.whole, other) / _missed(case.whole, found))
+    n = 2 * int((case.weights(case.whole) > 0.0).sum())
+    worse = n * np.log(_missed(case, case.whole, other) / _missed(case, case.whole, found))
     return other if worse < DOUBTED**2 and not _absurd(other, case) else found
 
 
-def _modes(case: Case, order: int | None) -> tuple[Modal, float] | None:
-    """The modes that explain the measurement, and their score."""
+def _modes(case: Case, order: int | None, plain: bool = False) -> tuple[Modal, float] | None:
+    """The modes that explain the measurement, and their score. plain: see ``_plain``."""
     whole = case.data(case.whole)
     data = modal.thinned(whole, TRIED)
+    sought = GOOD if case.distortion is None else EXPLAINED
     found: dict[Structure, Modal] = {}
     scores: dict[Structure, float] = {}
     for structure in modal.structures(case.at_rest == 0.0, order or MOST_POLES):
-        if not (case.linear or order or _plain(structure)):
+        if plain and not _plain(structure):
             continue
         if scores and order is None:
             best = min(scores, key=lambda one: scores[one])
-            patience = 0 if scores[best] < GOOD else PATIENCE
+            patience = 0 if scores[best] < sought else PATIENCE
             if structure.order > best.order + patience:
                 break
         found[structure] = modal.fit(data, structure, _simpler(found, structure))
@@ -132,7 +161,8 @@ def _modes(case: Case, order: int | None) -> tuple[Modal, float] | None:
             scores[structure] = _score(case, found[structure])
     if not scores:
         return None
-    enough = max(AS_GOOD * min(scores.values()), min(scores.values()) + ENOUGH)
+    least = min(scores.values())
+    enough = max(AS_GOOD * least, least + ENOUGH, 0.0 if case.distortion is None else EXPLAINED)
     good = [structure for structure in scores if scores[structure] <= enough]
     chosen = min(good, key=lambda one: (one.unknowns, scores[one]))
     return modal.refined(whole, chosen, found[chosen].place), scores[chosen]
@@ -164,12 +194,13 @@ def _score(case: Case, model: Modal) -> float:
     """
     if not case.halves:
         n = 2 * len(case.whole.hz)
-        missed = _missed(case.whole, model)
+        missed = _missed(case, case.whole, model)
         return float((missed + ENOUGH) * n ** (model.structure.unknowns / n))
     return float(
         np.mean(
             [
                 _missed(
+                    case,
                     other,
                     modal.refined(
                         modal.thinned(case.data(one), TRIED), model.structure, model.place
@@ -181,8 +212,8 @@ def _score(case: Case, model: Modal) -> float:
     )
 
 
-def _missed(response: FrequencyResponse, model: Modal | Rational) -> float:
-    error = weights(response) * np.abs(response.H - model.response(response.hz))
+def _missed(case: Case, response: FrequencyResponse, model: Modal | Rational) -> float:
+    error = case.weights(response) * np.abs(response.H - model.response(response.hz))
     return float((error**2).mean() / 2.0)
 
 
@@ -192,8 +223,10 @@ def _free(case: Case, order: int | None) -> tuple[Rational, float]:
     if not case.halves:
         n = 2 * len(case.whole.hz)
         unknowns = 2 * found.G.order
-        return found, float((_missed(case.whole, found) + ENOUGH) * n ** (unknowns / n))
-    missed = [_missed(other, _rational(case, one, found.G.order)) for one, other in case.halves]
+        return found, float((_missed(case, case.whole, found) + ENOUGH) * n ** (unknowns / n))
+    missed = [
+        _missed(case, other, _rational(case, one, found.G.order)) for one, other in case.halves
+    ]
     return found, float(np.mean(missed))
 
 
@@ -208,7 +241,11 @@ def _absurd(model: Modal | Rational, case: Case) -> bool:
         return False
     if not GAINS[0] <= model.gain <= GAINS[1]:
         return True
-    delay = model.place.delay if isinstance(model, Modal) else model.delay
     hz = np.linspace(0.05, INSIDE * case.band_hz[0], 20)
-    followed = model.response(hz) / model.gain * np.exp(2j * np.pi * hz * delay)
+    if isinstance(model, Modal):
+        if case.distortion is not None and float(np.abs(model.c).sum()) > OPPOSED * model.gain:
+            return True
+        own = model.place.omega / (2.0 * np.pi)
+        hz = np.append(hz, own[own < case.band_hz[0]])
+    followed = model.response(hz) / model.gain * np.exp(2j * np.pi * hz * model.delay)
     return bool(np.abs(followed - 1.0).max() > FOLLOWS)

@@ -16,12 +16,20 @@ EXACT = (1.0, 1e-4)  # of one that reads what is
 INSIDE = 0.5  # of the band's low end, below which no pole lies
 
 
-def weights(part: FrequencyResponse) -> Array:
-    """One over the standard deviation of H, (k,). Raises IdentificationError without a signal."""
+def modes_within(band_hz: tuple[float, float]) -> tuple[float, float]:
+    """Where modes may lie, Hz, of a measurement of that band."""
+    return INSIDE * band_hz[0], band_hz[1]
+
+
+def weights(part: FrequencyResponse, floor: float | Array = FLOOR) -> Array:
+    """One over the standard deviation of H, (k,), which is never below ``floor`` of it.
+
+    Raises IdentificationError without a signal.
+    """
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
     largest = float(np.abs(part.H).max(initial=0.0))
     if largest == 0.0 or not (part.power * part.coherence).any():
         raise IdentificationError("the frequency response or its coherence is zero in the band")
-    sd = np.hypot(np.hypot(part.noise, FLOOR) * np.abs(part.H), SMALL * largest)
+    sd = np.hypot(np.hypot(part.noise, floor) * np.abs(part.H), SMALL * largest)
     return np.asarray((part.power > QUIET * np.median(part.power)) / sd)
