@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hframe_post.model.lpfbs import Lpfbs, Window
     from hframe_post.model.plant import Plant
     from hframe_post.model.transfer_function import TransferFunction
-    from hframe_post.printer.settings import Printer
+    from hframe_post.printer.settings import Printer, Speed
     from hframe_post.writers.step_reader import read as read_steps
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "Plant",
     "Printer",
     "Report",
+    "Speed",
     "TransferFunction",
     "Window",
     "__version__",
@@ -58,6 +59,7 @@ _ROOMS = {  # of the names above: the module that has each, and what it is calle
     "Lpfbs": "model.lpfbs",
     "Plant": "model.plant",
     "Printer": "printer.settings",
+    "Speed": "printer.settings",
     "Report": "conversion.report",
     "TransferFunction": "model.transfer_function",
     "Window": "model.lpfbs",

@@ -6,7 +6,7 @@ What ``import hframe_post`` offers and no room has ready. Lengths are mm, times 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedReader
@@ -21,17 +21,18 @@ from hframe_post.compensation.compensate import settling
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
-from hframe_post.errors import PrinterError
-from hframe_post.gcode.lines import lines_of
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.gcode.lines import lines_of, reread
 from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction import contour
 from hframe_post.printer import profile
-from hframe_post.printer.settings import STOPS, Printer
+from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.studies import simulation, tuning
 from hframe_post.studies.simulation_report import SimulationReport
+from hframe_post.studies.speed import hastened
 from hframe_post.studies.tuning import StopsTrial, Trial
 from hframe_post.studies.uncertainty import draws as drawn
 from hframe_post.writers.atomic_file import Outputs
@@ -109,6 +110,7 @@ def convert(
     clamp: bool = False,
     tolerance: float | None = TOLERANCE,
     format: str | None = None,  # noqa: A002, the option is called so
+    speed: Speed | None = None,
 ) -> Report:
     """Converts sliced G-code to a file, all of it or nothing, and tells what it did.
 
@@ -119,16 +121,22 @@ def convert(
     whether a command beyond a limit is taken back there instead of being an error. tolerance: mm
     that G-code for Klipper may be off the command; None writes every millisecond. format:
     ``gcode``, ``steps``, ``step-bits`` or ``samples``; what the target's suffix says, if not given.
+    speed: how accuracy is spent on it; as the profile asks, if not given, and ``Speed()`` spends
+    none. Then the source is read several times: a file, or lines that can be had again.
 
     Raises HframeError (GcodeError, PrinterError, LimitError: they name the line or the key) and
     OSError; then the target is as it was.
     """
     chosen = strategy_of(strategy or printer.compensation.strategy).name
     reported = ("none", chosen) if predict is None else predict
+    asked = printer.asked_speed if speed is None else speed if speed.max_error else None
     options = Options(
         chosen, tuple(dict.fromkeys(strategy_of(name).name for name in reported)),
-        limits, clamp, tolerance, extrusion,
+        limits, clamp, tolerance, extrusion, speed=asked,
     )  # fmt: skip
+    if asked is not None:
+        found = hastened(_again(source), printer, options)
+        printer, options = found.printer, found.options
     output = Path(target)
     kind = files.chosen_format(output, format)
     own = Path(source) if isinstance(source, str | Path) else None
@@ -219,6 +227,17 @@ def tune(
 def known_to(printer: Printer) -> float:
     """Share by which the printer may differ from its model: as `identify` measured it, or 0.05."""
     return UNKNOWN if printer.uncertainty is None else printer.uncertainty
+
+
+def _again(source: Source) -> Callable[[], Iterable[bytes]]:
+    """The lines, anew at each call. Raises HframeError where they can be had but once."""
+    if isinstance(source, str | Path):
+        return reread(Path(source))
+    if isinstance(source, Iterator):
+        raise HframeError(
+            "lines that are read several times are no iterator: give a list or a file"
+        )
+    return lambda: source
 
 
 @contextmanager

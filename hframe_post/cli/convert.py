@@ -27,7 +27,7 @@ from hframe_post.cli.options import (
     strategies,
 )
 from hframe_post.cli.progress import progress
-from hframe_post.cli.speed import asked, hastened, speed_options, told, told_as_json
+from hframe_post.cli.speed import asked, speed_options, told, told_as_json
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
@@ -117,6 +117,8 @@ def convert(
     from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.options import TOLERANCE
+    from hframe_post.gcode.lines import reread
+    from hframe_post.studies.speed import hastened
     from hframe_post.writers.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
@@ -129,11 +131,11 @@ def convert(
     profile = replace(profile, invented=profile.invented and not i_know)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip
-    options = replace(options, retract=retract)
+    options = replace(options, retract=retract, speed=fast)
     log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")
     found = None
     if fast is not None:
-        found = hastened(source, profile, options, fast)
+        found = hastened(reread(source), profile, options)
         profile, options = found.printer, found.options
         log("the quickest print within the error is found")
     with (

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,11 +13,9 @@ import click
 from hframe_post.cli.options import share
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.pipeline import Options
     from hframe_post.printer.settings import Printer, Speed
     from hframe_post.studies.speed import Fastest
 
-DRAWS, SEED = 40, 0  # printers that are off by the model error, on which a bound must hold too
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 _BOUND = re.compile(r"(?:([a-z-]+)=)?(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)")
 
@@ -99,14 +96,12 @@ def asked(
 
     Raises UsageError.
     """
-    own = printer.speed
     options: dict[str, Any] = {
         "max_error": max_error, "error_measure": measure, "speed_up": speed_up,
         "model_error": model_error,
     }  # fmt: skip
     given = {name: value for name, value in options.items() if value is not None}
-    known = replace(own, model_error=max(own.model_error, printer.uncertainty or 0.0))
-    chosen = replace(known, **given)
+    chosen = replace(printer.known_speed, **given)
     if not chosen.max_error:
         if given.keys() - {"max_error"}:
             names = ", ".join("--" + name.replace("_", "-") for name in given)
@@ -118,29 +113,6 @@ def asked(
             "one, or say --max-error off"
         )
     return chosen
-
-
-def hastened(source: Path, printer: Printer, options: Options, asked: Speed) -> Fastest:
-    """How that file is printed in the least time. Raises HframeError."""
-    from hframe_post.studies.drive import Freedom
-    from hframe_post.studies.speed import fastest
-    from hframe_post.studies.speed_bound import Bound
-    from hframe_post.studies.uncertainty import draws
-
-    def lines() -> Iterator[bytes]:
-        with source.open("rb") as file:
-            yield from file
-
-    limits, errors = printer.limits, asked.max_error
-    drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
-    freedom = Freedom(
-        asked.speed_up, limits.filament_velocity, limits.min_layer_time,
-        asked.filament_acceleration or math.inf,
-    )  # fmt: skip
-    others = errors.get("", max(errors.values()))
-    kinds = {name: error for name, error in errors.items() if name}
-    bound = Bound(others, kinds, asked.error_measure)  # type: ignore[arg-type]
-    return fastest(lines, printer, options, bound, freedom, tuple(drawn))
 
 
 def told(found: Fastest | None) -> Iterable[str]:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from hframe_post.gcode.options import Extrusion, FileLimits
 from hframe_post.planner.pacing import Paces
+from hframe_post.printer.settings import Speed
 
 Retract = Literal["standing", "moving"]
 
@@ -20,8 +21,8 @@ class Options:
     strategy: what is written; predict: strategies whose contour error is reported;
     limits, extrusion: how the file is read, as in ``ReadOptions``; clamp: whether a command
     beyond a limit is taken back instead of being an error; tolerance: mm of decimation, None
-    for every sample; paces: by what is printed, in place of the file's own; retract: before the
-    travel, or ``moving``, on it.
+    for every sample; retract: before the travel, or ``moving``, on it. speed: how fast it is
+    printed, None: as fast as the file has it; paces: what was found for that, by what is printed.
     """
 
     strategy: str
@@ -30,8 +31,9 @@ class Options:
     clamp: bool = False
     tolerance: float | None = TOLERANCE
     extrusion: Extrusion | None = None
-    paces: Paces | None = None
     retract: Retract = "standing"
+    speed: Speed | None = None
+    paces: Paces | None = None
 
     @property
     def strategies(self) -> tuple[str, ...]:

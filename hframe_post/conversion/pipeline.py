@@ -249,6 +249,9 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def settings_hash(printer: Printer, options: Options) -> str:
-    """Identifies all that decides the output beside the input."""
-    deciding = (printer.digest, replace(options, predict=()))
+    """Identifies all that decides the output beside the input.
+
+    Paces follow from the input and from the speed that is asked for.
+    """
+    deciding = (printer.digest, replace(options, predict=(), paces=None))
     return hashlib.sha256(repr(deciding).encode()).hexdigest()[:12]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import IO
 
 from hframe_post.errors import GcodeError
@@ -25,6 +26,16 @@ def lines_of(file: IO[bytes]) -> Iterator[bytes]:
     elif first:
         yield first
         yield from iter(lambda: file.readline(LONGEST + 2), b"")
+
+
+def reread(path: Path) -> Callable[[], Iterator[bytes]]:
+    """What gives the lines of a file, from the first, each time that it is called."""
+
+    def lines() -> Iterator[bytes]:
+        with path.open("rb") as file:
+            yield from lines_of(file)
+
+    return lines
 
 
 class Lines:

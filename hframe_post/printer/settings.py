@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
@@ -249,3 +249,14 @@ class Printer:
     speed: Speed = Speed()
     retraction: Retraction | None = None
     uncertainty: float | None = None
+
+    @property
+    def known_speed(self) -> Speed:
+        """``speed``, its model error at least what is not known of the plant."""
+        known = max(self.speed.model_error, self.uncertainty or 0.0)
+        return replace(self.speed, model_error=known)
+
+    @property
+    def asked_speed(self) -> Speed | None:
+        """The same, where the profile asks for any: None prints as fast as the file."""
+        return self.known_speed if self.speed.max_error else None

@@ -156,8 +156,7 @@ class Drive:
         paces = Paces(
             kinds, self._free.flow, FIRST, driven.slowed, self._free.filament_acceleration
         )
-        digest = f"{self._printer.digest} jerk {driven.jerk:g}"
-        printer = replace(self._printer, limits=limits, digest=digest)
+        printer = replace(self._printer, limits=limits)
         return printer, replace(self._asked, paces=paces)
 
     def _pace(self, driven: Driven, acceleration: float, feed: float) -> Pace:

@@ -14,7 +14,9 @@ What was judged last is what is taken, so its error is a prediction and no extra
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import cast
 
 from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Options
@@ -28,16 +30,19 @@ from hframe_post.studies.drive import (
     Driven,
     Freedom,
     Lines,
+    Measure,
     Original,
     Trial,
 )
 from hframe_post.studies.speed_bound import AIM, TINY, Bound, gentler, harder, milder, slower
 from hframe_post.studies.speed_pieces import Pieces
+from hframe_post.studies.uncertainty import draws
 
 ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound
 HOLDS = 0.95  # share of a bound that the judged printers may use up: another may be worse
 SAFER = 0.85  # of that share, after each round that did not keep it
 NEAR = 0.85  # share of a bound from which a kind is as fast as it can be
+DRAWS, SEED = 40, 0  # printers that are off by the model error, on which a bound must hold too
 MOST_SPEED_UP = 20.0  # times the file's feed; what the printer allows binds long before
 HARDLY = 0.05  # share of the time below which it is not worth while
 
@@ -54,6 +59,24 @@ class Fastest:
     bound: Bound
     trial: Trial
     original: Original
+
+
+def hastened(lines: Lines, printer: Printer, options: Options) -> Fastest:
+    """How a print is made as fast as ``options.speed`` asks for. Raises HframeError."""
+    asked, limits = options.speed, printer.limits
+    assert asked is not None
+    errors = asked.max_error
+    bound = Bound(
+        errors.get("", max(errors.values())),
+        {name: error for name, error in errors.items() if name},
+        cast(Measure, asked.error_measure),
+    )
+    freedom = Freedom(
+        asked.speed_up, limits.filament_velocity, limits.min_layer_time,
+        asked.filament_acceleration or math.inf,
+    )  # fmt: skip
+    drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
+    return fastest(lines, printer, options, bound, freedom, tuple(drawn))
 
 
 @one_thread()

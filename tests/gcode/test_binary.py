@@ -75,6 +75,8 @@ def test_the_suffix_of_the_output_decides(tmp_path: Path) -> None:
     (tmp_path / "in.bgcode").write_bytes(binary())
     assert run(str(tmp_path / "in.bgcode"), "-o", str(tmp_path / "o.gcode")).returncode == 0
     assert (tmp_path / "o.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    fast = run(str(tmp_path / "in.bgcode"), "-o", str(tmp_path / "f.gcode"), "--max-error", "1mm")
+    assert fast.returncode == 0, fast.stderr
     assert files.chosen_format(Path("a.bgcode"), None) == "bgcode"
 
 

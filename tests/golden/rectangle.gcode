@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper, settings 316ace9879cc
+; processed by hframe-post 0.1.0, printer paper, settings d9bf7795767b
 ; hframe-post:
 ;FLAVOR:Marlin
 G28

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,12 @@ import pytest
 
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
+from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import kind
 from hframe_post.studies.drive import FIRST, JUDGED_EVERY, KEPT, Freedom
 from hframe_post.studies.speed import Fastest, fastest
@@ -165,6 +167,23 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
     piped = run("-", "-p", mine)
     assert piped.returncode == 2
     assert b"--max-error off" in piped.stderr
+
+
+def test_batch_and_python_heed_the_profile_and_know_what_is_done(tmp_path: Path) -> None:
+    part, mine, out = tmp_path / "in.gcode", tmp_path / "mine.toml", tmp_path / "out"
+    mine.write_text('extends = "paper"\n[speed]\nmax_error = 0.1\nmodel_error = 0.0\n')
+    part.write_bytes(b"".join(cube()))
+    again = partial(run, "batch", part, "-d", out, "-p", mine, "--resume")
+    assert b"1 converted, 0 skipped" in again().stderr
+    assert b"0 converted, 1 skipped" in again().stderr
+    made = (out / "in.gcode").read_bytes()
+    printer = load_printer(mine)
+    fast = convert(part, tmp_path / "same.gcode", printer)
+    assert (tmp_path / "same.gcode").read_bytes() == made
+    plain = convert(list(cube()), tmp_path / "plain.gcode", printer, speed=Speed())
+    assert plain.time.before > fast.time.before + 1.0
+    with pytest.raises(HframeError, match="no iterator"):
+        convert(iter(cube()), tmp_path / "once.gcode", printer)
 
 
 @pytest.mark.parametrize(

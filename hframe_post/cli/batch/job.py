@@ -91,5 +91,5 @@ def first_line(printer: str, compensation: str | None, limits: Any, on_limit: st
 
     profile = load(printer)
     strategy = compensation or profile.compensation.strategy
-    options = Options(strategy, limits=limits, clamp=on_limit == "clamp")
+    options = Options(strategy, limits=limits, clamp=on_limit == "clamp", speed=profile.asked_speed)
     return b"%s %s\n" % (STAMP, stamp(profile, options).encode())
