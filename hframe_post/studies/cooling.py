@@ -11,7 +11,7 @@ from hframe_post.studies.drive import (
     Original,
 )
 
-PLANNED = 2  # times that the layers' least times are planned
+PLANNED = 6  # times that the layers' least times are planned, at most; it costs a tenth of a trial
 SLOWEST_LAYER = 0.05  # least factor on the feed of a layer
 AMPLE = 1.01  # times its least time that a slowed layer is given
 STEEPER = 1.3  # power of a layer's share of its time: not all of it is spent at the feed

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers
-from hframe_post.compensation.stops import rests
+from hframe_post.compensation.stops import rests, solvers
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.conversion.stages import Stages
 from hframe_post.errors import HframeError
@@ -135,6 +135,7 @@ class Drive:
         self._asked = options
         self._reading = ReadOptions.of(printer, options.limits, options.extrusion)
         self._compensator = prepared(printer)
+        self._at_stops = solvers(self._compensator, options.strategies, printer)
         self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.reach
 
     def settings(self, driven: Driven) -> tuple[Printer, Options]:
@@ -180,7 +181,9 @@ class Drive:
         """Pieces driven so, judged on each plant."""
         printer, options = self.settings(driven)
         seen = _Seen(driven, self._free, self._measure, self.top)
-        stages = Stages(printer, self._options, self._compensator, self._options.strategies)
+        stages = Stages(
+            printer, self._options, self._compensator, self._options.strategies, self._at_stops
+        )
         refused = ""
         try:
             for piece in pieces:

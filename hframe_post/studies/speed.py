@@ -124,9 +124,9 @@ def _within(
         if not (keeps and short):  # what is driven harder would make other layers short
             gains = _gains(shares, aims)
             driven = slower(harder(driven, gains, drive.top), gains)
-        driven = cooling.slowed(driven, trial.layers)
         if outruns:
             driven = milder(driven) if number < ROUNDS else gentler(driven)
+        driven = cooling.planned(drive, cooling.slowed(driven, trial.layers))
     if trial.refused:
         raise HframeError(trial.refused)
     worst = max(shares, key=lambda name: shares[name])
