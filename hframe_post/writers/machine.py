@@ -70,14 +70,15 @@ class Machine:
     def move(self, batch: Batch, passing: float = 0.0) -> Iterator[Output]:
         """Lines for a batch of samples. passing: speed at the end of the last one."""
         assert self._at is not None
-        made = segments(batch, self._at, self._still, self._player, self._units)
+        still = self._still
+        made = segments(batch, self._at, still, self._player, self._units)
         self._still = made.still
         if len(made):
             yield from self._enter()
             yield from self._count_anew()
             made = yield from self._rejoined(made)
             e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
-            check_filament(batch, made.ends, e)
+            check_filament(batch, made.ends, e, still)
             at = np.vstack([self._at, made.at])
             passes = passing and not self._still
             feeds = self._feeds(at, made, batch.last and not passes, passing or math.inf)

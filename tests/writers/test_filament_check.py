@@ -46,6 +46,15 @@ def test_a_line_that_waits_for_a_segment_may_wait_where_filament_turns() -> None
         check_filament(batch(e, 20), coarse, lost)
 
 
+def test_the_first_segment_begins_with_the_standstill_before_it() -> None:
+    e = np.linspace(0.0, 4.0, 41)
+    early = out(e)
+    early[0] = e[0] - 2 * (e[1] - e[0])
+    check_filament(batch(e, 5), ENDS, early, still=2)
+    with pytest.raises(HframeError, match=r"0\.1000 mm"):
+        check_filament(batch(e, 5), ENDS, early, still=1)
+
+
 def test_what_is_no_number_is_at_no_place() -> None:
     e = np.linspace(0.0, 4.0, 41)
     with pytest.raises(HframeError, match="nan mm"):
