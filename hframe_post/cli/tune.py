@@ -191,11 +191,11 @@ def _tell_shaper(
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
     """The best input shaper there is, and what leaving it to Klipper would give."""
-    from hframe_post.studies.shaping import calibrated, error, excerpt, search
+    from hframe_post.studies.shaping import calibrated, error, paths, search
     from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
 
-    path, counted = excerpt(lines, profile, reading)
-    found = search(profile.plant, path, counted)
-    usual = error(profile.plant, calibrated(profile.plant), path, counted)
+    pieces = paths(lines, profile, reading)
+    found = search(profile.plant, pieces)
+    usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))
     click.echo(shapings_as_text(found, usual), err=str(json_file) == "-")

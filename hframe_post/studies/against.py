@@ -2,8 +2,8 @@
 
     plan ──► commands ──► and those of shapers ──► nozzle ──► contour error of each
 
-Each shaper stands twice: with the frequencies and damping that serve the printer best on the
-first seconds of the print, and with the frequencies that Klipper's own calibration would choose.
+Each shaper stands twice: with the frequencies and damping that serve the printer best on pieces
+from all over the print, and with the frequencies that Klipper's own calibration would choose.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.shaping import KLIPPER, Shaping, calibrated_as, excerpt, search, shape
+from hframe_post.studies.shaping import KLIPPER, Shaping, calibrated_as, paths, search, shape
 
 CALIBRATED = " as calibrated"  # after the name of a shaper that Klipper's calibration places
 
@@ -45,7 +45,7 @@ def rivals(lines: Callable[[], Iterable[bytes]], printer: Printer, options: Opti
     lines: gives the print anew at each call.
     """
     reading = ReadOptions.of(printer, options.limits, options.extrusion)
-    searched = search(printer.plant, *excerpt(lines(), printer, reading))
+    searched = search(printer.plant, paths(lines(), printer, reading))
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_as(printer.plant, name) for name in KLIPPER}
     source = Commands(lines(), printer, options, tuple(STRATEGIES))

@@ -37,7 +37,7 @@ from hframe_post.gcode.lexer import (
     parameters,
     plain_words,
 )
-from hframe_post.gcode.reader import MOST_TURNS
+from hframe_post.gcode.motion import MOST_TURNS
 from hframe_post.model import cornering
 from hframe_post.stream.types import Position, frozen
 

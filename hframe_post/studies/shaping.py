@@ -25,8 +25,9 @@ from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Rests, Samples, frozen
+from hframe_post.studies.excerpt import excerpt
 
-EXCERPT = 8000  # samples of a print for which shapers are chosen
+PIECES = 5  # of a print, of some seconds, for which shapers are chosen
 HZ = np.geomspace(12.0, 120.0, 14)  # tried first on each axis
 DAMPING = (0.05, 0.15, 0.3)
 ROUNDS = 2  # of the axes in turn, before both are refined together
@@ -41,6 +42,8 @@ KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_e
 UNFELT = 1.0 / 20.0  # of the greatest vibration; less is noise
 MUCH_AS_QUIET = 1.1  # times the least vibration that a shaper can leave
 CLEARLY_BETTER = 1.0 / 1.2  # of the score of a shorter shaper
+
+Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which of its samples count, (n,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,50 +96,50 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
             yield replace(chunk, commands={**chunk.commands, **commands})
 
 
-def excerpt(lines: Iterable[bytes], printer: Printer, reading: ReadOptions) -> tuple[Array, Flags]:
-    """The first EXCERPT samples of a print from where it extrudes: path (n, 2), and which count.
+def paths(lines: Iterable[bytes], printer: Printer, reading: ReadOptions) -> Paths:
+    """Motion from all over a print, above its first layer where there is more. Raises HframeError.
 
-    Those count in which filament is laid. Raises HframeError.
+    What is laid slowly, as first layers are, tells shapers little apart.
     """
     limits = printer.limits
-    chunks = sample(plan(read(lines, reading), limits), limits, Rests())
-    kept, count = [np.zeros((0, 4))], 0
-    for stretch in stretches(chunks):
-        for chunk in stretch:
-            laying = np.flatnonzero(np.diff(chunk.xyze[:, E]) > 0.0)
-            if count or len(laying):
-                start = 0 if count else int(laying[0])
-                kept.append(chunk.xyze[start : start + EXCERPT - count])
-                count += len(kept[-1])
-            if count >= EXCERPT:
-                break
-        if count:  # one stretch: between two of them the machine may move itself
-            break
-    xyze = np.concatenate(kept)
-    if not count:
+    pieces = excerpt(read(lines, reading), first_layers=0)
+    pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
+    if not pieces:
         raise HframeError("nothing is extruded at a known place: there is no path to shape")
+    chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
+    return [_path(sample(plan(pieces[k].items, limits), limits, Rests())) for k in chosen]
+
+
+def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
+    xyze = np.concatenate([chunk.xyze for chunk in chunks])
     return xyze[:, :Z], np.diff(xyze[:, E], prepend=xyze[0, E]) > 0.0
 
 
-def error(plant: Plant, shaping: Shaping, path: Array, counted: Flags) -> Shaping:
-    """The shaping with its RMS contour error on a path (n, 2), over its ``counted`` samples."""
-    at = np.flatnonzero(counted)
+def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
+    """The shaping with its RMS contour error on paths, over the samples that count."""
+    off = [
+        contour_error(path, _nozzle(plant, shaping, path)[at], at)
+        for path, counted in paths
+        for at in [np.flatnonzero(counted)]
+    ]
+    return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
+
+
+def _nozzle(plant: Plant, shaping: Shaping, path: Array) -> Array:
     command = np.column_stack([shaping.x.shaper.run(path[:, X]), shaping.y.shaper.run(path[:, Y])])
-    nozzle = Response(plant, path[0]).run(command)
-    off = contour_error(path, nozzle[at], at)
-    return replace(shaping, rms=float(np.sqrt(np.square(off).mean())))
+    return Response(plant, path[0]).run(command)
 
 
-def best(plant: Plant, path: Array, counted: Flags, name: str) -> Shaping:
-    """The frequencies and damping with which that shaper follows the path best.
+def best(plant: Plant, paths: Paths, name: str) -> Shaping:
+    """The frequencies and damping with which that shaper follows paths best.
 
-    path (n, 2), mm; counted (n,): samples whose contour error is summed. Both axes are searched
-    in turn on a grid, then refined together, because y also feels what x leaves of racking.
+    Both axes are searched in turn on a grid, then refined together, because y also feels what x
+    leaves of racking.
     """
     from scipy.optimize import minimize
 
     def rms(x: AxisShaping, y: AxisShaping) -> float:
-        return error(plant, Shaping(x, y), path, counted).rms
+        return error(plant, Shaping(x, y), paths).rms
 
     grid = [AxisShaping(name, float(hz), damping) for hz in HZ for damping in DAMPING]
     x = y = AxisShaping(name, 40.0, DAMPING[1])
@@ -160,14 +163,14 @@ def best(plant: Plant, path: Array, counted: Flags, name: str) -> Shaping:
     )
     refined = chosen(found.x)
     return min(
-        (error(plant, Shaping(*pair), path, counted) for pair in ((x, y), refined)),
+        (error(plant, Shaping(*pair), paths) for pair in ((x, y), refined)),
         key=lambda tried: tried.rms,
     )
 
 
-def search(plant: Plant, path: Array, counted: Flags) -> list[Shaping]:
-    """Every shaper at its best on that path, the best first; see ``best``."""
-    found = [best(plant, path, counted, name) for name in SHAPERS]
+def search(plant: Plant, paths: Paths) -> list[Shaping]:
+    """Every shaper at its best on these paths, the best first; see ``best``."""
+    found = [best(plant, paths, name) for name in SHAPERS]
     return sorted(found, key=lambda tried: tried.rms)
 
 

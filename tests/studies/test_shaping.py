@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, Flags
 from hframe_post.errors import HframeError
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.model.shapers import shaper
@@ -17,47 +16,57 @@ from hframe_post.stream.types import Samples
 from hframe_post.studies.reference_path import rectangle
 from hframe_post.studies.shaping import (
     KLIPPER,
+    PIECES,
     AxisShaping,
+    Paths,
     Shaping,
     best,
     calibrated,
     error,
-    excerpt,
+    paths,
     shape,
 )
 from tests.cli.test_main import run
+from tests.conftest import SAMPLES
 
 
 @pytest.fixture(scope="module")
-def corner(paper: Printer) -> tuple[Array, Flags]:
-    return excerpt(rectangle(paper), paper, ReadOptions.of(paper))
+def corner(paper: Printer) -> Paths:
+    return paths(rectangle(paper), paper, ReadOptions.of(paper))
 
 
-def test_the_excerpt_begins_where_filament_is_laid(corner: tuple[Array, Flags]) -> None:
-    path, counted = corner
+def test_a_short_path_is_taken_whole(corner: Paths) -> None:
+    [(path, counted)] = corner
     assert len(path) == len(counted)
     assert counted.sum() > 0.9 * len(path)
     assert np.ptp(path, axis=0) == pytest.approx([120.0, 20.0], abs=0.01)
 
 
+def test_of_a_slice_it_is_what_rings(paper: Printer) -> None:
+    """The cube's first layer is laid at 20 mm/s, and any shaper would do."""
+    none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
+    with (SAMPLES / "cube.gcode").open("rb") as cube:
+        pieces = paths(cube, paper, ReadOptions.of(paper))
+    assert len(pieces) == PIECES
+    assert error(paper.plant, none, pieces).rms > 0.05
+
+
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="nothing is extruded"):
-        excerpt([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, ReadOptions.of(paper))
+        paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, ReadOptions.of(paper))
 
 
-def test_the_best_beats_the_calibrated_and_that_none(
-    paper: Printer, corner: tuple[Array, Flags]
-) -> None:
+def test_the_best_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
-    bare = error(paper.plant, none, *corner).rms
-    usual = error(paper.plant, calibrated(paper.plant), *corner).rms
-    found = best(paper.plant, *corner, "mzv")
+    bare = error(paper.plant, none, corner).rms
+    usual = error(paper.plant, calibrated(paper.plant), corner).rms
+    found = best(paper.plant, corner, "mzv")
     assert found.rms < 0.65 * usual < 0.65 * bare
-    assert found.rms == error(paper.plant, found, *corner).rms
+    assert found.rms == error(paper.plant, found, corner).rms
 
 
-def test_the_stream_is_shaped_as_the_whole_is(corner: tuple[Array, Flags]) -> None:
-    path = np.pad(corner[0], ((0, 0), (0, 2)))
+def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
+    path = np.pad(corner[0][0], ((0, 0), (0, 2)))
     line = np.zeros(len(path), np.int64)
     x = y = AxisShaping("ei", 30.0, 0.2)
     for cut in (1, 7, 100, 10_000):
