@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from hframe_post.studies.drive import (
-    Drive,
-    Driven,
-    Freedom,
-    Original,
-)
+from hframe_post.studies.drive import Drive, Original
+from hframe_post.studies.trial import Driven, Freedom
 
 PLANNED = 6  # times that the layers' least times are planned, at most; it costs a tenth of a trial
 SLOWEST_LAYER = 0.05  # least factor on the feed of a layer

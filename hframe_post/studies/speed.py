@@ -24,18 +24,10 @@ from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.cooling import Cooling
-from hframe_post.studies.drive import (
-    AS_IT_IS,
-    Drive,
-    Driven,
-    Freedom,
-    Lines,
-    Measure,
-    Original,
-    Trial,
-)
+from hframe_post.studies.drive import Drive, Lines, Original
 from hframe_post.studies.speed_bound import AIM, TINY, Bound, gentler, harder, milder, slower
 from hframe_post.studies.speed_pieces import Pieces
+from hframe_post.studies.trial import AS_IT_IS, Driven, Freedom, Measure, Trial
 from hframe_post.studies.uncertainty import draws
 
 ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound

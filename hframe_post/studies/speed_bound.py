@@ -7,11 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.studies.drive import (
-    Driven,
-    Measure,
-    Trial,
-)
+from hframe_post.studies.trial import Driven, Measure, Trial
 
 START, JERK = 8e3, 1e6  # mm/s², mm/s³ tried first
 GENTLEST = 200.0  # mm/s²

@@ -11,13 +11,7 @@ from hframe_post.arrays import Array
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
-from hframe_post.studies.drive import (
-    CAUSES,
-    DRIVEN,
-    Drive,
-    Driven,
-    Trial,
-)
+from hframe_post.studies.drive import Drive
 from hframe_post.studies.speed_bound import (
     AIM,
     JERK,
@@ -30,6 +24,7 @@ from hframe_post.studies.speed_bound import (
     gentler,
     harder,
 )
+from hframe_post.studies.trial import CAUSES, DRIVEN, Driven, Trial
 
 GENTLER = 6  # times that what cannot be driven so is driven less hard
 DECIDE = 2  # drawn printers that are judged for each kind, the worst for it
