@@ -48,6 +48,15 @@ def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
         yield join(held)
 
 
+def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
+    """The same stream in chunks of at most ``n`` samples."""
+    for chunk in chunks:
+        for start in range(0, len(chunk), n):
+            yield part(chunk, start, min(start + n, len(chunk)))
+        if not len(chunk):
+            yield chunk
+
+
 def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:

@@ -21,6 +21,7 @@ from typing import cast
 from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
+from hframe_post.memory import give_back
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.cooling import Cooling
@@ -68,7 +69,9 @@ def hastened(lines: Lines, printer: Printer, options: Options) -> Fastest:
         asked.filament_acceleration or math.inf,
     )  # fmt: skip
     drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
-    return fastest(lines, printer, options, bound, freedom, tuple(drawn))
+    found = fastest(lines, printer, options, bound, freedom, tuple(drawn))
+    give_back()
+    return found
 
 
 @one_thread()

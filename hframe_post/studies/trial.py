@@ -15,7 +15,7 @@ from hframe_post.prediction.labels import TRAVEL as NOT_LAID
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.statistics import ErrorStatistics
-from hframe_post.stream.chunks import branches
+from hframe_post.stream.chunks import branches, smaller
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
 from hframe_post.stream.types import Samples
 
@@ -23,6 +23,7 @@ Measure = Literal["rms", "p95", "peak"]
 KEPT = ("bridge", "ironing", "interface", "skirt")  # kinds that keep what the file has
 DRIVEN = tuple(name for name in (*KINDS, OTHER) if name not in KEPT)
 JUDGED_EVERY = 4  # samples
+AT_ONCE = 8192  # samples, which all plants hold
 CAUSES = (
     "file",
     "cooling",
@@ -109,7 +110,7 @@ class Seen:
 
     def add(self, commands: Iterable[Samples], labels: Labels, plants: tuple[Plant, ...]) -> None:
         """Takes a stream of commands of one strategy."""
-        streams = branches(commands, len(plants))
+        streams = branches(smaller(commands, AT_ONCE), len(plants))
         each = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
         for judgements in zip(*each, strict=True):
             layer, feature = labels.of(judgements[0].chunk)

@@ -10,7 +10,7 @@ from itertools import chain, repeat
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, SAMPLES
 
 MOST = 200  # MB
 HEAD = ("G28", "G90", "M83", "G1 X100 Y100 Z0.2 F6000", "G1 X150 E2 F6000")
@@ -28,9 +28,9 @@ finally:
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="no /proc here")
 
 
-def peak(lines: Iterator[str]) -> tuple[int, float, str]:
+def peak(lines: Iterator[str], source: str = "-", *more: str) -> tuple[int, float, str]:
     """Exit status, the most memory that one process has had (MB), and what was said."""
-    command = [sys.executable, "-c", ALONE, "-", "-q", "-o", os.devnull, "--jobs", "1"]
+    command = [sys.executable, "-c", ALONE, source, "-q", "-o", os.devnull, "--jobs", "1", *more]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=env, text=True
@@ -103,6 +103,14 @@ def test_memory_is_bounded(name: str) -> None:
 
 def test_memory_does_not_grow_with_retractions() -> None:
     status, most, said = peak(chain(HEAD, *map(retraction, range(450)), TAIL))
+    assert (status, said) == (0, "")
+    assert most < MOST
+
+
+@pytest.mark.slow
+def test_memory_is_bounded_when_the_quickest_print_is_sought() -> None:
+    source = str(SAMPLES / "cube.gcode")
+    status, most, said = peak(iter(()), source, "--max-error", "0.2mm", "--speed-up", "max")
     assert (status, said) == (0, "")
     assert most < MOST
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.stream.chunks import branches, join, part, stretches, with_neighbours
+from hframe_post.stream.chunks import branches, join, part, smaller, stretches, with_neighbours
 from hframe_post.stream.types import (
     Event,
     Handling,
@@ -78,6 +78,14 @@ def test_parts_join_to_the_whole(n: int, cuts: list[int]) -> None:
     assert_same(join(parts), whole)
     for piece in parts:
         assert all(piece.first <= e.index <= piece.end for e in piece.events)
+
+
+@given(SIZES, st.integers(1, 9))
+def test_smaller_chunks_are_the_same_stream(sizes: list[int], n: int) -> None:
+    blocks = stream(sizes)
+    done = list(smaller(blocks, n))
+    assert max(map(len, done)) <= n
+    assert_same(join(done), join(blocks))
 
 
 def test_part_leaves_the_events_of_its_end_to_the_next() -> None:
