@@ -10,20 +10,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
+from hframe_post.arrays import Array
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.frequency_response import FrequencyResponse
 from hframe_post.identification.modal import Data, Modal, refined
 from hframe_post.identification.weighting import modes_within, weights
 from hframe_post.model.transfer_function import TransferFunction
 
-MOVES = 0.02  # relative change of a frequency over the places that deserves a word,
-STRAIGHT = 0.8  # of whose variance a straight line over x explains at least so much
+MOVES = 0.01  # relative change of a frequency over the places that deserves a word,
+CHANCE = 1e-3  # that it is none, from which it is told
+LATE = 1e-3  # s by which a place's delay may differ, as modes that move turn phases, too
+COUNTS = 0.1  # of the gain, that a mode carries whose movement matters
+RINGS = 0.7  # damping ratio of a mode whose frequency is one
 
 
 @dataclass(frozen=True, slots=True)
 class Moving:
-    """The lowest mode that moves: Hz at the least and the greatest x (mm) of the places.
+    """The mode whose movement is known best: Hz at the least and the greatest x (mm) of the places.
 
     there: the transfer functions at both.
     """
@@ -55,21 +60,30 @@ def moving(
     own = []
     for _, response in places:
         part = response.within(band_hz)
-        delay = model.place.delay
-        data = Data(
-            part.hz, part.H, weights(part), modes_within(band_hz), (delay - 1e-6, delay + 1e-6)
-        )
+        about = (model.place.delay - LATE, model.place.delay + LATE)
+        data = Data(part.hz, part.H, weights(part), modes_within(band_hz), about)
         own.append(refined(data, model.structure, model.place))
     omega = np.array([one.place.omega for one in own])  # (places, modes)
-    weight = np.abs(model.c) + np.abs(model.d)
-    k = int(np.argmax(np.where(model.place.zeta < 0.7, weight, 0.0)))
-    slope, middle = np.polyfit(x - x.mean(), omega[:, k], 1)
-    left, right = x.min(), x.max()
-    change = slope * (right - left) / middle
-    explained = 1.0 - np.var(omega[:, k] - middle - slope * (x - x.mean())) / np.var(omega[:, k])
-    if abs(change) < MOVES or explained < STRAIGHT:
+    middle, slope, uncertain = _lines(x, omega)
+    left, right = float(x.min()), float(x.max())
+    counts = (np.abs(model.c) + np.abs(model.d) > COUNTS * model.gain) & (model.place.zeta < RINGS)
+    moves = np.abs(slope) * (right - left) > MOVES * middle
+    sure = np.abs(slope) / np.maximum(uncertain, 1e-12)
+    sure = np.where(counts & moves, sure, 0.0)
+    k = int(np.argmax(sure))
+    if sure[k] < stats.t.isf(CHANCE, len(x) - 2):
         return None
     ends = [own[int(np.argmin(x))], own[int(np.argmax(x))]]
     first, last = (one.discrete(found.lag, one.gain) for one in ends)
-    hz = [float((middle + slope * (at - x.mean())) / (2.0 * np.pi)) for at in (left, right)]
-    return Moving((hz[0], hz[1]), (float(left), float(right)), (first, last))
+    hz = [float((middle[k] + slope[k] * (at - x.mean())) / (2.0 * np.pi)) for at in (left, right)]
+    return Moving((hz[0], hz[1]), (left, right), (first, last))
+
+
+def _lines(x: Array, omega: Array) -> tuple[Array, Array, Array]:
+    """Straight lines through omega (places, modes) over x (places,): values in the middle, slopes,
+    and standard deviations of the slopes, as what is off the lines tells them, (modes,) each."""
+    away = x - x.mean()
+    middle, power = omega.mean(axis=0), float(away @ away)
+    slope = away @ omega / power
+    off = omega - middle - np.outer(away, slope)
+    return middle, slope, np.sqrt((off**2).sum(axis=0) / (len(x) - 2) / power)

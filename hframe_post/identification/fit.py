@@ -11,10 +11,10 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import diagnostics, selection
 from hframe_post.identification.frequency_response import FrequencyResponse
-from hframe_post.identification.linearity import Distortion
 from hframe_post.identification.modal import Modal
 from hframe_post.identification.rational import Rational
 from hframe_post.identification.selection import MOST_POLES, Case
+from hframe_post.identification.weighting import Distortion
 from hframe_post.model.transfer_function import TransferFunction
 
 OVERDAMPED = 0.99  # damping ratio from which a mode does not ring
@@ -80,8 +80,11 @@ def fit(
         raise IdentificationError(
             f"{len(part.hz)} frequencies in {band_hz[0]:g}–{band_hz[1]:g} Hz are too few to fit"
         )
-    known = None if distortion is None else distortion.at(part.hz)
-    case = Case.of(part, inside, at_rest, band_hz, late, known, sensor)
+    left = None
+    if distortion is not None:
+        inside, part = [distortion.without(run) for run in inside], distortion.without(part)
+        left = distortion.left(part.hz)
+    case = Case.of(part, inside, at_rest, band_hz, late, left, sensor)
     return _told(case, selection.chosen(case, order))
 
 

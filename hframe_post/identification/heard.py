@@ -29,7 +29,7 @@ from hframe_post.identification.frequency_response import (
     delays,
     estimate,
 )
-from hframe_post.identification.linearity import Harmonics, harmonics
+from hframe_post.identification.harmonics import Harmonics, harmonics
 
 STEP = 0.02  # mm of belt, of motors of which nothing is known
 
@@ -83,13 +83,15 @@ class Settings:
 class Heard:
     """One run as sensors heard it. late: half-width of what is not known of its start, s.
 
-    y: across, where the nozzle's sensor heard it. harmonics: None where they cannot be told.
+    y: across, where the nozzle's sensor heard it. command (m,): mm along the swept axis.
+    harmonics: None where they cannot be told.
     """
 
     place: float
     response: FrequencyResponse
     y: FrequencyResponse
     late: float
+    command: Array
     harmonics: Harmonics | None = None
 
 
@@ -130,7 +132,9 @@ def by_nozzle(runs: list[Run], settings: Settings) -> Together:
             for channel in (run.axis, Y)
         )
         orders = harmonics(u, a[:, run.axis])
-        heard.append(Heard(run.place + settings.offset[X], along, y, one.uncertainty, orders))
+        own = run.command[:, run.axis]
+        place = run.place + settings.offset[X]
+        heard.append(Heard(place, along, y, one.uncertainty, own, orders))
     return together(heard)
 
 
@@ -156,7 +160,7 @@ def by_bridge(runs: list[Run], settings: Settings) -> Together:
         theta = (P1.acceleration[:, Y] - P2.acceleration[:, Y]) / settings.L_G
         response = estimate(u, theta, settings.method).within(settings.band_hz)
         late = max(P1.uncertainty, P2.uncertainty)
-        heard.append(Heard(run.place, response, response, late))
+        heard.append(Heard(run.place, response, response, late, run.command[:, X]))
     _check_places(runs, answers)
     return together(heard)
 

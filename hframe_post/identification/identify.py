@@ -16,6 +16,7 @@ from hframe_post.arrays import X, Y
 from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.along_x import Moving, moving
+from hframe_post.identification.causes import Linear
 from hframe_post.identification.certainty import (
     DAILY,
     MOST,
@@ -36,7 +37,8 @@ from hframe_post.identification.heard import (
     by_nozzle,
 )
 from hframe_post.identification.lever_arm import Line, centre, line
-from hframe_post.identification.linearity import Distortion, Nonlinearity, nonlinearity
+from hframe_post.identification.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.weighting import Distortion
 from hframe_post.model.plant import Plant
 
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
@@ -50,7 +52,8 @@ NONLINEAR = 0.25  # the same of a printer that is not linear,
 BEYOND = 2.0  # where it is so many times what noise and harmonics make of it,
 BENT = 0.6  # and where it is not
 MOST_GAIN = 0.075  # of a sensor, relative: what it may read wrong
-AXES = "xy"
+ROUNDS = 2  # the linear part and what is not linear, each told by the other
+AXES, AXIS = "xy", {"Gxx": "x", "Gyy": "y"}
 
 __all__ = ["Identified", "Measured", "Run", "Settings", "identify"]
 
@@ -152,21 +155,25 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     measured = {"Gxx": _measured(x_runs, settings), "Gyy": _measured(y_runs, settings)}
     fits = {name: _fit(name, one, settings) for name, one in measured.items()}
     nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step)
-    bent = nonlinear.distortions if nonlinear else {}
-    if bent:
-        fits = {name: _fit(name, one, settings, bent[name]) for name, one in measured.items()}
+    for _ in range(ROUNDS if nonlinear else 0):
+        bent = nonlinear.distortions if nonlinear else {}
+        fits = {
+            name: _fit(name, one, settings, bent.get(AXIS[name])) for name, one in measured.items()
+        }
+        nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step) or nonlinear
+    along = nonlinear.distortions.get("x") if nonlinear else None
     fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
     along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)
     racking = arms is not None and arms.over_noise > RACKS
     if ends.runs:
         measured["Gxtheta"] = _measured(ends, settings)
-        fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, bent.get("Gxx"))
+        fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, along)
     elif arms and racking:
         # the same recordings as those of Gxx, so the same delay
         late = (fits["Gxx"].delay,) * 2
         measured["Gxtheta"] = Measured(arms.by_place, arms.slope, arms.off, late)
-        found = _fit("Gxtheta", measured["Gxtheta"], settings, bent.get("Gxx"))
+        found = _fit("Gxtheta", measured["Gxtheta"], settings, along)
         fits["Gxtheta"] = with_gain(found, fits["Gyy"].gain)
     x_c = centre(arms, measured["Gxx"].mean.H)[0] if arms and racking else None
     return Identified(
@@ -215,10 +222,12 @@ def _nonlinear(
     x_runs: Together, y_runs: Together, fits: dict[str, Fit], step: float
 ) -> Nonlinearity | None:
     axes = {}
-    for axis, name, heard in (("x", "Gxx", x_runs), ("y", "Gyy", y_runs)):
-        known = [run.harmonics for run in heard.runs if run.harmonics is not None]
+    for name, heard in (("Gxx", x_runs), ("Gyy", y_runs)):
+        found = fits[name]
+        known = [(run.command, run.harmonics) for run in heard.runs if run.harmonics is not None]
         if known:
-            axes[axis] = (known, fits[name].G, fits[name].lag)
+            printer = Linear(found.response, found.gain, found.delay + found.lag)
+            axes[AXIS[name]] = Swept(known, printer)
     return nonlinearity(axes, step)
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
 
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.alignment import acceleration, aligned
-from hframe_post.identification.linearity import Harmonics, Nonlinearity, harmonics, nonlinearity
+from hframe_post.identification.causes import Linear, played
+from hframe_post.identification.harmonics import harmonics
+from hframe_post.identification.linearity import Nonlinearity, Swept, nonlinearity
 from hframe_post.model.transfer_function import TransferFunction
 from tests.simulator import Axis, Chip, Machine, Mode
 from tests.strangers import swept
@@ -18,15 +23,21 @@ LINEAR = Machine(Axis((Mode(32.0, 0.06),)), Axis((Mode(41.0, 0.08),)))
 STEP = 0.0206  # mm of belt
 
 
+def responds(G: TransferFunction, hz: Array) -> Complex:
+    return G.response(2.0 * np.pi * hz * TS)
+
+
 def both(machine: Machine, chip: Chip, step: float = 0.0) -> Nonlinearity | None:
-    axes: dict[str, tuple[list[Harmonics], TransferFunction, float]] = {}
+    axes: dict[str, Swept] = {}
     exact = LINEAR.exact()
     for run in swept(machine, chip, (140.0,), (140.0,), 1, step=step):
         u = acceleration(run.command[:, run.axis])
         assert run.nozzle is not None
         found = harmonics(u, aligned(u, run.nozzle, run.axis).acceleration[:, run.axis])
         assert found is not None
-        axes["xy"[run.axis]] = ([found], (exact.Gxx, exact.Gyy)[run.axis], machine.x.delay)
+        G = (exact.Gxx, exact.Gyy)[run.axis]
+        printer = Linear(partial(responds, G), 1.0, machine.x.delay)
+        axes["xy"[run.axis]] = Swept([(run.command[:, run.axis], found)], printer)
     return nonlinearity(axes, STEP)
 
 
@@ -45,18 +56,33 @@ def test_whole_motor_steps_are_none_and_hide_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "cause"),
+    ("changed", "cause", "size"),
     [
-        ({"friction": 300.0}, "friction"),
-        ({"friction": 900.0}, "friction"),
-        ({"play": 0.01}, "backlash"),
-        ({"second": 0.03}, "one-sided"),
-        ({"third": 0.05}, "hardening"),
+        ({"friction": 300.0}, "friction", 300.0),
+        ({"friction": 900.0}, "friction", 900.0),
+        ({"play": 0.01}, "backlash", 0.01),
+        ({"play": 0.02}, "backlash", 0.02),
+        ({"second": 0.03}, "one-sided", None),
+        ({"third": 0.05}, "hardening", None),
     ],
 )
-def test_the_cause_is_told(changed: dict[str, Any], cause: str) -> None:
+def test_the_cause_and_its_size_are_told(
+    changed: dict[str, Any], cause: str, size: float | None
+) -> None:
     machine = Machine(replace(LINEAR.x, **changed), replace(LINEAR.y, **changed))
     found = both(machine, Chip())
     assert found is not None
     assert found.cause == cause
     assert 0.01 < found.share < 0.3
+    if size is not None:
+        assert found.size == pytest.approx(size, rel=0.15)
+
+
+def test_play_is_that_of_a_carriage_that_is_pushed() -> None:
+    """By the recurrence, sample by sample."""
+    u = np.cumsum(np.random.default_rng(1).normal(size=1000))
+    y, expected = u[0], []
+    for at in u:
+        y = min(max(y, at - 0.5), at + 0.5)
+        expected.append(y)
+    assert played(u, 1.0) == pytest.approx(np.array(expected))

@@ -8,8 +8,8 @@ import pytest
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.fit import fit
 from hframe_post.identification.frequency_response import FrequencyResponse
-from hframe_post.identification.linearity import Distortion
 from hframe_post.identification.modal import Modal
+from hframe_post.identification.weighting import Distortion
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -29,7 +29,7 @@ def bent() -> tuple[FrequencyResponse, Distortion]:
     leaning = 0.5 * (right + measured(0.96 * PEAK_HZ, 0.045))
     one = np.ones(len(HZ))
     response = FrequencyResponse(HZ, GAIN * leaning, 0.9999 * one, one, 50.0)
-    return response, Distortion(HZ, np.abs(leaning - right) / np.abs(leaning))
+    return response, Distortion(HZ, (leaning - right) / leaning, 0.0)
 
 
 def test_what_is_not_linear_does_not_pass_for_modes(

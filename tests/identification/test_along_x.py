@@ -1,0 +1,51 @@
+"""Modes that move with the gantry, told from those that stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS
+from hframe_post.identification.along_x import Moving, moving
+from hframe_post.identification.certainty import noisy
+from hframe_post.identification.fit import Fit
+from hframe_post.identification.frequency_response import FrequencyResponse, average
+from hframe_post.identification.modal import Data, Structure, fit
+from hframe_post.identification.weighting import weights
+from tests.simulator import Axis, Machine, Mode
+
+HZ = np.arange(3.0, 100.01, 0.25)
+BAND = (3.0, 100.0)
+PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x
+HERE_HZ = 28.0
+
+
+def measured(place: float, change: float, rng: np.random.Generator) -> FrequencyResponse:
+    """At one place, of a mode that changes by so much from the first place to the last."""
+    hz = HERE_HZ * (1.0 + change * (place - PLACES[2]) / (PLACES[-1] - PLACES[0]))
+    axis = Axis((Mode(hz, 0.05, 0.8), Mode(75.0, 0.05, 0.2)), delay=0.001)
+    H = Machine(axis, axis).exact().Gxx.response(2.0 * np.pi * HZ * TS)
+    one = np.ones(len(HZ))
+    return noisy(FrequencyResponse(HZ, H, 0.999 * one, one, 10.0), rng)
+
+
+def told(change: float, seed: int) -> Moving | None:
+    rng = np.random.default_rng(seed)
+    runs = [measured(place, change, rng) for place in PLACES]
+    mean = average(runs)
+    model = fit(Data(HZ, mean.H, weights(mean), BAND, (-1.6e-4, 5e-3)), Structure(2, False))
+    G, delay = model.discrete(model.delay, model.gain), model.delay
+    found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, (), ())
+    return moving(found, list(zip(PLACES, runs, strict=True)), BAND)
+
+
+@pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
+def test_how_far_a_mode_moves_is_told(change: float) -> None:
+    found = told(change, 1)
+    assert found is not None
+    assert (found.hz[1] - found.hz[0]) / HERE_HZ == pytest.approx(change, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_modes_that_stay_are_not_told_to_move(seed: int) -> None:
+    assert told(0.0, seed) is None
