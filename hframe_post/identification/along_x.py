@@ -16,7 +16,7 @@ from hframe_post.arrays import Array
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.frequency_response import FrequencyResponse
 from hframe_post.identification.modal import Data, Modal, refined
-from hframe_post.identification.weighting import modes_within, weights
+from hframe_post.identification.weighting import Distortion, modes_within, weights
 from hframe_post.model.transfer_function import TransferFunction
 
 MOVES = 0.01  # relative change of a frequency over the places that deserves a word,
@@ -45,6 +45,17 @@ class Moving:
             f"{self.x[0]:.0f} mm is one of {self.hz[1]:.1f} Hz at x = {self.x[1]:.0f} mm. The "
             "profile's one model is that of the middle"
         )
+
+
+def apart(runs: Sequence[FrequencyResponse]) -> Distortion:
+    """By how much places differ from their mean, by frequency: of that mean no more is known.
+
+    Modes that move smear it, and a smeared resonance looks like several.
+    """
+    H = np.array([run.H for run in runs])
+    mean = H.mean(axis=0)
+    off = np.sqrt((np.abs(H - mean) ** 2).mean(axis=0)) / np.maximum(np.abs(mean), 1e-12)
+    return Distortion(runs[0].hz, off.astype(complex), 0.0)
 
 
 def moving(

@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.arrays import X, Y
 from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.along_x import Moving, moving
+from hframe_post.identification.along_x import Moving, apart, moving
 from hframe_post.identification.causes import Linear
 from hframe_post.identification.certainty import (
     DAILY,
@@ -52,6 +52,7 @@ NONLINEAR = 0.25  # the same of a printer that is not linear,
 BEYOND = 2.0  # where it is so many times what noise and harmonics make of it,
 BENT = 0.6  # and where it is not
 MOST_GAIN = 0.075  # of a sensor, relative: what it may read wrong
+SMEARED = 0.1  # of a response, by which places may differ and its mean be one printer's
 ROUNDS = 2  # the linear part and what is not linear, each told by the other
 AXES, AXIS = "xy", {"Gxx": "x", "Gyy": "y"}
 
@@ -162,6 +163,10 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         }
         nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step) or nonlinear
     along = nonlinear.distortions.get("x") if nonlinear else None
+    if nonlinear is None:
+        smeared = {name: one for name, one in measured.items() if one.spread > SMEARED}
+        for name, one in smeared.items():
+            fits[name] = _fit(name, one, settings, apart([run for _, run in one.places]))
     fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
     along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)

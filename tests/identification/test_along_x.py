@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.along_x import Moving, moving
+from hframe_post.identification.along_x import Moving, apart, moving
 from hframe_post.identification.certainty import noisy
 from hframe_post.identification.fit import Fit
 from hframe_post.identification.frequency_response import FrequencyResponse, average
@@ -49,3 +49,13 @@ def test_how_far_a_mode_moves_is_told(change: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_modes_that_stay_are_not_told_to_move(seed: int) -> None:
     assert told(0.0, seed) is None
+
+
+def test_where_places_differ_the_mean_is_known_to_that_only() -> None:
+    rng = np.random.default_rng(1)
+    runs = [measured(place, 0.1, rng) for place in PLACES]
+    still = [measured(place, 0.0, rng) for place in PLACES]
+    peak = np.array([HERE_HZ])
+    assert abs(apart(runs).at(peak)[0]) > 0.3
+    assert abs(apart(runs).at(np.array([5.0]))[0]) < 0.05
+    assert abs(apart(still).at(peak)[0]) < 0.05
