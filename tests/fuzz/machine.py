@@ -43,7 +43,7 @@ class Machine:
 
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
     while it stood, mm; nearly: between ends no further apart than SHORT; sharpest: filament per
-    mm of any straight move; steepest: of those that feed more than UNSEEN; flow: the fastest
+    mm of any straight move or arc; steepest: of those that feed more than UNSEEN; flow: the fastest
     filament of any move, mm/s.
     """
 
@@ -135,16 +135,18 @@ class Machine:
             if a is not None and b is not None
         ]
         length, fed = math.hypot(*steps), self.filament - filament
+        arc = self._round(name, words, before)
         self.seconds += (length or abs(fed)) / self.feed
         if words.keys() & set("XYZE"):
             waiting = self.stands[self.waiting :]
             self.stands[self.waiting :] = [s._replace(step=fed, way=length) for s in waiting]
             self.waiting = len(self.stands)
-            self.rate = fed / (self._round(name, words, before) or length or SHORT)
+            self.rate = fed / (arc or length or SHORT)
             self.flow = max(self.flow, abs(fed) * self.feed / (length or SHORT))
         if fed > UNSEEN and length < SHORT:
             self.nearly += fed  # or along a circle
-        if name not in ("G0", "G1"):  # a curve has no one length for all firmwares
+        if name not in ("G0", "G1"):  # a spline's length is not known here
+            self.sharpest = max(self.sharpest, fed / arc if arc else 0.0)
             return
         if fed > 0.0 and length > 0.0:
             self.sharpest = max(self.sharpest, fed / length)
