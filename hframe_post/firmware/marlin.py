@@ -108,7 +108,8 @@ class Marlin:
         if not state.absolute:
             lines.append("G91")  # before M82: it is for E, too
         if state.absolute_e:
-            lines += ["M82", f"G92 E{plain(state.e, 5)}"]
+            lines.append("M82")
+        lines.append(f"G92 E{plain(state.e, 5)}")  # relative, too: it counts on, and G90 ends that
         return [line.encode() for line in lines]
 
     def modes_after(self, name: str) -> bytes:

@@ -28,6 +28,7 @@ from hframe_post.stream.types import ModalState
 from tests.cli.test_main import run
 from tests.conftest import SAMPLES
 from tests.conversion.test_pipeline import assert_same_stream, converted, layers, sample
+from tests.fuzz.oracle import check_same_print
 from tests.gcode_tools import WORD
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
@@ -73,6 +74,7 @@ def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
     assert mode(mine).end(STATE, AT) == [
         b"M400", b"M201 X10000 Y10000", b"M203 X300 Y300", b"M204 P3000 T3000 R3000",
         b"M205 B20000 S0 T0 J0.013", b"M900 K0.05", b"M593 Y F38.5", b"M493 S1", b"G1 F6000",
+        b"G92 E0",
     ]  # fmt: skip
 
 
@@ -136,7 +138,8 @@ def test_retractions_keep_the_printers_acceleration_where_it_is_not_told(marlin:
 @pytest.mark.parametrize(
     ("absolute", "absolute_e", "expected"),
     [
-        (True, True, [b"M82", b"G92 E1234.56789"]), (True, False, []), (False, False, [b"G91"]),
+        (True, True, [b"M82", b"G92 E1234.56789"]), (True, False, [b"G92 E1234.56789"]),
+        (False, False, [b"G91", b"G92 E1234.56789"]),
         (False, True, [b"G91", b"M82", b"G92 E1234.56789"]),
     ],
 )  # fmt: skip
@@ -168,6 +171,17 @@ def test_modes_of_the_stream_outlast_those_of_the_file(marlin: Printer) -> None:
             seen += 1
     assert seen > 20
     assert played_filament(text) == pytest.approx(4.0, abs=1e-5)
+
+
+def test_filament_is_counted_on_where_it_was_relative(marlin: Printer) -> None:
+    """G90 makes E absolute: of what the file has fed, not of what the stream has counted."""
+    text = (
+        b"M83\nG28\nG1 X10 Y10 Z1 F6000\nG1 X90 E60 F300\nG1 X10 E60\nUNHEARD_OF @1\nG90\n"
+        b"G1 X20 Y20 E120.5\nG1 X90 Y20 E123\n;@2\n"
+    )
+    output = converted(text.splitlines(keepends=True), marlin)[0]
+    assert output.count(b"G92 E0\n") > 1
+    check_same_print(text, output, "marlin")
 
 
 def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
