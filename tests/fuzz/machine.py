@@ -22,8 +22,8 @@ SHORT = 2e-3  # mm; ends that are no further apart are one place, as they are wr
 class Stand(NamedTuple):
     """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
 
-    place: of the machine; told: as the firmware would tell it, after G92; rate: filament per mm
-    of the last line that moved it; step, way: filament and mm of the next.
+    place: of the machine; told: as the firmware would tell it, after G92; moves: that were made;
+    way: mm of the next.
     """
 
     number: int
@@ -32,8 +32,7 @@ class Stand(NamedTuple):
     filament: float
     modes: tuple[bool, bool]
     e: float
-    rate: float = 0.0
-    step: float = 0.0
+    moves: int = 0
     way: float = 0.0
 
 
@@ -44,7 +43,7 @@ class Machine:
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
     while it stood, mm; nearly: between ends no further apart than SHORT; sharpest: filament per
     mm of any straight move or arc; steepest: of those that feed more than UNSEEN; flow: the fastest
-    filament of any move, mm/s.
+    filament of any move, mm/s. trace: way and filament from the beginning, after each move.
     """
 
     firmware: str
@@ -58,8 +57,8 @@ class Machine:
     stands: list[Stand] = field(default_factory=list)
     least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    waiting: int = 0  # the first stand whose step is not known
-    rate: float = 0.0  # of the last line that moved, see Stand
+    waiting: int = 0  # the first stand whose way is not known
+    trace: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     feed: float = 25.0  # mm/s
     seconds: float = 0.0
     standing: float = 0.0
@@ -82,7 +81,9 @@ class Machine:
             told = tuple(
                 None if p is None else p - o for p, o in zip(self.place, self.offset, strict=True)
             )
-            stand = Stand(int(mark[1]), tuple(self.place), told, self.filament, modes, e, self.rate)
+            stand = Stand(
+                int(mark[1]), tuple(self.place), told, self.filament, modes, e, len(self.trace) - 1
+            )
             self.stands.append(stand)
             return
         code = re.sub(rb"\([^)]*\)", b"", raw).split(b";")[0].split(b"*")[0].strip()
@@ -139,9 +140,9 @@ class Machine:
         self.seconds += (length or abs(fed)) / self.feed
         if words.keys() & set("XYZE"):
             waiting = self.stands[self.waiting :]
-            self.stands[self.waiting :] = [s._replace(step=fed, way=length) for s in waiting]
+            self.stands[self.waiting :] = [s._replace(way=length) for s in waiting]
             self.waiting = len(self.stands)
-            self.rate = fed / (arc or length or SHORT)
+            self.trace.append((self.trace[-1][0] + (arc or length), self.filament))
             self.flow = max(self.flow, abs(fed) * self.feed / (length or SHORT))
         if fed > UNSEEN and length < SHORT:
             self.nearly += fed  # or along a circle
@@ -154,6 +155,19 @@ class Machine:
             self.standing += fed
         elif fed > UNSEEN:
             self.steepest = max(self.steepest, fed / length)
+
+    def fed_before(self, stand: Stand, way: float) -> tuple[float, float]:
+        """The least and the most filament within so many mm before it, back to a standstill."""
+        end, filament = self.trace[stand.moves]
+        least = most = filament
+        for k in range(stand.moves, 0, -1):
+            (s0, f0), (s1, f1) = self.trace[k - 1], self.trace[k]
+            if end - s1 >= way or s1 == s0:
+                break
+            begun = max(s0, end - way)
+            f = f0 + (f1 - f0) * (begun - s0) / (s1 - s0)
+            least, most = min(least, f), max(most, f)
+        return least, most
 
     def _round(self, name: str, words: dict[str, float], start: list[float | None]) -> float:
         """Length in the plane of an arc about the centre that is given; 0 of all else."""

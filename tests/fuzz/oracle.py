@@ -36,6 +36,7 @@ FILAMENT = 2e-3  # mm at any mark
 # nozzle can lay, where it is less than FILAMENT.
 SHARED = 2.0  # ms
 BEYOND = 0.06  # mm from the path where the machine is released: what settles, and rounding
+LONGER = 1.5  # times a segment of the command, that of the path may be
 OFF = 6.0  # mm from the path in motion: the command leads the nozzle
 PASSED = 0.26  # mm of filament per mm that Klipper lets pass of a nozzle of 0.4 mm
 STEEPER = 2.0  # times as much as in the file there may be, and it must still let it pass
@@ -142,11 +143,9 @@ def check_same_print(
         known = FILAMENT + 1e-3 * SHARED * min(asked.flow, MELTED)
         low, high = -known, known
         if firmware == "marlin" and before.number not in at_rest:
-            # a line in motion stands before the segment in which its place is, and there what is
-            # fed may turn round, just where the line stands
-            turned = before.rate * after.way if before.rate * before.step < 0.0 else 0.0
-            low -= max(after.step, turned, 0.0)
-            high -= min(after.step, turned, 0.0)
+            # a line in motion stands before the segment in which its place is
+            least, most = asked.fed_before(before, LONGER * after.way + BEYOND)
+            low, high = low + least - before.filament, high + most - before.filament
         assert low < off < high, f"filament at mark {before.number}: {off:.5f} mm off"
         if before.number in at_rest:
             assert after.modes == before.modes, f"modes at mark {before.number}"
