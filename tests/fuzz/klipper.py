@@ -7,6 +7,7 @@ where it stumbles.
 from __future__ import annotations
 
 import math
+import re
 import tempfile
 from pathlib import Path
 
@@ -21,6 +22,7 @@ AT_THE_END = 0.06  # mm, as where the machine is released
 FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
 ON_CIRCLE = 0.02  # mm that Klipper's planned path may be off: decimation to 0.014 beside chords
 KNOWN = ("Unknown command", "M117 ", "deprecated")  # complaints that say nothing of motion
+MOTION = re.compile(r'"[Gg]0\d')  # but this, which is G1 to the tool and nothing to Klipper
 
 
 def play_both(text: bytes, output: bytes) -> str:
@@ -72,7 +74,11 @@ def _played(text: bytes, place: Path) -> Playback:
 
 
 def _complaints(played: Playback) -> list[str]:
-    return [line for line in played.warnings if not any(known in line for known in KNOWN)]
+    return [
+        line
+        for line in played.warnings
+        if MOTION.search(line) or not any(known in line for known in KNOWN)
+    ]
 
 
 def _end(played: Playback, axis: int) -> float:
