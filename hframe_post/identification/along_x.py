@@ -42,8 +42,7 @@ class Moving:
         """In words, without the consequence."""
         return (
             f"the printer changes along x: its mode of {self.hz[0]:.1f} Hz at x = "
-            f"{self.x[0]:.0f} mm is one of {self.hz[1]:.1f} Hz at x = {self.x[1]:.0f} mm. The "
-            "profile's one model is that of the middle"
+            f"{self.x[0]:.0f} mm is one of {self.hz[1]:.1f} Hz at x = {self.x[1]:.0f} mm"
         )
 
 

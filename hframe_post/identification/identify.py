@@ -134,6 +134,8 @@ class Identified:
         """Why a model is no good."""
         if self.nonlinear is not None:
             return self.nonlinear.told()
+        if self.moving is not None:
+            return f"{self.moving.told}, too far for one model"
         return "the order is too low, or the files are not of one printer"
 
     def plant(self, x_c: float) -> Plant:

@@ -11,6 +11,7 @@ from hframe_post.model.plant import Plant
 
 SPREAD = 0.2  # of a transfer function over places, that deserves a word
 OFF = 0.005  # of a sensor's gain, that deserves a word
+ONE_MODEL = "The profile's one model is that of the middle"
 
 
 def functions_table(identified: Identified) -> list[str]:
@@ -49,7 +50,7 @@ class IdentificationReport:
         if identified.nonlinear is not None:
             told.append(identified.nonlinear.told() + self._stays(identified.nonlinear.share))
         if identified.moving is not None:
-            told.append(identified.moving.told + self._elsewhere())
+            told.append(f"{identified.moving.told}. {ONE_MODEL}{self._elsewhere()}")
         elif identified.measured["Gxx"].spread > SPREAD:
             told.append(
                 f"Gxx differs by {100 * identified.measured['Gxx'].spread:.0f} % over the gantry's "

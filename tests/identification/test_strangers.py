@@ -58,3 +58,12 @@ def test_a_hundred_printers(seed: int) -> None:
 @pytest.mark.parametrize("seed", STEPPED)
 def test_what_is_not_linear_beside_whole_motor_steps(seed: int) -> None:
     check(seed, STEP)
+
+
+@pytest.mark.slow
+def test_what_is_refused_is_told_why() -> None:
+    """A mode that moves so far that the places' mean is no printer's."""
+    machine, chip, _ = drawn(5059)
+    found = identified(machine, swept(machine, chip, PLACES, PLACES[:3:2], 5059, step=STEP))
+    assert found.useless is not None
+    assert "changes along x" in found.useless
