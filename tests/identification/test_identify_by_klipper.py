@@ -17,6 +17,7 @@ AS_GOOD = 1.3  # times the exact model's error
 
 
 @pytest.mark.klipper
+@pytest.mark.slow
 def test_the_papers_printer_is_recovered(tmp_path: Path, quick: Path, paper: Printer) -> None:
     bench = Bench(tmp_path, paper.plant, quick, klipper=True)
     check_recovered(bench, (80.0, 140.0, 200.0), times=AS_GOOD)

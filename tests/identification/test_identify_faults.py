@@ -41,6 +41,7 @@ def unnamed(folder: Path, *recordings: Path) -> list[Path]:
     return copies
 
 
+@pytest.mark.slow
 def test_exchanged_files_are_told(taken: Recorded, tmp_path: Path) -> None:
     """By their names; by the recordings' own marks where names tell nothing."""
     (x0, heard0), (x1, heard1), (x2, heard2) = taken.x

@@ -10,7 +10,7 @@ from hframe_post.errors import IdentificationError
 from tests.strangers import drawn, identified, judged, printer, swept
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)
-FEW = [8, 7]  # linear, whose axes must be in step to be good; a belt that hardens
+FEW = [8]  # linear, whose axes must be in step to be good
 STEP = 0.0206  # mm of belt
 STEPPED = [17, 57, 73, 97, 31, 2019]  # belts that harden, play, friction, modes that move
 LINEAR = 1.3  # times the error of the exact model that a linear printer may have,

@@ -245,7 +245,11 @@ def layers_of_cube(last: int) -> list[bytes]:
 
 
 @pytest.mark.parametrize(
-    "planner", [pytest.param("2.0", marks=pytest.mark.slow), "2.1", "2.1-dev", "ft-motion"]
+    "planner",
+    [
+        "2.1",
+        *(pytest.param(other, marks=pytest.mark.slow) for other in ("2.0", "2.1-dev", "ft-motion")),
+    ],
 )
 def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     marlin: Printer, planner: str

@@ -117,6 +117,7 @@ def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
     assert set(loose.options.paces.kinds if loose.options.paces else {}).isdisjoint(KEPT)
 
 
+@pytest.mark.slow
 def test_convert_within_an_error(tmp_path: Path) -> None:
     part, out = tmp_path / "in.gcode", tmp_path / "out.gcode"
     part.write_bytes(b"".join(cube()))
