@@ -117,8 +117,6 @@ def convert(
     from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.options import TOLERANCE
-    from hframe_post.gcode.lines import reread
-    from hframe_post.studies.speed import hastened
     from hframe_post.writers.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
@@ -135,6 +133,9 @@ def convert(
     log(f"profile {printer}, {profile.firmware.dialect}, strategy {options.strategy}")
     found = None
     if fast is not None:
+        from hframe_post.gcode.lines import reread
+        from hframe_post.studies.speed import hastened
+
         found = hastened(reread(source), profile, options)
         profile, options = found.printer, found.options
         log("the quickest print within the error is found")

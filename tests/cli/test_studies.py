@@ -157,6 +157,7 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
     done = run(

@@ -34,6 +34,7 @@ def known(noise: float, seed: int) -> tuple[Fit, Certainty]:
     return found, sure
 
 
+@pytest.mark.slow
 def test_it_is_what_repeated_measurements_scatter() -> None:
     several = [known(0.05, seed) for seed in range(6)]
     lowest = np.array([found.modes[0][0] for found, _ in several])

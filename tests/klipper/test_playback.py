@@ -167,6 +167,7 @@ def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.klipper
+@pytest.mark.slow
 def test_prism_is_played_as_intended(tmp_path: Path) -> None:
     check(played("prism.gcode", tmp_path, Options("racking"), 3))
 

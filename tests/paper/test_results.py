@@ -159,6 +159,7 @@ def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     np.testing.assert_allclose(whole.decoupled(), inverse, atol=1e-6 * scale)
 
 
+@pytest.mark.slow
 def test_eq_26_and_27_decoupled_is_faster_than_coupled(plant: Plant, rectangle: Array) -> None:
     """At every n from 0.05 E on: a ratio of the processor's times, taken by turns."""
     for share in (0.05, 0.15, 0.25):

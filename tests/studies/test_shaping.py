@@ -79,6 +79,7 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
         np.testing.assert_allclose(got, whole, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_simulate_against_shapers(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
     done = run("simulate", "--path", "rectangle", "--against", "shapers", "--json", out)
