@@ -43,6 +43,7 @@ from hframe_post.identification.weighting import (
 MOST_POLES = 8
 PATIENCE = 2  # poles more than the best has, after which no more are tried
 AS_GOOD = 1.02  # times the best score, up to which a simpler model is as good
+RACKS_AS_GOOD = 1.1  # the same of racking, which is measured with noise of some per cent
 ENOUGH = 0.01  # of a score, in squares of the noise, that says nothing
 GOOD = 0.1  # a score below which no better model is looked for
 TRIED = 300  # frequencies by which structures are compared; all of them for the result
@@ -162,7 +163,8 @@ def _modes(case: Case, order: int | None, plain: bool = False) -> tuple[Modal, f
     if not scores:
         return None
     least = min(scores.values())
-    enough = max(AS_GOOD * least, least + ENOUGH, 0.0 if case.distortion is None else EXPLAINED)
+    as_good = AS_GOOD if case.at_rest else RACKS_AS_GOOD
+    enough = max(as_good * least, least + ENOUGH, 0.0 if case.distortion is None else EXPLAINED)
     good = [structure for structure in scores if scores[structure] <= enough]
     chosen = min(good, key=lambda one: (one.unknowns, scores[one]))
     return modal.refined(whole, chosen, found[chosen].place), scores[chosen]
