@@ -44,7 +44,7 @@ from hframe_post.model.plant import Plant
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
 PLACES_APART = 20.0  # mm over which places must spread to tell racking
 OFF_LINE = 0.3  # of the lever arms' effect, that may lie off the line through the places
-RACKS = 3.0  # times its noise, in power, from which racking is one
+RACKS = 1.0  # times its noise, in power, from which racking is one
 DISAGREE = 0.2  # relative, of racking by both ways, that deserves a word
 UNSURE = 1e-3  # s of a start that deserve a word
 USELESS = 0.35  # of the measurement that a model may leave unexplained at the most
@@ -133,7 +133,7 @@ class Identified:
     def _cause(self) -> str:
         """Why a model is no good."""
         if self.nonlinear is not None:
-            return self.nonlinear.told()
+            return self.nonlinear.told
         if self.moving is not None:
             return f"{self.moving.told}, too far for one model"
         return "the order is too low, or the files are not of one printer"

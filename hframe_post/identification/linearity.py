@@ -61,6 +61,7 @@ class Nonlinearity:
         """Of the worse axis."""
         return max(self.shares.values())
 
+    @property
     def told(self) -> str:
         """For the user."""
         cause = CAUSES[self.cause].format(size=self.size, microns=1e3 * self.size)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from scipy import linalg, optimize
@@ -35,7 +34,7 @@ from hframe_post.model.transfer_function import TransferFunction
 DAMPING = (0.004, 1.0)  # of a mode
 DAMPINGS = (0.03, 0.15, 0.6)  # from which the search of a new mode starts,
 STARTS = 10  # at so many frequencies of the band,
-REFINED = 2  # of which the best so many are refined
+REFINED = 3  # of which the best so many are refined
 LONGEST_DELAY = 5e-3  # s, of a printer
 DELAY_STEP = 1e-3  # s between starts
 COARSE = 250  # frequencies that are enough to search with
@@ -188,21 +187,29 @@ def _extended(data: Data, structure: Structure, place: Place) -> Modal:
     first, last = data.delay_bounds
     count = 1 + int(np.ceil((last - first) / DELAY_STEP))
     delays = np.linspace(first, last, count) if np.isnan(place.delay) else [place.delay]
-    starts = []
-    for delay, omega in product(delays, frequencies):
-        if len(place.omega) < structure.modes:
-            starts += [
-                Place(
-                    np.append(place.omega, omega), np.append(place.zeta, zeta), place.corner, delay
-                )
-                for zeta in DAMPINGS
-            ]
-        else:
-            starts.append(Place(place.omega, place.zeta, np.append(place.corner, omega), delay))
     coarse = thinned(data, COARSE // 2)
-    costs = [float((_solve(coarse, structure, start)[0] ** 2).sum()) for start in starts]
-    best = [refined(data, structure, starts[k]) for k in np.argsort(costs)[:REFINED]]
+
+    def cost(start: Place) -> float:
+        return float((_solve(coarse, structure, start)[0] ** 2).sum())
+
+    # each of another frequency, as those of one end alike
+    starts = [
+        min((start for delay in delays for start in _with(place, structure, omega, delay)),
+            key=cost)
+        for omega in frequencies
+    ]  # fmt: skip
+    best = [refined(data, structure, start) for start in sorted(starts, key=cost)[:REFINED]]
     return min(best, key=lambda model: model.cost)
+
+
+def _with(place: Place, structure: Structure, omega: float, delay: float) -> Iterator[Place]:
+    """A mode more, or a lag where there are modes enough."""
+    if len(place.omega) == structure.modes:
+        yield Place(place.omega, place.zeta, np.append(place.corner, omega), delay)
+        return
+    for zeta in DAMPINGS:
+        modes = np.append(place.omega, omega), np.append(place.zeta, zeta)
+        yield Place(*modes, place.corner, delay)
 
 
 def thinned(data: Data, count: int) -> Data:

@@ -48,7 +48,7 @@ class IdentificationReport:
         identified = self.identified
         told = [*self.findings, *identified.warnings]
         if identified.nonlinear is not None:
-            told.append(identified.nonlinear.told() + self._stays(identified.nonlinear.share))
+            told.append(identified.nonlinear.told + self._stays(identified.nonlinear.share))
         if identified.moving is not None:
             told.append(f"{identified.moving.told}. {ONE_MODEL}{self._elsewhere()}")
         elif identified.measured["Gxx"].spread > SPREAD:

@@ -10,9 +10,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers, Z
 from hframe_post.model.trapezoid import Trapezoid
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.types import (
-    Standing,
-)
+from hframe_post.stream.types import Standing
 
 ON_TIME = 1e-9  # samples; a rest this close after a sample falls on it
 

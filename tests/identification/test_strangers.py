@@ -13,7 +13,8 @@ PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)
 FEW = [8]  # linear, whose axes must be in step to be good
 STEP = 0.0206  # mm of belt
 STEPPED = [17, 57, 73, 97, 31, 2019]  # belts that harden, play, friction, modes that move,
-STEPPED += [2060]  # linear, whose racking a lag below the band explains 3 % better than it is
+STEPPED += [2060]  # linear, whose racking a lag below the band explains 3 % better than it is,
+STEPPED += [7014, 7098]  # whose two modes are easily missed, whose racking is as its noise
 LINEAR = 1.3  # times the error of the exact model that a linear printer may have,
 SMALL = 1.0  # or µm
 
