@@ -8,9 +8,10 @@ from hframe_post.arrays import TS
 from hframe_post.model.transfer_function import TransferFunction
 
 RINGING = 0.3  # damping below which a pair of poles is called a resonance
-UNEXPLAINED = 4.0  # residual over noise from which an order is too low
+UNEXPLAINED = 2.0  # residual over noise from which an order is too low; of linear ones 1.6 at most
 SETTLED = 0.01  # of a command's lead over a zero, below which it may be cut off
 EARLIER = 0.1  # s of that lead that any window has to spare
+COMMANDED = np.pi / 2.0  # rad a sample, 250 Hz, above which no command has anything to cancel
 AT_BOUND = 0.01  # of the bounds' distance,
 LOOSE = 1e-3  # s, where that is more than this
 
@@ -34,14 +35,16 @@ def of_zeros(G: TransferFunction) -> tuple[tuple[str, ...], tuple[str, ...]]:
     The group delay that they cost, beyond that of zeros mirrored into the circle, is
     Σ (|ζ|² − 1) / |1 − ζ|² samples at rest. To cancel one the command must begin earlier, by
     what decays as |ζ|^−k over k samples: any preview does for the zeros of sampling, which lie
-    far outside, and none does for one very near the circle.
+    far outside, and none does for one very near the circle. That of a delay's fraction of a
+    sample may be so near, but at half the sampling rate, where nothing is commanded.
     """
     outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
     if not len(outside):
         return (), ()
     excess = float(((np.abs(outside) ** 2 - 1.0) / np.abs(1.0 - outside) ** 2).sum())
     text = f"zeros outside the unit circle: {1e3 * TS * excess:.2g} ms of group delay"
-    earlier = float(TS * np.log(1.0 / SETTLED) / np.log(np.abs(outside).min()))
+    slow = np.abs(outside[np.abs(np.angle(outside)) < COMMANDED])
+    earlier = float(TS * np.log(1.0 / SETTLED) / np.log(slow.min(initial=np.inf)))
     if earlier <= EARLIER:
         return (f"{text}, which preview cancels",), ()
     return (), (f"{text}; to cancel them commands must begin {1e3 * earlier:.0f} ms early",)

@@ -18,6 +18,7 @@ from hframe_post.identification.weighting import Distortion
 from hframe_post.model.transfer_function import TransferFunction
 
 OVERDAMPED = 0.99  # damping ratio from which a mode does not ring
+UNKNOWN = 5e-5  # s of a delay that noise may leave unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +126,10 @@ def at_one_time(x: Fit, y: Fit) -> tuple[Fit, Fit]:
 
     When a recording began is known to a fraction of its sensor's period only, and the delay of
     recording and printer together far better. What is left of it for the printer is an interval;
-    where those of both axes overlap, one delay serves both.
+    where those of both axes overlap, or nearly so, one delay serves both.
     """
     low, high = (choose(one.lags[k] for one in (x, y)) for k, choose in ((0, max), (1, min)))
-    if not isinstance(x.model, Modal) or not isinstance(y.model, Modal) or low > high:
+    if not isinstance(x.model, Modal) or not isinstance(y.model, Modal) or low > high + UNKNOWN:
         return x, y
     lag = (low + high) / 2.0
     return _behind(x, x.model, lag), _behind(y, y.model, lag)

@@ -149,18 +149,18 @@ class Modal:
 
 
 def structures(racking: bool, most: int) -> Iterator[Structure]:
-    """Those of up to ``most`` poles, from the simplest on."""
+    """Those of up to ``most`` poles, from the fewest on; of each number the freest first."""
     for order in range(2, most + 1):
         for lags in (0, 1, 2):
             modes, odd = divmod(order - lags, 2)
             if odd or modes < 1:
                 continue
             if not racking:
+                yield Structure(modes, True, lags)
                 if not lags:
                     yield Structure(modes, False)
-                yield Structure(modes, True, lags)
                 continue
-            for zeros in (2, 1):
+            for zeros in (1, 2):
                 if 2 * modes + lags > zeros:
                     yield Structure(modes, True, lags, zeros)
 

@@ -29,7 +29,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.identification import modal, rational
 from hframe_post.identification.frequency_response import FrequencyResponse, average
-from hframe_post.identification.modal import Modal, Structure
+from hframe_post.identification.modal import Data, Modal, Structure
 from hframe_post.identification.rational import Rational
 from hframe_post.identification.weighting import (
     EXACT,
@@ -142,39 +142,46 @@ def _exact(case: Case, found: Modal | Rational) -> Modal | Rational:
 
 
 def _modes(case: Case, order: int | None, plain: bool = False) -> tuple[Modal, float] | None:
-    """The modes that explain the measurement, and their score. plain: see ``_plain``."""
+    """The modes that explain the measurement, and their score.
+
+    plain: modes alone, and few, of a position without free speeds.
+    """
+    racks = case.at_rest == 0.0
     whole = case.data(case.whole)
     data = modal.thinned(whole, TRIED)
     sought = GOOD if case.distortion is None else EXPLAINED
     found: dict[Structure, Modal] = {}
     scores: dict[Structure, float] = {}
-    for structure in modal.structures(case.at_rest == 0.0, order or MOST_POLES):
-        if plain and not _plain(structure):
+    for structure in modal.structures(racks, order or MOST_POLES):
+        if plain and (structure.modes > PLAIN_MODES or structure.lags):
             continue
         if scores and order is None:
             best = min(scores, key=lambda one: scores[one])
             patience = 0 if scores[best] < sought else PATIENCE
             if structure.order > best.order + patience:
                 break
-        found[structure] = modal.fit(data, structure, _simpler(found, structure))
-        wanted = order is None or structure.order == order
+        found[structure] = _fitted(data, structure, found)
+        wanted = order in (None, structure.order) and (racks or not (plain and structure.speed))
         if wanted and not _absurd(found[structure], case):
             scores[structure] = _score(case, found[structure])
     if not scores:
         return None
     least = min(scores.values())
-    as_good = AS_GOOD if case.at_rest else RACKS_AS_GOOD
+    as_good = RACKS_AS_GOOD if racks else AS_GOOD
     enough = max(as_good * least, least + ENOUGH, 0.0 if case.distortion is None else EXPLAINED)
     good = [structure for structure in scores if scores[structure] <= enough]
     chosen = min(good, key=lambda one: (one.unknowns, scores[one]))
     return modal.refined(whole, chosen, found[chosen].place), scores[chosen]
 
 
-def _plain(structure: Structure) -> bool:
-    """Whether it is of modes alone, and few."""
-    racks = structure.zeros_at_rest > 0
-    few = structure.modes <= PLAIN_MODES and structure.lags == 0
-    return few and (racks or not structure.speed)
+def _fitted(data: Data, structure: Structure, found: dict[Structure, Modal]) -> Modal:
+    """From the best that is simpler by a mode or a lag, and from where the same lie if freer."""
+    fitted = modal.fit(data, structure, _simpler(found, structure))
+    freer = replace(structure, speed=True, zeros_at_rest=min(structure.zeros_at_rest, 1))
+    if freer == structure or freer not in found:
+        return fitted
+    same = modal.refined(data, structure, found[freer].place)
+    return min(fitted, same, key=lambda model: model.cost)
 
 
 def _simpler(found: dict[Structure, Modal], structure: Structure) -> Modal | None:

@@ -14,7 +14,8 @@ FEW = [8]  # linear, whose axes must be in step to be good
 STEP = 0.0206  # mm of belt
 STEPPED = [17, 57, 73, 97, 31, 2019]  # belts that harden, play, friction, modes that move,
 STEPPED += [2060]  # linear, whose racking a lag below the band explains 3 % better than it is,
-STEPPED += [7014, 7098]  # whose two modes are easily missed, whose racking is as its noise
+STEPPED += [7014, 8072, 8008, 7098]  # whose two modes are easily missed (the first two), whose
+# sensor is so noisy that a delay is known to 0.05 ms only, whose racking is as its noise
 LINEAR = 1.3  # times the error of the exact model that a linear printer may have,
 SMALL = 1.0  # or µm
 
