@@ -9,7 +9,7 @@ import tempfile
 os.environ["XDG_CONFIG_HOME"] = os.path.join(tempfile.gettempdir(), "hframe-post-tests")
 os.environ["HFRAME_PRINTER"] = ""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -29,6 +29,13 @@ settings.load_profile("repeatable")
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_gcode"
 GOLDEN = Path(__file__).parent / "golden"
+
+
+def few(cases: Sequence[object], quick: int) -> list[object]:
+    """Cases of a test, of which all but the first ``quick`` are slow."""
+    whole = [case if isinstance(case, tuple) else (case,) for case in cases]
+    slow = [pytest.param(*case, marks=pytest.mark.slow) for case in whole[quick:]]
+    return [*cases[:quick], *slow]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -14,9 +14,9 @@ import pytest
 
 from hframe_post.cli.main import COMMANDS, main
 from hframe_post.identification import command_file
-from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES
 from tests.recordings import Sensor, moved, sweep, write_klipper
+from tests.simulator import Axis, Machine, Mode
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
@@ -41,11 +41,12 @@ SNIPPETS = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the snippets read: a print, and sweeps of the paper's printer with their recordings."""
+    """What the snippets read: a print, and sweeps of a printer with their recordings."""
     folder = tmp_path_factory.mktemp("snippets")
     shutil.copy(SAMPLES / "rectangle.gcode", folder / "in.gcode")
     (folder / "sample_gcode").symlink_to(SAMPLES)
-    plant, swept = load("paper").plant, sweep(rate=8.0)
+    axes = Axis((Mode(30.0, 0.05),), 1e-3), Axis((Mode(40.0, 0.08),), 1e-3)
+    plant, swept = Machine(*axes, racking=2e-8).exact(), sweep(rate=8.0)
     for seed, (axis, place) in enumerate((("x", 80), ("x", 140), ("x", 200), ("y", 140))):
         xy = np.zeros((len(swept), 2))
         xy[:, "xy".index(axis)] = swept
@@ -53,7 +54,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name = f"{axis}-at-{place}"
         command = b"".join(command_file.written(xy))
         (folder / f"sweep-{axis}.{name}.csv").write_bytes(command)
-        felt = Sensor().felt(moved(plant, xy, None), (len(xy) - 1) * 1e-3, seed)
+        felt = Sensor(noise=0.0).felt(moved(plant, xy, None), (len(xy) - 1) * 1e-3, seed)
         write_klipper(folder / f"adxl345-{name}.csv", felt)
     return folder
 

@@ -101,6 +101,7 @@ def test_memory_is_bounded(name: str) -> None:
     assert most < MOST
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_retractions() -> None:
     status, most, said = peak(chain(HEAD, *map(retraction, range(450)), TAIL))
     assert (status, said) == (0, "")

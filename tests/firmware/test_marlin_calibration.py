@@ -12,6 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin_calibration import Calibration, calibration
 from hframe_post.printer.profile import load
 from tests.cli.test_main import run
+from tests.conftest import few
 from tests.marlin.planner import Build, Machine
 
 PART = 60.0  # s, more than any approach
@@ -23,7 +24,7 @@ def found() -> Calibration:
 
 
 @pytest.mark.parametrize("planner", ["2.0", "2.1", "2.1-dev", "ft-motion"])
-@pytest.mark.parametrize("tick", [False, True])
+@pytest.mark.parametrize("tick", few([False, True], 1))
 def test_parts_take_as_long_as_the_table_says(found: Calibration, planner: str, tick: bool) -> None:
     if planner == "ft-motion" and tick:
         pytest.skip("fixed-time motion counts no ticks")

@@ -24,7 +24,7 @@ def fuzzed(*arguments: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_of_each_kind(kind: str) -> None:
-    fuzzed("-n", "10", "--kind", kind, "--jobs", "1")
+    fuzzed("-n", "6", "--kind", kind, "--jobs", "1")
 
 
 @pytest.mark.slow

@@ -97,6 +97,7 @@ def test_another_sweeps_recording_is_told(taken: Recorded, tmp_path: Path, paper
     check_refused(tmp_path, "does not follow", *MAP, *nozzle((x, backwards), taken.y))
 
 
+@pytest.mark.slow
 def test_noise_alone_costs_no_warning(taken: Recorded, tmp_path: Path, paper: Printer) -> None:
     noisy = replace(SENSOR, noise=12.0)
     runs = [

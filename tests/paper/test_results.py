@@ -219,6 +219,7 @@ def test_fig_7_has_the_papers_number_of_points(rectangle: Array) -> None:
     assert acceleration.max() == pytest.approx(1e4, rel=0.01)
 
 
+@pytest.mark.slow
 def test_fig_8_decoupled_is_as_good_as_coupled(
     approximations: list[results.Approximation],
 ) -> None:

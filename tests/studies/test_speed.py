@@ -107,6 +107,7 @@ def test_no_layer_is_too_short_and_what_held_it_back_is_told(
     assert re.search(r"uncompensated it would be \d+ µm", told)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="allow more"):
         fastest(cube, paper, Options("racking"), Bound(1e-4))
