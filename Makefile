@@ -1,4 +1,6 @@
 PYTHON ?= python3
+# many tests start processes, which would compile the package each time
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: check lint test slow bench fuzz strangers audit
 
