@@ -40,6 +40,8 @@ class Stand(NamedTuple):
 class Machine:
     """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z.
 
+    doubted: axes that a macro may have moved since; renamed: those whose place G92 then named, of
+    which nobody knows any more where the bed is.
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
     while it stood, mm; nearly: between ends no further apart than SHORT; sharpest: filament per
     mm of any straight move or arc; steepest: of those that feed more than UNSEEN; flow: the fastest
@@ -57,6 +59,8 @@ class Machine:
     stands: list[Stand] = field(default_factory=list)
     least: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    doubted: set[int] = field(default_factory=set)
+    renamed: set[int] = field(default_factory=set)
     waiting: int = 0  # the first stand whose way is not known
     trace: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     feed: float = 25.0  # mm/s
@@ -90,6 +94,7 @@ class Machine:
         code = re.sub(rb"^[Nn]\s*\d+\s*", b"", code)
         head = re.match(rb"([GMgm])\s*0*(\d+)(?:\.(\d+))?", code)
         if not head:
+            self.doubted |= {0, 1, 2} if raw.split(b";")[0].strip() else set()
             return
         name = f"{head[1].decode().upper()}{head[2].decode()}" + (
             f".{head[3].decode()}" if head[3] else ""
@@ -162,6 +167,8 @@ class Machine:
         least = most = filament
         for k in range(stand.moves, 0, -1):
             (s0, f0), (s1, f1) = self.trace[k - 1], self.trace[k]
+            if s1 == s0 and f1 == f0:  # a move to where it is
+                continue
             if end - s1 >= way or s1 == s0:
                 break
             begun = max(s0, end - way)
@@ -192,7 +199,9 @@ class Machine:
                 elif now is not None:
                     now += value
                 self.place[axis] = now
-                if now is not None and self.absolute:  # a macro may have moved it meanwhile
+                if self.absolute:
+                    self.doubted.discard(axis)
+                if now is not None and self.absolute and axis not in self.renamed:
                     self.least[axis] = min(self.least[axis], now)
                     self.greatest[axis] = max(self.greatest[axis], now)
         if "E" in words:
@@ -208,5 +217,6 @@ class Machine:
             place = self.place[axis]
             if letter in words and place is not None:
                 self.offset[axis] = place - words[letter] * self.unit
+                self.renamed |= {axis} & self.doubted
         if "E" in words:
             self.e = words["E"] * self.unit
