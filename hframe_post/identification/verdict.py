@@ -8,7 +8,7 @@ from hframe_post.arrays import Array
 
 HELPS = 0.2  # reduction below which a profile is not worth its risk
 AS_PREDICTED = 0.6  # of the predicted reduction, at least
-UNEXPLAINED = 0.4  # of what the nozzle does beside its path, that the model may miss
+UNEXPLAINED = 0.34  # of what the nozzle does beside its path, that the model may miss
 RACKS_ALIKE = 0.4  # relative, by which racking may differ from the model's,
 SURE = 3.0  # and standard deviations of it besides
 
