@@ -44,7 +44,8 @@ from hframe_post.model.plant import Plant
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
 PLACES_APART = 20.0  # mm over which places must spread to tell racking
 OFF_LINE = 0.3  # of the lever arms' effect, that may lie off the line through the places
-RACKS = 1.0  # times its noise, in power, from which racking is one
+RACKS = 1.0  # times its noise, in power, from which racking is one where places are on a line,
+CLEARLY_RACKS = 3.0  # and from which it is one in any case
 DISAGREE = 0.2  # relative, of racking by both ways, that deserves a word
 UNSURE = 1e-3  # s of a start that deserve a word
 USELESS = 0.35  # of the measurement that a model may leave unexplained at the most
@@ -172,7 +173,7 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
     along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)
-    racking = arms is not None and arms.over_noise > RACKS
+    racking = arms is not None and _racks(arms)
     if ends.runs:
         measured["Gxtheta"] = _measured(ends, settings)
         fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, along)
@@ -275,13 +276,17 @@ def _arms(heard: list[Heard], settings: Settings, changes: bool) -> Line | None:
     if not settings.racks or np.ptp(places) < PLACES_APART:
         return None
     found = line(places, [run.y for run in heard])
-    if found.over_noise <= RACKS or changes or found.beyond_noise <= OFF_LINE:
+    if found.over_noise <= CLEARLY_RACKS or changes or found.beyond_noise <= OFF_LINE:
         return found
     advice = _exchanged(places, [run.y for run in heard], found.beyond_noise)
     raise IdentificationError(
         f"what the nozzle does in y while x sweeps does not grow with the place: "
         f"{100 * found.beyond_noise:.0f} % of it are off a straight line. {advice}"
     )
+
+
+def _racks(arms: Line) -> bool:
+    return arms.over_noise > (RACKS if arms.beyond_noise <= OFF_LINE else CLEARLY_RACKS)
 
 
 def _exchanged(places: list[float], responses: list[FrequencyResponse], off: float) -> str:
