@@ -19,7 +19,9 @@ LATE = 2e-5  # s; what a segment is late by in spite of its feed rate, if more, 
 CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
 USUAL_NOZZLE = 0.4  # mm
-THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut
+ALLOWED = 0.95 * 4.0 * USUAL_NOZZLE**2 / FILAMENT  # mm of filament per mm, nearly all that it may
+THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut;
+THICKER = 1.5  # the same where that is more than Klipper allows of a usual nozzle
 SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
 
 
@@ -118,7 +120,7 @@ def thinned(points: Array, ends: Integers) -> Integers:
     usual = float(e[lays].sum() / d[lays].sum())
     nozzle = min(math.sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE)
     most = SAFELY * nozzle * 4.0 * nozzle**2 / FILAMENT
-    thick = (e > most) & (e > THICK * usual * d)
+    thick = (e > most) & (e > min(THICK * usual, max(ALLOWED, THICKER * usual)) * d)
     if not thick.any():
         return ends
     pieces = [ends]

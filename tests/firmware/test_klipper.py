@@ -18,14 +18,14 @@ from hframe_post.firmware.klipper_segments import Ramped, StreamLimits
 from hframe_post.firmware.player import plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Limits, Motors
+from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
+from tests.conversion.test_pipeline import converted
 
 STREAM = StreamLimits(
     velocity=770.0, acceleration=3.5355e4, z_velocity=20.0, z_acceleration=500.0,
     extruder_velocity=60.0, extruder_acceleration=2000.0, extruder_corner_velocity=1.0,
 )  # fmt: skip
-
 
 # ---------------------------------------------------------------------- speeds and durations
 
@@ -326,3 +326,18 @@ def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
     state = replace(STATE, offset=(10.0, 0.0, -1.0))
     assert b"G92 X2.5 Z1.2" in dialect.end(state, AT)
     assert dialect.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
+
+
+def test_no_segment_is_thicker_than_klipper_allows(paper: Printer) -> None:
+    """The command falls behind where the path is fast, and is fed what the path is."""
+    lines = b"M83\nG28\nG1 X10 Y10 Z0.2 F6000\nM220 S1000\nG1 X20 E1\n"
+    written = converted(lines.splitlines(keepends=True), paper)[0].decode()
+    place, thickest = [10.0, 10.0], 0.0
+    for line in written.splitlines():
+        words = {word[0]: float(word[1:]) for word in re.findall(r"[XYE][-.\d]+", line)}
+        to = [words.get("X", place[0]), words.get("Y", place[1])]
+        if line.startswith("G1") and words.get("E", 0.0) > 0.4 * 0.266:  # of a nozzle of 0.4 mm
+            thickest = max(thickest, words["E"] / math.dist(place, to))
+        place = to
+    assert "E" in written
+    assert thickest < 0.266
