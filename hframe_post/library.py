@@ -30,12 +30,13 @@ from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction import contour
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
-from hframe_post.studies import simulation, tuning
-from hframe_post.studies.simulation_report import SimulationReport
-from hframe_post.studies.speed import hastened
-from hframe_post.studies.tuning import StopsTrial, Trial
-from hframe_post.studies.uncertainty import draws as drawn
-from hframe_post.writers.atomic_file import Outputs
+from hframe_post.studies.simulation import simulate as simulation
+from hframe_post.studies.simulation.report import SimulationReport
+from hframe_post.studies.simulation.uncertainty import draws as drawn
+from hframe_post.studies.speed.search import hastened
+from hframe_post.studies.tuning import tune as tuning
+from hframe_post.studies.tuning.tune import StopsTrial, Trial
+from hframe_post.writers.files.atomic_file import Outputs
 
 UNKNOWN = 0.05  # by which a printer may differ from its model, where nothing is known of that
 Source = str | Path | Iterable[bytes]  # a file of G-code, or its lines

@@ -17,7 +17,7 @@ from hypothesis import settings
 
 from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Commands, Options, prepared
-from hframe_post.model.course import Compensator
+from hframe_post.model.strategy import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join

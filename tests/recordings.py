@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.accelerometer import GRAVITY, Recording
+from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.model.plant import LiftedFilter, Plant, Response
 from hframe_post.model.transfer_function import TransferFunction
 

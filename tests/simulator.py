@@ -21,7 +21,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.accelerometer import GRAVITY, Recording
+from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 

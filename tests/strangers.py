@@ -9,17 +9,17 @@ import numpy as np
 
 from hframe_post.arrays import Array, Z
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.identification.accelerometer import oriented
 from hframe_post.identification.identify import Identified, Run, Settings, identify
-from hframe_post.identification.proof_motion import motion_of
-from hframe_post.identification.sweep import runs as planned
+from hframe_post.identification.recordings.accelerometer import oriented
+from hframe_post.identification.recordings.sweep import runs as planned
+from hframe_post.identification.verification.motion import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.contour import contour_error
 from hframe_post.prediction.predict import in_motion
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.reference_path import rectangle
+from hframe_post.studies.simulation.reference_path import rectangle
 from tests.simulator import Axis, Chip, Machine, Mode
 
 BAND = (3.0, 100.0)

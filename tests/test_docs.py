@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.identification import command_file
+from hframe_post.identification.recordings import command_file
 from tests.conftest import ROOT, SAMPLES
 from tests.recordings import Sensor, moved, sweep, write_klipper
 from tests.simulator import Axis, Machine, Mode

@@ -15,7 +15,7 @@ import hframe_post as hp
 from hframe_post.arrays import Array
 from hframe_post.paper.results import path
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.simulation.uncertainty import draws
 from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"

@@ -28,9 +28,9 @@ def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     Example:
       hframe-post calibrate-marlin -p my.toml -o calibrate.gcode
     """
-    from hframe_post.firmware.marlin_calibration import calibration
+    from hframe_post.firmware.marlin.calibration import calibration
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     found = calibration(load(printer))
     with Outputs(files_read(printer)) as outputs:

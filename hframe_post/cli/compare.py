@@ -68,9 +68,9 @@ def compare(
       hframe-post compare golden/part.gcode out/part.gcode --tolerance 1um
     """
     from hframe_post.gcode.commands import dialect
-    from hframe_post.studies.comparison import Tolerance
-    from hframe_post.studies.comparison import compare as compared
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.studies.comparison.compare import Tolerance
+    from hframe_post.studies.comparison.compare import compare as compared
+    from hframe_post.writers.files.atomic_file import Outputs
 
     if str(a) == str(b) == "-":
         raise click.UsageError("only one of the two can be standard input")

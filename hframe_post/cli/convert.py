@@ -117,7 +117,7 @@ def convert(
     from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.options import TOLERANCE
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file is not None and report_file.suffix == ".html"
@@ -134,7 +134,7 @@ def convert(
     found = None
     if fast is not None:
         from hframe_post.gcode.lines import reread
-        from hframe_post.studies.speed import hastened
+        from hframe_post.studies.speed.search import hastened
 
         found = hastened(reread(source), profile, options)
         profile, options = found.printer, found.options

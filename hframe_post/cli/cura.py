@@ -36,7 +36,7 @@ def cura_script(printer: str, folder: Path | None) -> None:
     """
     from hframe_post.errors import HframeError
     from hframe_post.printer.profile import load, shipped
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     if printer:
         load(printer)  # whole and sound, before Cura gets to know it

@@ -22,10 +22,10 @@ from hframe_post.cli.options import (
 from hframe_post.cli.sensing import FILE, QUIET, axes_option
 
 if TYPE_CHECKING:
-    from hframe_post.identification.accelerometer import Recording
     from hframe_post.identification.identify import Identified, Run
+    from hframe_post.identification.recordings.accelerometer import Recording
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
 NO_WINDOW = (
     "no window and weight compensate this plant within the motors' limits, on every printer as "
@@ -138,16 +138,16 @@ def identify(
 
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification.gravity import along_printer, gains
-    from hframe_post.identification.heard import STEP
+    from hframe_post.identification.fitting.recommend import recommend
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
     from hframe_post.identification.page import identification_page
-    from hframe_post.identification.recommend import recommend
+    from hframe_post.identification.recordings.gravity import along_printer, gains
     from hframe_post.identification.report import IdentificationReport
+    from hframe_post.identification.responses.measured import STEP
     from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     profile = load(printer)
     _check_usage(nozzle, bridge, L_G, band)
@@ -250,8 +250,8 @@ class _Reading:
 
     def nozzle(self, command: Path, recording: Path) -> Run:
         """A run of the nozzle's sensor."""
-        from hframe_post.identification import command_file
         from hframe_post.identification.identify import Run
+        from hframe_post.identification.recordings import command_file
 
         _check_names(command, recording)
         heard = self._recording(recording, self.axes)
@@ -259,14 +259,14 @@ class _Reading:
 
     def bridge(self, command: Path, P1: Path, P2: Path) -> Run:
         """A run of the bridge's sensors."""
-        from hframe_post.identification import command_file
         from hframe_post.identification.identify import Run
+        from hframe_post.identification.recordings import command_file
 
         ends = self._recording(P1, self.bridge_axes), self._recording(P2, self.bridge_axes)
         return Run(f"{P1.name}, {P2.name}", command_file.read(command), None, ends)
 
     def _recording(self, path: Path, axes: str) -> Recording:
-        from hframe_post.identification import accelerometer
+        from hframe_post.identification.recordings import accelerometer
 
         read = accelerometer.read(path, self.columns, self.unit)
         self.findings += [f"{path.name}: {text}" for text in accelerometer.diagnose(read, QUIET)]

@@ -19,7 +19,7 @@ def klipper_macros(printer: str) -> None:
     Example:
       hframe-post klipper-macros -p my.toml >> printer.cfg
     """
-    from hframe_post.firmware.klipper_macros import macros
+    from hframe_post.firmware.klipper.macros import macros
     from hframe_post.printer.profile import load
 
     click.echo(macros(load(printer)), nl=False)

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Sequence
 
-from hframe_post.writers.temporary import give_up
+from hframe_post.writers.files.temporary import give_up
 
 VARIABLE = "HFRAME_POST_LEASH"  # in the environment of a process whose input is such a pipe
 MOMENT = 0.01  # s

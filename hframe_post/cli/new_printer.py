@@ -63,7 +63,7 @@ def new(output: Path, config: Path | None, kinematics: str | None, description: 
     from hframe_post.printer.klipper_cfg import KlipperConfig
     from hframe_post.printer.new_profile import from_klipper, text
     from hframe_post.printer.profile import parse
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     if output.exists():
         raise HframeError(f"{output}: is there already; name another file")

@@ -15,7 +15,7 @@ from hframe_post.cli.progress import progress
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -199,7 +199,7 @@ def opened(
     source: Path | None, path: str | None, printer: Printer, quiet: bool
 ) -> Iterator[Iterable[bytes]]:
     """The lines of the file or of the path."""
-    from hframe_post.studies.reference_path import rectangle
+    from hframe_post.studies.simulation.reference_path import rectangle
 
     if (source is None) == (path is None):
         raise click.UsageError("give either a file or --path")

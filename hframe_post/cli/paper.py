@@ -40,7 +40,7 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     from hframe_post import plotting
     from hframe_post.errors import PrinterError
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     profile = load(printer)
     if profile.plant.Gxtheta is None:

@@ -14,7 +14,7 @@ from typing import NoReturn, TextIO
 import click
 
 from hframe_post.cli.leash import end_with_parent
-from hframe_post.writers.temporary import give_up
+from hframe_post.writers.files.temporary import give_up
 
 DEADLY = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
 SHOW_CURSOR = b"\x1b[?25h\n"  # that the progress bar has hidden

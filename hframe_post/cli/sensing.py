@@ -10,7 +10,7 @@ import click
 from hframe_post.cli.options import files_read
 
 if TYPE_CHECKING:
-    from hframe_post.identification.sweep import Run
+    from hframe_post.identification.recordings.sweep import Run
     from hframe_post.printer.settings import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
@@ -19,7 +19,7 @@ QUIET = 0.5  # s at the start of a recording in which only gravity is felt
 
 def chip(text: str) -> str:
     """A name as Klipper takes it in CHIP=."""
-    from hframe_post.identification.sweep import NAME
+    from hframe_post.identification.recordings.sweep import NAME
 
     if not NAME.fullmatch(text):
         raise click.BadParameter(
@@ -49,10 +49,10 @@ def write_motion(
     z: float,
 ) -> None:  # fmt: skip
     """The runs as G-code, and beside it the command of each, as TARGET.RUN.csv."""
-    from hframe_post.identification import command_file
-    from hframe_post.identification.sweep import gcode
-    from hframe_post.writers.atomic_file import Outputs
-    from hframe_post.writers.print_time import write_output
+    from hframe_post.identification.recordings import command_file
+    from hframe_post.identification.recordings.sweep import gcode
+    from hframe_post.writers.files.atomic_file import Outputs
+    from hframe_post.writers.stream.print_time import write_output
 
     with Outputs(files_read(printer)) as outputs:
         motion = outputs.open(target)

@@ -24,7 +24,7 @@ from hframe_post.cli.verbose import log, log_stages, verbose_option
 if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits
     from hframe_post.printer.settings import Printer
-    from hframe_post.studies.against import Rival
+    from hframe_post.studies.shapers.rivals import Rival
 
 
 @click.command()
@@ -76,8 +76,8 @@ def simulate(
     from hframe_post import library
     from hframe_post.conversion.pipeline import Options
     from hframe_post.page.build import page
-    from hframe_post.studies.shaping_report import rivals_as_json, rivals_as_text
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.studies.shapers.report import rivals_as_json, rivals_as_text
+    from hframe_post.writers.files.atomic_file import Outputs
 
     if report_file is not None and (source is None or str(source) == "-"):
         raise click.UsageError("a page needs a file to read twice")
@@ -119,8 +119,8 @@ def _rivals(
 ) -> list[Rival]:
     """What input shapers would do for the print; of the path if no file is given."""
     from hframe_post.conversion.pipeline import Options
-    from hframe_post.studies.against import rivals
-    from hframe_post.studies.reference_path import rectangle
+    from hframe_post.studies.shapers.rivals import rivals
+    from hframe_post.studies.simulation.reference_path import rectangle
 
     def lines() -> Iterator[bytes]:
         if source is None:

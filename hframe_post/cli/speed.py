@@ -14,7 +14,7 @@ from hframe_post.cli.options import share
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer, Speed
-    from hframe_post.studies.speed import Fastest
+    from hframe_post.studies.speed.search import Fastest
 
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 _BOUND = re.compile(r"(?:([a-z-]+)=)?(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)")
@@ -44,7 +44,7 @@ def bounds(text: str) -> dict[str, float]:
 
 def factor(text: str) -> float:
     """A number from 1, or ``max``."""
-    from hframe_post.studies.speed import MOST_SPEED_UP
+    from hframe_post.studies.speed.search import MOST_SPEED_UP
 
     try:
         value = MOST_SPEED_UP if text == "max" else float(text)
@@ -117,13 +117,13 @@ def asked(
 
 def told(found: Fastest | None) -> Iterable[str]:
     """What the summary says of it."""
-    from hframe_post.studies.speed_report import speed_as_text
+    from hframe_post.studies.speed.report import speed_as_text
 
     return [] if found is None else [speed_as_text(found)]
 
 
 def told_as_json(found: Fastest | None) -> dict[str, Any]:
     """What the JSON summary says of it."""
-    from hframe_post.studies.speed_report import speed_as_json
+    from hframe_post.studies.speed.report import speed_as_json
 
     return {} if found is None else {"speed": speed_as_json(found)}

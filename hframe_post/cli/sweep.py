@@ -42,7 +42,7 @@ def sweep(
     Example:
       hframe-post sweep --axis x -p my.toml -o sweep.gcode
     """
-    from hframe_post.identification.sweep import positions, runs, told
+    from hframe_post.identification.recordings.sweep import positions, runs, told
     from hframe_post.printer.profile import load
 
     profile = load(printer)

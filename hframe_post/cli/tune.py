@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
     from hframe_post.library import Tuning
     from hframe_post.printer.settings import Printer
-    from hframe_post.studies.pareto import Pareto
-    from hframe_post.studies.tuning import Trial
+    from hframe_post.studies.tuning.pareto import Pareto
+    from hframe_post.studies.tuning.tune import Trial
 
 NO_CANDIDATE = (
     "no candidate stays within the motors' limits: try larger --effort, or a slower print"
@@ -88,15 +88,15 @@ def tune(
     from hframe_post import library, plotting
     from hframe_post.errors import HframeError
     from hframe_post.gcode.options import ReadOptions
-    from hframe_post.studies.plots import trade_off
-    from hframe_post.studies.tuning_report import (
+    from hframe_post.studies.tuning.plots import trade_off
+    from hframe_post.studies.tuning.report import (
         pace_as_json,
         pace_table,
         stops_table,
         summary,
         trials_table,
     )
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     profile = library.load_printer(printer)
     model_error = library.known_to(profile) if model_error is None else model_error
@@ -160,7 +160,7 @@ class _Asked:
     def tuned(self, lines: Iterable[bytes], profile: Printer) -> Tuning:
         """Windows and weights, as the profile plans the print."""
         from hframe_post import library
-        from hframe_post.studies.tuning import EFFORTS, KNOTS
+        from hframe_post.studies.tuning.tune import EFFORTS, KNOTS
 
         return library.tune(
             lines, profile, knots=self.knots or KNOTS, efforts=self.effort or EFFORTS,
@@ -170,9 +170,9 @@ class _Asked:
 
     def paced(self, source: Path | None, tuned: Tuning, profile: Printer) -> Pareto | None:
         """The best windows with other accelerations and jerks; None if there is no best."""
-        from hframe_post.studies import pareto
-        from hframe_post.studies.reference_path import rectangle
-        from hframe_post.studies.uncertainty import draws
+        from hframe_post.studies.simulation.reference_path import rectangle
+        from hframe_post.studies.simulation.uncertainty import draws
+        from hframe_post.studies.tuning import pareto
 
         if tuned.best is None:
             return None
@@ -191,8 +191,8 @@ def _tell_shaper(
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
     """The best input shaper there is, and what leaving it to Klipper would give."""
-    from hframe_post.studies.shaping import calibrated, error, paths, search
-    from hframe_post.studies.shaping_report import shapings_as_json, shapings_as_text
+    from hframe_post.studies.shapers.report import shapings_as_json, shapings_as_text
+    from hframe_post.studies.shapers.shapers import calibrated, error, paths, search
 
     pieces = paths(lines, profile, reading)
     found = search(profile.plant, pieces)

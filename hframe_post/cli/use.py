@@ -39,7 +39,7 @@ def use(profile: str | None, forget: bool) -> None:
 def _note(config: Path, profile: str) -> None:
     import tomlkit
 
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     document = tomlkit.document()
     document["printer"] = profile

@@ -74,7 +74,7 @@ def verify(
 
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float) -> None:
-    from hframe_post.identification.proof_motion import runs
+    from hframe_post.identification.verification.motion import runs
     from hframe_post.printer.profile import check_identified, load
 
     profile = load(printer)
@@ -90,13 +90,14 @@ def _judge(
 ) -> None:  # fmt: skip
     from hframe_post import plotting
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification import command_file, plots
-    from hframe_post.identification.accelerometer import oriented, read
-    from hframe_post.identification.verification import judge
-    from hframe_post.identification.verification_page import verification_page
+    from hframe_post.identification import plots
+    from hframe_post.identification.recordings import command_file
+    from hframe_post.identification.recordings.accelerometer import oriented, read
+    from hframe_post.identification.verification.compare import judge
+    from hframe_post.identification.verification.page import verification_page
     from hframe_post.printer.edit import with_verification
     from hframe_post.printer.profile import load
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     profile = load(printer)
     given = [*files_read(printer), *plain, *compensated]

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, X, Z
-from hframe_post.model.course import Compensator, Course
 from hframe_post.model.strategies import strategy
+from hframe_post.model.strategy import Compensator, Course
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Samples, frozen

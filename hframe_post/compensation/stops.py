@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z
-from hframe_post.model.course import Compensator
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_filters import State
 from hframe_post.model.stop_judged import BESIDE, BEYOND, NEAREST, Stop, Surroundings
 from hframe_post.model.strategies import strategy
+from hframe_post.model.strategy import Compensator
 from hframe_post.model.transfer_function import BLOCK_SAMPLES
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches

@@ -25,11 +25,11 @@ from hframe_post.errors import HframeError
 from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.atomic_file import Outputs
-from hframe_post.writers.compression import compressing
-from hframe_post.writers.print_time import write_output
+from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files.compression import compressing
 from hframe_post.writers.samples import COLUMNS, as_csv
-from hframe_post.writers.step_file import EVENTS_HEADER, inlined
+from hframe_post.writers.steps.file import EVENTS_HEADER, inlined
+from hframe_post.writers.stream.print_time import write_output
 from hframe_post.writers.table_file import write_npz, write_parquet
 
 PACKED = (".gz", ".zst")

@@ -25,7 +25,7 @@ from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.model.course import Compensator
+from hframe_post.model.strategy import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import pace
 from hframe_post.printer.settings import Printer
@@ -33,11 +33,11 @@ from hframe_post.stream.chunks import shifted
 from hframe_post.stream.timing import StageTimes, joined
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
-from hframe_post.writers.deferred import SUMMARY, Output, later
-from hframe_post.writers.gcode import GcodeSummary
 from hframe_post.writers.samples import tabulate
-from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
-from hframe_post.writers.steps import Stepper
+from hframe_post.writers.steps.file import MOTORS, Header, Note, StepFileWriter
+from hframe_post.writers.steps.stepper import Stepper
+from hframe_post.writers.stream.deferred import SUMMARY, Output, later
+from hframe_post.writers.stream.gcode import GcodeSummary
 
 FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
 

@@ -11,7 +11,7 @@ from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
-from hframe_post.writers.print_time import duration
+from hframe_post.writers.stream.print_time import duration
 
 GUESSED = 9  # G10 and G11 that may pass: one pair or a few, beside macros
 

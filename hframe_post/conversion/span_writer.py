@@ -19,10 +19,10 @@ from hframe_post.conversion.spans import Span
 from hframe_post.conversion.stages import SpanSummary, Stages
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import player
-from hframe_post.model.course import Compensator
+from hframe_post.model.strategy import Compensator
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.deferred import Output
-from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
+from hframe_post.writers.stream.deferred import Output
+from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
 
 AHEAD = 2  # spans beyond one a process that are read before the first of them is written
 

@@ -13,8 +13,8 @@ from hframe_post.compensation.stops import rests, solvers, stand
 from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import passing
-from hframe_post.model.course import Compensator
 from hframe_post.model.stop import StopSolver
+from hframe_post.model.strategy import Compensator
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer

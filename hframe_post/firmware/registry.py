@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper import Klipper, retracts_moving
-from hframe_post.firmware.klipper import passing as klippers_passing
-from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.klipper.player import Klipper, retracts_moving
+from hframe_post.firmware.klipper.player import passing as klippers_passing
+from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.player import Player
 from hframe_post.firmware.reprapfirmware import RepRapFirmware
 from hframe_post.printer.firmware_tables import named

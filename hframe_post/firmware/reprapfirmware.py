@@ -16,7 +16,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import PrinterError
 from hframe_post.firmware import ramps
 from hframe_post.firmware.decimate import breakpoints, fitted
-from hframe_post.firmware.klipper_segments import StreamLimits
+from hframe_post.firmware.klipper.segments import StreamLimits
 from hframe_post.firmware.player import Dwelling, Stroke, coordinates, plain
 from hframe_post.printer.firmware_tables import RepRapFirmwareTable
 from hframe_post.printer.settings import Printer

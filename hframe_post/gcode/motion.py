@@ -8,14 +8,14 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.gcode import arcs
+from hframe_post.gcode.batching import Gathering
 from hframe_post.gcode.bed import Bed
 from hframe_post.gcode.commands import Words
 from hframe_post.gcode.coordinates import AXES, Coordinates, Word
 from hframe_post.gcode.feed import Feed
-from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lexer import Line, plain_words
 from hframe_post.gcode.limits import RequestedLimits
-from hframe_post.gcode.passing import Passing
+from hframe_post.gcode.passthrough import Passing
 from hframe_post.gcode.plain_moves import FARTHEST, MOST_FILAMENT, NO_PATH, STEEPEST
 from hframe_post.stream.types import Handling, Position, Standing
 

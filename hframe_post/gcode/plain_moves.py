@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hframe_post.compiled.kernels import kernel
+from hframe_post.gcode.batching import Gathering
 from hframe_post.gcode.bed import Bed
 from hframe_post.gcode.coordinates import Coordinates
 from hframe_post.gcode.feed import SLOWEST, Feed
-from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lines import Lines
+from hframe_post.native.kernels import kernel
 
 FARTHEST = 1e6  # mm; a coordinate beyond is a corrupted number
 MOST_FILAMENT = 2e3  # mm of one move; loading takes less

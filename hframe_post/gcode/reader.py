@@ -17,11 +17,11 @@ from itertools import islice
 
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
+from hframe_post.gcode.batching import Gathering
 from hframe_post.gcode.bed import Bed
 from hframe_post.gcode.commands import Effect, Words
 from hframe_post.gcode.coordinates import AXES, Coordinates
 from hframe_post.gcode.feed import Feed
-from hframe_post.gcode.gathering import Gathering
 from hframe_post.gcode.lexer import (
     PLAIN_MOVE,
     Command,
@@ -36,7 +36,7 @@ from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.motion import Motion
 from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.passing import Passing
+from hframe_post.gcode.passthrough import Passing
 from hframe_post.gcode.plain_moves import PlainMoves
 from hframe_post.gcode.retraction import MACRO, PAIRED, PARAMETERS, SETTINGS, FirmwareRetraction
 from hframe_post.stream.types import Handling, Item, Standing

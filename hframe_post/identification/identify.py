@@ -15,9 +15,9 @@ import numpy as np
 from hframe_post.arrays import X, Y
 from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.along_x import Moving, apart, moving
-from hframe_post.identification.causes import Linear
-from hframe_post.identification.certainty import (
+from hframe_post.identification.diagnosis.along_x import Moving, apart, moving
+from hframe_post.identification.diagnosis.causes import Linear
+from hframe_post.identification.diagnosis.certainty import (
     DAILY,
     MOST,
     SIGMAS,
@@ -25,10 +25,17 @@ from hframe_post.identification.certainty import (
     certainty,
     of_centre,
 )
-from hframe_post.identification.fit import Fit, at_one_time, fit, with_gain
-from hframe_post.identification.frequency_response import FrequencyResponse, average, spread
-from hframe_post.identification.gravity import CERTAIN
-from hframe_post.identification.heard import (
+from hframe_post.identification.diagnosis.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.fitting.fit import Fit, at_one_time, fit, with_gain
+from hframe_post.identification.fitting.weighting import Distortion
+from hframe_post.identification.recordings.gravity import CERTAIN
+from hframe_post.identification.responses.frequency_response import (
+    FrequencyResponse,
+    average,
+    spread,
+)
+from hframe_post.identification.responses.lever_arm import Line, centre, line
+from hframe_post.identification.responses.measured import (
     Heard,
     Run,
     Settings,
@@ -36,9 +43,6 @@ from hframe_post.identification.heard import (
     by_bridge,
     by_nozzle,
 )
-from hframe_post.identification.lever_arm import Line, centre, line
-from hframe_post.identification.linearity import Nonlinearity, Swept, nonlinearity
-from hframe_post.identification.weighting import Distortion
 from hframe_post.model.plant import Plant
 
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS
-from hframe_post.identification.fit import Fit
+from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.identify import Measured
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.model.strategies import STRATEGIES

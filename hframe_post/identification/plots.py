@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hframe_post.arrays import TS
-from hframe_post.identification.fit import Fit
+from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.identify import Measured
-from hframe_post.identification.verdict import Verdict
+from hframe_post.identification.verification.verdict import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from hframe_post.identification.fitting.recommend import Recommendation
 from hframe_post.identification.identify import Identified
-from hframe_post.identification.recommend import Recommendation
 from hframe_post.model.plant import Plant
 
 SPREAD = 0.2  # of a transfer function over places, that deserves a word

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.model.course import Compensator
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.strategy import Compensator
 
 WINDOWS_AT_ONCE = 256  # solved in one matrix product
 

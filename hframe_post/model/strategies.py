@@ -13,9 +13,9 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import HframeError
-from hframe_post.model.course import Compensator, Strategy
 from hframe_post.model.filtered_splines import FilteredSplines
 from hframe_post.model.plant import Plant
+from hframe_post.model.strategy import Compensator, Strategy
 
 
 class _Path:

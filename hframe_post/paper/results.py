@@ -15,8 +15,8 @@ from hframe_post.arrays import TS, Array, Complex, X, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.model.course import Compensator
 from hframe_post.model.plant import Plant, Response
+from hframe_post.model.strategy import Compensator
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory
 from hframe_post.planner.lookahead import plan
@@ -24,7 +24,7 @@ from hframe_post.planner.sampling import sample
 from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Rests, Samples
-from hframe_post.studies.reference_path import rectangle
+from hframe_post.studies.simulation.reference_path import rectangle
 
 N_FIG_9 = 125  # control points, counted as the paper's n
 SHARES = (0.01, 0.05, 0.10, 0.15, 0.20, 0.25)  # n/E of Fig. 8

@@ -12,8 +12,8 @@ from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.model.course import Compensator
 from hframe_post.model.lpfbs import Window
+from hframe_post.model.strategy import Compensator
 from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.settings import Printer

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
-from hframe_post.compiled.kernels import kernel
 from hframe_post.model.trapezoid import Trapezoid
+from hframe_post.native.kernels import kernel
 from hframe_post.planner.jerk_profile import Phases, Profiler, before_each, integrated
 from hframe_post.planner.standing import ON_TIME, StandingProfile
 from hframe_post.printer.settings import Limits

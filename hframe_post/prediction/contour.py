@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
-from hframe_post.compiled.kernels import kernel
 from hframe_post.model.stop_judged import NEAREST
+from hframe_post.native.kernels import kernel
 
 COARSE = 3  # samples from one candidate to the next in the first search
 STRAIGHT = 1e-6  # sine of an angle that is none

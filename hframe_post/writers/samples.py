@@ -10,7 +10,7 @@ from hframe_post.arrays import TS, Array, Z
 from hframe_post.model.plant import Plant, Response
 from hframe_post.stream.chunks import batches, stretches
 from hframe_post.stream.types import Samples
-from hframe_post.writers import digits
+from hframe_post.writers.stream import digits
 
 # Path, command, lift and filament, prediction. s, mm, rad.
 COLUMNS = ("t", "x_d", "y_d", "x_dm", "y_dm", "z", "e", "theta", "x", "y")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.identification.accelerometer import oriented, read
-from hframe_post.identification.alignment import acceleration, aligned
+from hframe_post.identification.recordings.accelerometer import oriented, read
+from hframe_post.identification.recordings.alignment import acceleration, aligned
 from tests.recordings import Sensor, spline, sweep, write_klipper
 
 from .test_speed import fastest

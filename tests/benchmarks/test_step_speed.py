@@ -15,12 +15,12 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.model.course import Compensator
+from hframe_post.model.strategy import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers import step_reader
-from hframe_post.writers.step_file import Header, StepFileWriter
-from hframe_post.writers.steps import Stepper
+from hframe_post.writers.steps import reader as step_reader
+from hframe_post.writers.steps.file import Header, StepFileWriter
+from hframe_post.writers.steps.stepper import Stepper
 from tests.conftest import SAMPLES
 
 from .test_speed import fastest

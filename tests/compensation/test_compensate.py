@@ -9,8 +9,8 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate, settling
-from hframe_post.model.course import Compensator
 from hframe_post.model.plant import Response
+from hframe_post.model.strategy import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join

@@ -7,7 +7,7 @@ import pytest
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.errors import LimitError
 from hframe_post.printer.profile import load
-from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.stream.deferred import DeferredLine
 from tests.fuzz.machine import Machine
 
 PER_MM = 0.033  # filament

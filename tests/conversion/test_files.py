@@ -13,13 +13,14 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options, SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from hframe_post.writers import step_reader, steps
 from hframe_post.writers.samples import COLUMNS, as_csv
-from hframe_post.writers.step_file import MOTORS, inlined
+from hframe_post.writers.steps import reader as step_reader
+from hframe_post.writers.steps import stepper as steps
+from hframe_post.writers.steps.file import MOTORS, inlined
 from tests.cli.test_main import run
 from tests.conftest import ROOT, SAMPLES
 

@@ -15,13 +15,13 @@ from hframe_post.conversion.meters import InputMeter
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.gcode.options import FileLimits
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
-from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.stream.deferred import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
 

@@ -12,7 +12,7 @@ from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.prediction.labels import BEFORE
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.stream.deferred import DeferredLine
 from tests.prediction.test_labels import block, names, printing
 from tests.slices import LAYERS, SLICES, Slice
 

@@ -17,8 +17,8 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
-from hframe_post.writers import machine, motion
-from hframe_post.writers.atomic_file import Outputs
+from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.stream import machine, motion
 
 PART = (
     b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\nG1 X200 Y100 E2\nM106 S9\nG1 X260 E2\n"

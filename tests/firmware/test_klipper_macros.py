@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper import Klipper
-from hframe_post.firmware.klipper_macros import macros
+from hframe_post.firmware.klipper.macros import macros
+from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.printer.profile import load
 
 DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
-from hframe_post.firmware.marlin import Marlin
-from hframe_post.firmware.marlin_planner import PLANNERS
+from hframe_post.firmware.marlin.planner import PLANNERS
+from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import player
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
 from hframe_post.printer import profile

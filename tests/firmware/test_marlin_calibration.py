@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.marlin_calibration import Calibration, calibration
+from hframe_post.firmware.marlin.calibration import Calibration, calibration
 from hframe_post.printer.profile import load
 from tests.cli.test_main import run
 from tests.conftest import few

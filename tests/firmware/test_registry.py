@@ -8,8 +8,8 @@ import pytest
 
 from hframe_post.cli.convert import convert
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.klipper import Klipper
-from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import FIRMWARES, passing, player
 from hframe_post.printer.firmware_tables import TABLES, Firmware
 from hframe_post.printer.profile import load, parse, played_by

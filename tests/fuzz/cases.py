@@ -10,8 +10,8 @@ from random import Random
 
 from threadpoolctl import threadpool_limits
 
-from hframe_post.identification import command_file
-from hframe_post.identification.sweep import positions, runs
+from hframe_post.identification.recordings import command_file
+from hframe_post.identification.recordings.sweep import positions, runs
 from hframe_post.printer.profile import load, shipped
 from tests.fuzz import files, klipper, mutations, oracle
 from tests.fuzz.apart import Outcome, apart

@@ -17,12 +17,12 @@ from hframe_post.arrays import Array
 from hframe_post.gcode.binary import as_binary
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.lines import lines_of
-from hframe_post.identification import accelerometer
+from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.new_profile import from_klipper, text
 from hframe_post.printer.profile import load, parse
-from hframe_post.studies.comparison import compare
-from hframe_post.writers import step_reader
+from hframe_post.studies.comparison.compare import compare
+from hframe_post.writers.steps import reader as step_reader
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
 from tests.slices import SLICES

@@ -19,11 +19,11 @@ from hframe_post.arrays import Z
 from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.options import Extrusion
-from hframe_post.identification import accelerometer, command_file
+from hframe_post.identification.recordings import accelerometer, command_file
 from hframe_post.planner.lookahead import MELTED
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.deferred import DURATION, ELAPSED, DeferredLine
+from hframe_post.writers.stream.deferred import DURATION, ELAPSED, DeferredLine
 from tests.conftest import SAMPLES
 from tests.firmware.test_reprapfirmware import DUET
 from tests.fuzz import files, mutations, settings

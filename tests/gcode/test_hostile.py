@@ -7,12 +7,13 @@ from itertools import repeat
 
 import pytest
 
-from hframe_post.compiled import kernels
 from hframe_post.errors import GcodeError, LimitError
-from hframe_post.gcode import gathering, lines
+from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import lines
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.gcode.options import Extrusion, ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.native import kernels
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
 from tests.gcode.test_reader import HOME, carried, items, moves

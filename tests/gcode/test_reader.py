@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, HframeError
-from hframe_post.gcode import arcs, gathering
+from hframe_post.gcode import arcs
+from hframe_post.gcode import batching as gathering
 from hframe_post.gcode.commands import KLIPPER, dialect
 from hframe_post.gcode.lexer import PLAIN_MOVE, Line, numbers
 from hframe_post.gcode.options import ReadOptions

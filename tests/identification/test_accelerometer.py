@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.accelerometer import (
+from hframe_post.identification.recordings.accelerometer import (
     GRAVITY,
     Recording,
     axis_map,

@@ -9,8 +9,8 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.accelerometer import Recording, oriented
-from hframe_post.identification.alignment import acceleration, aligned, heading, turned
+from hframe_post.identification.recordings.accelerometer import Recording, oriented
+from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.recordings import THIRTEEN_BITS, Sensor, bridge_end, nozzle, spline, sweep

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.along_x import Moving, apart, moving
-from hframe_post.identification.certainty import noisy
-from hframe_post.identification.fit import Fit
-from hframe_post.identification.frequency_response import FrequencyResponse, average
-from hframe_post.identification.modal import Data, Structure, fit
-from hframe_post.identification.weighting import weights
+from hframe_post.identification.diagnosis.along_x import Moving, apart, moving
+from hframe_post.identification.diagnosis.certainty import noisy
+from hframe_post.identification.fitting.fit import Fit
+from hframe_post.identification.fitting.modal import Data, Structure, fit
+from hframe_post.identification.fitting.weighting import weights
+from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.identification.certainty import DAILY, Certainty, certainty, of_centre
-from hframe_post.identification.fit import Fit, fit
-from hframe_post.identification.frequency_response import FrequencyResponse, average
+from hframe_post.identification.diagnosis.certainty import DAILY, Certainty, certainty, of_centre
+from hframe_post.identification.fitting.fit import Fit, fit
+from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 from tests.identification.test_modal import BAND, HZ, TWO, continuous
 
 RUNS = 4

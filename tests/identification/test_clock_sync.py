@@ -7,9 +7,9 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.alignment import acceleration
-from hframe_post.identification.clock_sync import band_of, by_marks, by_windows, marks_of
-from hframe_post.identification.resampling import Resampler
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock_sync import band_of, by_marks, by_windows, marks_of
+from hframe_post.identification.recordings.resampling import Resampler
 from tests.recordings import Sensor, spline, sweep
 
 QUIETEST = 1e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.identification.diagnostics import of_delay, of_order, of_roots, of_zeros
+from hframe_post.identification.fitting.checks import of_delay, of_order, of_roots, of_zeros
 from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import at_rest, resonant
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.excitation import (
+from hframe_post.identification.recordings.excitation import (
     MARK_HZ,
     MARK_SAMPLES,
     amplitude,

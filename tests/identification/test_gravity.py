@@ -7,8 +7,8 @@ import pytest
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.accelerometer import GRAVITY
-from hframe_post.identification.gravity import along_printer, gains
+from hframe_post.identification.recordings.accelerometer import GRAVITY
+from hframe_post.identification.recordings.gravity import along_printer, gains
 
 GAINS, OFFSET = np.array([1.04, 0.97, 1.01]), np.array([120.0, -80.0, 250.0])
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.identification.accelerometer import Recording
+from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.printer.settings import Printer
 from tests.identification.bench import (
     AXES,

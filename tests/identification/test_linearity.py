@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.alignment import acceleration, aligned
-from hframe_post.identification.causes import Linear, played
-from hframe_post.identification.harmonics import harmonics
-from hframe_post.identification.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.diagnosis.causes import Linear, played
+from hframe_post.identification.diagnosis.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.recordings.alignment import acceleration, aligned
+from hframe_post.identification.responses.harmonics import harmonics
 from hframe_post.model.transfer_function import TransferFunction
 from tests.simulator import Axis, Chip, Machine, Mode
 from tests.strangers import swept

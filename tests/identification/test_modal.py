@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.modal import Data, Modal, Structure, fit, structures
+from hframe_post.identification.fitting.modal import Data, Modal, Structure, fit, structures
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)

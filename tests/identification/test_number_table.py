@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.identification.number_table import read_table
+from hframe_post.identification.recordings.number_table import read_table
 
 
 def test_no_rows_are_no_warning() -> None:

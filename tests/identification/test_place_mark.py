@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hframe_post.errors import IdentificationError
-from hframe_post.identification import place_mark
-from hframe_post.identification.alignment import acceleration
-from hframe_post.identification.heard import Run, Settings, by_nozzle
-from hframe_post.identification.sweep import runs as planned
+from hframe_post.identification.recordings import place_mark
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.sweep import runs as planned
+from hframe_post.identification.responses.measured import Run, Settings, by_nozzle
 from tests.simulator import Axis, Chip, Machine, Mode
 from tests.strangers import BAND, printer, swept
 

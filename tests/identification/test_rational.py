@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.frequency_response import FrequencyResponse, estimate
-from hframe_post.identification.kautz import denominator, transfer_function
-from hframe_post.identification.rational import RADIUS, Rational, fit
+from hframe_post.identification.fitting.kautz import denominator, transfer_function
+from hframe_post.identification.fitting.rational import RADIUS, Rational, fit
+from hframe_post.identification.responses.frequency_response import FrequencyResponse, estimate
 from hframe_post.model.plant import LiftedFilter
 from hframe_post.model.transfer_function import TransferFunction
 from tests.conftest import few

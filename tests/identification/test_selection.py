@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.fit import fit
-from hframe_post.identification.frequency_response import FrequencyResponse
-from hframe_post.identification.modal import Modal
-from hframe_post.identification.weighting import Distortion
+from hframe_post.identification.fitting.fit import fit
+from hframe_post.identification.fitting.modal import Modal
+from hframe_post.identification.fitting.weighting import Distortion
+from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)

@@ -10,11 +10,11 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, LimitError, PrinterError
-from hframe_post.identification.excitation import peaks
-from hframe_post.identification.sweep import Run, gcode, positions, runs, told
+from hframe_post.identification.recordings.excitation import peaks
+from hframe_post.identification.recordings.sweep import Run, gcode, positions, runs, told
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.stream.deferred import DeferredLine
 from tests.cli.test_main import run
 from tests.klipper.host import play
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.pipeline import GcodeConversion, Options
-from hframe_post.firmware.klipper_macros import macros
+from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction
-from hframe_post.writers.deferred import DeferredLine
+from hframe_post.writers.stream.deferred import DeferredLine
 from tests.conftest import few
 
 from .host import Playback, play

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Z
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.firmware.marlin import Marlin
+from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -235,7 +235,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
 
     monkeypatch.setattr(Marlin, "feed_rates", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, *_: 0.0 * v)
-    monkeypatch.setattr("hframe_post.writers.pace.CATCH_UP", 0.0)
+    monkeypatch.setattr("hframe_post.writers.stream.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
 

@@ -16,7 +16,7 @@ from hframe_post.conversion.pipeline import (
     StepConversion,
 )
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper_segments import StreamLimits
+from hframe_post.firmware.klipper.segments import StreamLimits
 from hframe_post.model.kinematics import ROWS, Differences, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from hframe_post.arrays import Array
 from hframe_post.cli.main import main
 from hframe_post.errors import HframeError
-from hframe_post.model.course import Compensator, Strategy
 from hframe_post.model.strategies import STRATEGIES, strategy
+from hframe_post.model.strategy import Compensator, Strategy
 from hframe_post.printer.profile import load, parse
 from tests.conftest import SAMPLES
 

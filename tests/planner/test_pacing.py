@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read

@@ -13,8 +13,7 @@ from hframe_post.gcode.options import ReadOptions
 from hframe_post.model.shapers import shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.studies.reference_path import rectangle
-from hframe_post.studies.shaping import (
+from hframe_post.studies.shapers.shapers import (
     KLIPPER,
     PIECES,
     AxisShaping,
@@ -26,6 +25,7 @@ from hframe_post.studies.shaping import (
     paths,
     shape,
 )
+from hframe_post.studies.simulation.reference_path import rectangle
 from tests.cli.test_main import run
 from tests.conftest import SAMPLES
 

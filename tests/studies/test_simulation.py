@@ -11,16 +11,16 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, HframeError
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner import sampling
 from hframe_post.prediction.labels import BEFORE, TRAVEL
 from hframe_post.printer import profile
-from hframe_post.studies.reference_path import rectangle
-from hframe_post.studies.simulation import Study, simulate
-from hframe_post.studies.simulation_report import Group, SimulationReport
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.simulation.report import Group, SimulationReport
+from hframe_post.studies.simulation.simulate import Study, simulate
+from hframe_post.studies.simulation.uncertainty import draws
 from tests.conftest import SAMPLES
 
 ALL = tuple(STRATEGIES)

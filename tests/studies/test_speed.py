@@ -19,11 +19,11 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import kind
-from hframe_post.studies.speed import Fastest, fastest
-from hframe_post.studies.speed_bound import Bound
-from hframe_post.studies.speed_report import speed_as_text
-from hframe_post.studies.trial import FIRST, JUDGED_EVERY, KEPT, Freedom
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.speed.bound import Bound
+from hframe_post.studies.speed.report import speed_as_text
+from hframe_post.studies.speed.search import Fastest, fastest
+from hframe_post.studies.speed.trial import FIRST, JUDGED_EVERY, KEPT, Freedom
 from tests.cli.test_main import run
 from tests.conftest import SAMPLES
 

@@ -12,14 +12,16 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError
-from hframe_post.gcode import gathering
+from hframe_post.gcode import batching as gathering
 from hframe_post.model.lpfbs import Window
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
-from hframe_post.studies.reference_path import rectangle
-from hframe_post.studies.simulation import Study, simulate
-from hframe_post.studies.tuning import (
+from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.simulation.simulate import Study, simulate
+from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.tuning.report import stops_as_json, stops_table
+from hframe_post.studies.tuning.tune import (
     EFFORTS,
     KNOTS,
     PREVIEW,
@@ -30,8 +32,6 @@ from hframe_post.studies.tuning import (
     recommended,
     tune,
 )
-from hframe_post.studies.tuning_report import stops_as_json, stops_table
-from hframe_post.studies.uncertainty import draws
 from tests.compensation.test_stops import strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)

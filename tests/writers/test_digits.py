@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.errors import HframeError
-from hframe_post.writers import digits
+from hframe_post.writers.stream import digits
 
 
 def formatted(letter: str, value: int, decimals: int) -> str:

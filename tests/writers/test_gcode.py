@@ -27,8 +27,8 @@ from hframe_post.stream.types import (
     Standing,
     frozen,
 )
-from hframe_post.writers.deferred import DeferredLine
-from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.stream.deferred import DeferredLine
+from hframe_post.writers.stream.gcode import GcodeWriter
 from tests.gcode_tools import follow
 
 STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))

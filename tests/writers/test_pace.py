@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS
-from hframe_post.firmware.klipper import Klipper
+from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.pace import Pace
+from hframe_post.writers.stream.pace import Pace
 
 PER_FEED = 60_000.0  # units of F in a mm/s, of a sweep
 STEADY = 200  # segments

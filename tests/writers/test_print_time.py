@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.writers.atomic_file import Outputs
-from hframe_post.writers.deferred import SUMMARY, DeferredLine, Output, carried
-from hframe_post.writers.print_time import commented, duration, told_anew, write_output
+from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.stream.deferred import SUMMARY, DeferredLine, Output, carried
+from hframe_post.writers.stream.print_time import commented, duration, told_anew, write_output
 
 
 @pytest.mark.parametrize(

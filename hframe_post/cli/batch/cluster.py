@@ -108,7 +108,7 @@ class Cluster:
 
     def _take(self, fetched: Fetched, target: Path) -> None:
         """The output is here, whole, and as this machine would have written it."""
-        from hframe_post.writers.atomic_file import Outputs
+        from hframe_post.writers.files.atomic_file import Outputs
 
         if self._send:
             with Outputs() as outputs:

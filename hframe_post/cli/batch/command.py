@@ -87,7 +87,7 @@ def batch(
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
     from hframe_post.printer.profile import check_identified, load
-    from hframe_post.writers.atomic_file import Outputs
+    from hframe_post.writers.files.atomic_file import Outputs
 
     _check_usage(sources, watched, folder, json_file, scheduler, send)
     stamped = first_line(printer, compensation, limits, on_limit)  # so it is a sound profile

@@ -1,0 +1,1 @@
+"""How Klipper plays a stream."""

@@ -1,0 +1,1 @@
+"""How Marlin plays a stream."""

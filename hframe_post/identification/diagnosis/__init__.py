@@ -1,0 +1,1 @@
+"""What the data say against a linear model, and how well it is known."""

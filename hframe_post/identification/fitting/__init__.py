@@ -1,0 +1,1 @@
+"""Models of the printer fitted to frequency responses."""

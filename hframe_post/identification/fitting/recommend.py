@@ -1,0 +1,91 @@
+"""Window and λ for a plant that was found, and what they are predicted to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hframe_post.blas import one_thread
+from hframe_post.conversion.pipeline import Options
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.model.strategies import STRATEGIES
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.simulation.report import SimulationReport
+from hframe_post.studies.simulation.simulate import Study, simulate
+from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.tuning.tune import candidates, recommended, tune
+
+DRAWS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Recommendation:
+    """The windows of x and y for the plant that was found, and what they are predicted to do.
+
+    elsewhere: µm RMS that stay at other places of a printer that changes along x.
+    """
+
+    windows: tuple[Window, Window]
+    predicted: SimulationReport
+    elsewhere: list[float]
+
+    def rms(self, strategy: str) -> float:
+        """Predicted contour error of the rectangle, µm."""
+        return 1e3 * self.predicted.parts.whole[strategy].contour.rms
+
+    def as_json(self) -> dict[str, Any]:
+        """Ready for ``json.dumps``."""
+        x, y = self.windows
+        return {
+            "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
+            "predicted": self.predicted.as_json()["contour_error_um"],
+        }
+
+    def gain(self) -> str:
+        """What compensation is predicted to do for the paper's rectangle."""
+        told = ", ".join(f"{name} {self.rms(name):.1f}" for name in self.predicted.strategies)
+        return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
+
+    def as_text(self) -> list[str]:
+        """Two lines for a person."""
+        x, y = self.windows
+        return [
+            f"windows     L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+            f"effort = [{x.effort:g}, {y.effort:g}]",
+            self.gain(),
+        ]
+
+
+@one_thread()
+def recommend(
+    plant: Plant, profile: Printer, model_error: float, elsewhere: Sequence[Plant] = ()
+) -> Recommendation | None:
+    """The best windows for the plant on that machine, and for the same printer ``elsewhere``.
+
+    model_error: share by which the printer may differ from the plant.
+
+    None if the motors can follow none, or if a printer as near to the plant as it is known would
+    be worse off than without compensation.
+    """
+    own = replace(profile, plant=plant, name="the printer that was found")
+    printers = [*draws(plant, model_error, DRAWS, seed=0), *elsewhere]
+    trials = tune(rectangle(own), own, candidates(own.compensation), printers)
+    best = recommended(trials, own.motors)
+    if best is None:
+        return None
+    x, y = best.windows
+    chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
+    own = replace(own, compensation=chosen)
+    options = Options("racking", tuple(STRATEGIES), clamp=True)
+    study = Study(plant, {model_error: printers}, name=own.name)
+    predicted = simulate(rectangle(own), own, options, study)
+    (like,) = predicted.model_error
+    if like.better("racking", "none") < len(printers):
+        return None
+    rms = [1e3 * one for one in like.rms("racking")]
+    return Recommendation(
+        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(elsewhere) :]
+    )

@@ -1,0 +1,1 @@
+"""Recordings: what is played, what a sensor wrote, and both on one clock."""

@@ -1,0 +1,1 @@
+"""Whether a compensated print moves better on the real machine."""

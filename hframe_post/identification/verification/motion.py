@@ -1,0 +1,98 @@
+"""The test motion of `verify`: a rectangle and a zigzag at the profile's limits, between marks.
+
+Played twice, plain and compensated. What of a command is the motion, and where its corners are,
+is read off the command again when recordings are judged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Array, Flags, X, Y, Z
+from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.identification.recordings.excitation import alignment_mark
+from hframe_post.identification.recordings.sweep import Run, room
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import frozen
+
+NAMES = ("none", "racking")  # the strategies that are compared
+LENGTHS, LOOPS = (40.0, 20.0), 4  # mm; how often the motion is played
+LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and how many
+QUIET = 1000  # samples of rest before, between and after the parts
+RINGING = 150  # samples after a corner
+TURN = 0.3  # radians that make one
+
+
+def path(printer: Printer) -> list[bytes]:
+    """The test motion as G-code, in the middle of the travel, at the printer's own limits."""
+    (x0, x1), (y0, y1) = printer.travel.x, printer.travel.y
+    width, height = (min(length, (high - low) / 3.0) for length, (low, high) in zip(
+        LENGTHS, ((x0, x1), (y0, y1)), strict=True))  # fmt: skip
+    # to one side of the middle, so that the lever arm of racking is long
+    left, low = (x0 + x1) / 2.0 + (x1 - x0) / 6.0 - width / 2.0, (y0 + y1) / 2.0 - height / 2.0
+    speed = f"F{60.0 * printer.limits.velocity:g}"
+    lines = ["G28", "G90", "M83", f"G1 X{left:.3f} Y{low:.3f} {speed}", "G4 P500"]
+    for _ in range(LOOPS):
+        corners = [(width, 0.0), (width, height), (0.0, height), (0.0, 0.0)]
+        leg = min(LEG, width / LEGS)
+        corners += [(leg * (k + 1), leg * ((k + 1) % 2)) for k in range(LEGS)]
+        corners += [(0.0, 0.0)]
+        lines += [f"G1 X{left + x:.3f} Y{low + y:.3f}" for x, y in corners]
+    return [f"{line}\n".encode() for line in lines]
+
+
+def runs(printer: Printer) -> list[Run]:
+    """Both runs, to be played and recorded one after the other. Raises HframeError."""
+    options = Options("racking", limits="printer")
+    source = Commands(path(printer), printer, options, NAMES)
+    held = [chunk for chunk in source.computed() if len(chunk)]
+    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in held])
+    begin = _begin(wanted)
+    made = []
+    for name, strategy in (("verify-plain", "none"), ("verify-compensated", "racking")):
+        motion = np.concatenate([chunk.commands[strategy] for chunk in held])[begin:]
+        made.append(Run(name, X, (float(motion[0, X]), float(motion[0, Y])),
+                        frozen(_framed(motion, printer))))  # fmt: skip
+    return made
+
+
+def _begin(wanted: Array) -> int:
+    """Where the test motion begins: after the last long rest of the approach."""
+    still = np.flatnonzero((np.diff(wanted, axis=0) == 0.0).all(axis=1))
+    ends = still[np.flatnonzero(np.diff(still, append=len(wanted) + 2) > 1)]
+    first = np.flatnonzero((wanted == wanted[ends[0]]).all(axis=1)) if len(ends) else [0]
+    candidates = [end for end in ends.tolist() if end < len(wanted) // 2]
+    return int(candidates[-1]) if candidates else int(first[0])
+
+
+def _framed(motion: Array, printer: Printer) -> Array:
+    """The motion between two marks, with rests."""
+    limits = printer.limits
+    left = min(room(printer, X, (float(p[X]), float(p[Y]))) for p in motion[[0, -1]])
+    mark = alignment_mark(printer.sweep, limits.velocity, left)
+    parts = []
+    for at in motion[[0, -1]]:
+        marked = np.tile(at, (len(mark), 1))
+        marked[:, X] += mark
+        parts.append(marked)
+    first, last = (np.tile(at, (QUIET, 1)) for at in motion[[0, -1]])
+    return np.concatenate([first, parts[0], first, motion, last, parts[1], last])
+
+
+def motion_of(wanted: Array) -> slice:
+    """The test motion, without marks and rests."""
+    moving = np.flatnonzero((np.diff(wanted, axis=0) != 0.0).any(axis=1))
+    breaks = np.flatnonzero(np.diff(moving) > QUIET // 2)
+    return slice(int(moving[breaks[0] + 1]), int(moving[breaks[-1]]) + 1)
+
+
+def after_corners(wanted: Array) -> Flags:
+    """Samples within RINGING of a corner of the path, (m,)."""
+    step = np.diff(wanted, axis=0, append=wanted[-1:])
+    moving = np.flatnonzero((step != 0.0).any(axis=1))
+    heading = np.arctan2(step[moving, Y], step[moving, X])
+    turn = np.abs(np.angle(np.exp(1j * np.diff(heading))))
+    flags = np.zeros(len(wanted), dtype=bool)
+    for k in moving[1:][turn > TURN].tolist():
+        flags[k : k + RINGING] = True
+    return flags

@@ -1,0 +1,48 @@
+/* The loop of writers/stream/digits.py that writes lines. */
+
+#include "kernels.h"
+
+/* A number of so many units of 10^-decimals at c, as in ``word``; returns its end. */
+static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
+{
+    uint8_t reversed[24];
+    int count = 0, seen = 0;
+    if (value < 0)
+        *c++ = '-', value = -value;
+    for (int64_t k = 0; k < decimals; k++, value /= 10) { /* from the last digit on */
+        seen |= value % 10 != 0;
+        if (seen)
+            reversed[count++] = (uint8_t)('0' + value % 10);
+    }
+    if (seen)
+        reversed[count++] = '.';
+    do
+        reversed[count++] = (uint8_t)('0' + value % 10);
+    while ((value /= 10) != 0);
+    while (count)
+        *c++ = reversed[--count];
+    return c;
+}
+
+/* values (w, n) in units of 10^-decimals (w), behind their letters; shown (w, n): the words that are
+ * to be seen. text: room for all; ends (n): where each line ends. Returns the length of the text. */
+EXPORTED int64_t command_lines(const char *command, const char *letters, int64_t w, int64_t n,
+                               const int64_t *values, const int64_t *decimals,
+                               const uint8_t *shown, uint8_t *text, int64_t *ends)
+{
+    uint8_t *c = text;
+    for (int64_t i = 0; i < n; i++) {
+        for (const char *name = command; *name; name++)
+            *c++ = (uint8_t)*name;
+        for (int64_t k = 0; k < w; k++) {
+            if (!shown[k * n + i])
+                continue;
+            *c++ = ' ';
+            *c++ = (uint8_t)letters[k];
+            c = written(c, values[k * n + i], decimals[k]);
+        }
+        *c++ = '\n';
+        ends[i] = c - text;
+    }
+    return c - text;
+}

@@ -1,0 +1,1 @@
+"""Whether two files ask for the same motion."""

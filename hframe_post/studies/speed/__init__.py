@@ -1,0 +1,1 @@
+"""The fastest print within an error bound."""

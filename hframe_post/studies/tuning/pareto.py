@@ -1,0 +1,107 @@
+"""How hard a path is driven, and how hard its motors: time against error under model error.
+
+    pieces of a print ──► planned with each acceleration and jerk ──► each window and weight
+    ──► time and error ──► those that no other beats in both ──► the one that is worth its time
+
+A gentle jerk leaves less to cancel, so that a printer that is a little off is less off for it; it
+costs time. Worth it is what halves the error for PAID of the time or less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from hframe_post.compensation.stops import rests
+from hframe_post.conversion.options import TOLERANCE
+from hframe_post.firmware.registry import passing
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.sampling import sample
+from hframe_post.printer.settings import Motors, Printer
+from hframe_post.studies.speed.excerpt import Piece, excerpt
+from hframe_post.studies.tuning.tune import Trial, tried
+
+JERKS = (1e5, 2e5, 5e5, 2e6, 1e7, 5e7)  # mm/s³
+ACCELERATIONS = (0.5, 1.0, 2.0)  # times the profile's
+PAID = 0.1  # share of the time that half of the error is worth
+ENOUGH = 30.0  # s of a print
+OTHERS = 2  # windows beside the recommended one
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Acceleration (mm/s²) and jerk (mm/s³) of the path, and what a window gave with them."""
+
+    acceleration: float
+    jerk: float
+    trial: Trial
+
+    @property
+    def cost(self) -> float:
+        """Error, with the time that would be paid for less of it."""
+        return float(self.trial.robust * self.trial.seconds ** (math.log(2.0) / math.log1p(PAID)))
+
+
+@dataclass(frozen=True, slots=True)
+class Pareto:
+    """Points, those that motors can follow and none beats in time and error, the quickest first,
+    and the one whose time is worth its error; None if no motor can follow any."""
+
+    points: tuple[Point, ...]
+    front: tuple[Point, ...]
+    chosen: Point | None
+
+
+def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
+    """A short part of a print, whatever limits the file asks for. Raises HframeError."""
+    items = read(lines, ReadOptions.of(printer, "printer"))
+    kept = excerpt(items, first_layers=0)
+    while len(kept) > 1 and sum(sum(p.seconds.values()) for p in kept) > ENOUGH:
+        kept = kept[::2]
+    return kept
+
+
+def pareto(
+    kept: list[Piece], printer: Printer, grid: list[tuple[Window, Window]], drawn: list[Plant]
+) -> Pareto:
+    """Every window of the grid on every plan. Raises HframeError."""
+    found = list[Point]()
+    waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
+    own = printer.limits
+    for acceleration in dict.fromkeys(share * own.acceleration for share in ACCELERATIONS):
+        for jerk in sorted({*JERKS, own.jerk}):
+            try:
+                limits = replace(own, acceleration=acceleration, jerk=jerk)
+            except ValueError:  # full speed would take minutes
+                continue
+            planned = (sample(plan(p.items, limits), limits, waits) for p in kept)
+            driven = replace(printer, limits=limits)
+            trials = tried(chain.from_iterable(planned), driven, grid, drawn)
+            found += [Point(acceleration, jerk, trial) for trial in trials]
+    best = front(found, printer.motors)
+    return Pareto(tuple(found), best, min(best, key=lambda point: point.cost, default=None))
+
+
+def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:
+    """Those that motors can follow and none beats in time and error, the quickest first."""
+    able = [point for point in found if point.trial.within(motors)]
+    able.sort(key=lambda point: (point.trial.seconds, point.trial.robust))
+    best, least = list[Point](), math.inf
+    for point in able:
+        if point.trial.robust < least:
+            best.append(point)
+            least = point.trial.robust
+    return tuple(best)
+
+
+def windows(trials: Iterable[Trial], best: Trial, motors: Motors) -> list[tuple[Window, Window]]:
+    """The recommended window, and those that are nearly as good with other weights or knots."""
+    able = sorted((t for t in trials if t.within(motors)), key=lambda t: t.robust)
+    others = [t for t in able if t is not best][:OTHERS]
+    return [best.windows, *(trial.windows for trial in others)]

@@ -1,0 +1,143 @@
+"""What is told of a tuning: a table and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from hframe_post.arrays import TS
+from hframe_post.writers.stream.print_time import duration
+
+if TYPE_CHECKING:
+    from hframe_post.studies.tuning.pareto import Pareto, Point
+    from hframe_post.studies.tuning.tune import StopsTrial, Trial
+
+WHY_FAST = (
+    "fast is the default: what exact brings beyond it shows on few prints, its time on all of them"
+)
+
+
+def trial_as_json(trial: Trial) -> dict[str, Any]:
+    """One candidate, ready for ``json.dumps``."""
+    x, y = trial.windows
+    told: dict[str, Any] = {
+        "L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort],
+    }  # fmt: skip
+    if trial.refused:
+        return told | {"refused": trial.refused}
+    return told | {
+        "contour_error_um": trial.contour.micrometres(),
+        "median_under_model_error_um": round(trial.robust * 1e3, 4),
+        "peak_belt_speed": round(trial.velocity, 3),
+        "peak_belt_acceleration": round(trial.acceleration, 1),
+    }
+
+
+def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
+    """One setting of the stops, ready for ``json.dumps``."""
+    seconds = {"before": trial.samples - trial.resting, "after": trial.samples}
+    return {
+        "stops": trial.name,
+        "print_time_s": {name: round(n * TS, 3) for name, n in seconds.items()},
+        "contour_error_um": trial.contour.micrometres(),
+    }
+
+
+def point_as_json(point: Point) -> dict[str, Any]:
+    """One way to plan and to compensate, ready for ``json.dumps``."""
+    return {
+        "acceleration": point.acceleration, "jerk": point.jerk,
+        "seconds": round(point.trial.seconds, 3), **trial_as_json(point.trial),
+    }  # fmt: skip
+
+
+def pace_as_json(pace: Pareto) -> dict[str, Any]:
+    """Time against error: what no other beats in both, the quickest first."""
+    return {
+        "pareto": [point_as_json(point) for point in pace.front],
+        "chosen": point_as_json(pace.chosen) if pace.chosen else None,
+    }
+
+
+def pace_table(pace: Pareto) -> str:
+    """The same for a person, the chosen one marked."""
+    front, chosen = pace.front, pace.chosen
+    if chosen is None:
+        return ""
+    quickest = front[0].trial.seconds
+    lines = [
+        "",
+        "time against error: each is the quickest with so little error",
+        f"{'':2s}{'acceleration':>13s}{'jerk':>9s}{'L':>4s}{'effort (λ)':>14s}{'time':>9s}"
+        f"{'µm RMS: the model':>20s}{'model error':>13s}",
+    ]
+    for point in front:
+        x, y = point.trial.windows
+        longer = 100.0 * (point.trial.seconds / quickest - 1.0)
+        lines.append(
+            f"{'→' if point is chosen else '':2s}{point.acceleration:13.0f}{point.jerk:9.0e}"
+            f"{x.L:4d}{f'{x.effort:g}, {y.effort:g}':>14s}{f'+{longer:.1f} %':>9s}"
+            f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:13.2f}"
+        )
+    x, y = chosen.trial.windows
+    lines += [
+        "",
+        f"recommended: acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, L = {x.L}, "
+        f"n_C = {x.n_C}, n_up = {x.n_up}, effort = [{x.effort:g}, {y.effort:g}]",
+    ]
+    return "\n".join(lines)
+
+
+def summary(
+    trials: Sequence[Trial], best: Trial | None, model_error: float, draws: int,
+    stops: Sequence[StopsTrial] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """All of them, ready for ``json.dumps``."""
+    return {
+        "model_error": model_error if draws else 0.0,
+        "draws": draws,
+        "trials": [trial_as_json(trial) for trial in trials],
+        "recommended": trial_as_json(best) if best else None,
+        "stops": [stops_as_json(trial) for trial in stops],
+    }
+
+
+def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
+    """All trials, the recommended one marked."""
+    lines = [
+        f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",
+        f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'model error':>14s}{'mm/s':>10s}"
+        f"{'mm/s²':>11s}",
+    ]
+    for trial in trials:
+        x, y = trial.windows
+        row = f"{'→' if trial is best else '':2s}{x.L:3d}{f'{x.effort:g}, {y.effort:g}':>16s}"
+        if trial.refused:
+            lines.append(f"{row}  refused: {trial.refused.partition(' with ')[0]}")
+        else:
+            lines.append(
+                f"{row}{trial.contour.rms * 1e3:12.2f}{trial.robust * 1e3:14.2f}"
+                f"{trial.velocity:10.0f}{trial.acceleration:11.0f}"
+            )
+    if best is not None:
+        x, y = best.windows
+        lines += [
+            "",
+            f"recommended: L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+            f"effort = [{x.effort:g}, {y.effort:g}]",
+        ]
+    return "\n".join(lines)
+
+
+def stops_table(stops: Sequence[StopsTrial], own: str) -> str:
+    """The settings of ``compensation.stops`` with time and error; ``own`` is the profile's."""
+    lines = [f"{'':2s}{'stops':8s}{'print time':>12s}{'more':>9s}{'contour error, µm RMS':>24s}"
+             f"{'95 %':>8s}{'peak':>8s}"]  # fmt: skip
+    for trial in stops:
+        um, seconds = trial.contour.micrometres(), trial.samples * TS
+        more = trial.resting / max(trial.samples - trial.resting, 1)
+        lines.append(
+            f"{'→' if trial.name == own else '':2s}{trial.name:8s}{duration(seconds):>12s}"
+            f"{more:>+9.1%}{um['rms']:24.1f}{um['p95']:8.1f}{um['peak']:8.0f}"
+        )
+    return "\n".join([*lines, WHY_FAST])

@@ -1,0 +1,230 @@
+"""Which λ and L? Contour error against how hard the belts are driven, for one print.
+
+Every candidate compensates the same planned samples, and is judged on the printer's plant
+and on printers that are not quite it. λ is λ of x; that of y keeps the profile's ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from statistics import median
+
+import numpy as np
+
+from hframe_post.arrays import TS, X, Y, Z
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.plausibility import check_model, reach
+from hframe_post.compensation.stops import rests, solvers, stand
+from hframe_post.conversion.meters import JUDGED_EVERY, Clock
+from hframe_post.conversion.options import TOLERANCE
+from hframe_post.firmware.registry import passing
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.model.kinematics import Differences, Kinematics
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.model.strategy import Compensator
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.sampling import sample
+from hframe_post.prediction.predict import judge
+from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.printer.settings import Compensation, Motors, Printer
+from hframe_post.stream.chunks import branches
+from hframe_post.stream.types import Planned, Samples
+
+KNOTS = (5, 8, 10, 20)  # L, samples between knots
+EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
+PREVIEW = 440  # samples of a window, L_C: as long for every L
+ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them is taken
+
+
+@dataclass
+class Trial:
+    """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²;
+    furthest: mm that its commands leave the path; seconds: of what it was tried on."""
+
+    windows: tuple[Window, Window]
+    refused: str = ""
+    contour: ContourErrors = field(default_factory=ContourErrors)
+    drawn: list[ContourErrors] = field(default_factory=list)
+    velocity: float = 0.0
+    acceleration: float = 0.0
+    furthest: float = 0.0
+    seconds: float = 0.0
+
+    @property
+    def robust(self) -> float:
+        """Median RMS contour error (mm) of the drawn printers; of the model if none is drawn."""
+        return median(statistics.rms for statistics in self.drawn or [self.contour])
+
+    def within(self, motors: Motors) -> bool:
+        """Whether the motors can follow."""
+        return (
+            not self.refused
+            and self.velocity <= motors.belt_velocity
+            and self.acceleration <= motors.belt_acceleration
+        )
+
+
+@dataclass
+class StopsTrial:
+    """One setting of ``compensation.stops``, with the profile's own window.
+
+    samples: all, and those in which the path stands for the command's sake; contour: of it.
+    """
+
+    name: str
+    samples: int = 0
+    resting: int = 0
+    contour: ContourErrors = field(default_factory=ContourErrors)
+
+
+def candidates(
+    compensation: Compensation, knots: Iterable[int] = KNOTS, efforts: Iterable[float] = EFFORTS
+) -> list[tuple[Window, Window]]:
+    """Windows of x and y for every L and λ."""
+    x, y = compensation.effort
+    ratio = y / x if x > 0.0 and y > 0.0 else 1.0
+    grid = []
+    for L in knots:
+        n_C = -(-PREVIEW // L)
+        for effort in efforts:
+            pair = (effort, float(f"{ratio * effort:.4g}"))
+            sizes = (L, n_C, n_C // 2)
+            grid.append(
+                (
+                    Window(*sizes, pair[X], compensation.degree),
+                    Window(*sizes, pair[Y], compensation.degree),
+                )
+            )
+    return grid
+
+
+def tune(
+    lines: Iterable[bytes],
+    printer: Printer,
+    grid: list[tuple[Window, Window]],
+    drawn: list[Plant],
+    reading: ReadOptions | None = None,
+    stops: Iterable[StopsTrial] = (),
+) -> list[Trial]:
+    """A trial of every candidate, in one pass over the print. Raises HframeError.
+
+    stops: settings that are tried in the same pass, where the profile's own window can be used.
+    """
+    check_model(printer)
+    try:
+        own = Compensator(printer.plant, printer.compensation.windows)
+        stops = list(stops)
+    except ValueError:  # of the profile's window, which may be why it is tuned
+        stops = []
+    items = plan(read(lines, reading or ReadOptions.of(printer)), printer.limits)
+    planned, *others = branches(items, 1 + len(stops))
+    waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
+    beside = [
+        _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
+    ]
+    return tried(sample(planned, printer.limits, waits), printer, grid, drawn, beside)
+
+
+def tried(
+    samples: Iterable[Samples], printer: Printer, grid: list[tuple[Window, Window]],
+    drawn: list[Plant], beside: Iterable[Iterator[None]] = (),
+) -> list[Trial]:  # fmt: skip
+    """A trial of every candidate on samples of the path, in one pass. Raises HframeError.
+
+    beside: what goes on in step with it, a chunk at a time.
+    """
+    check_model(printer)
+    trials = [Trial(windows) for windows in grid]
+    compensators: list[tuple[Trial, Compensator]] = []
+    for trial in trials:
+        try:
+            compensators.append((trial, Compensator(printer.plant, trial.windows)))
+        except ValueError as error:
+            trial.refused = str(error)
+    running = [
+        *beside,
+        *(
+            _tried(trial, compensator, branch, printer, drawn)
+            for (trial, compensator), branch in zip(
+                compensators, branches(samples, len(compensators)), strict=True
+            )
+        ),
+    ]
+    for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
+        pass
+    furthest = reach(printer.plant, printer.limits)
+    for trial in trials:
+        if trial.furthest > furthest:
+            trial.refused = (
+                f"its commands leave the path by {trial.furthest:.1f} mm, and the plant's own lag "
+                f"explains {furthest:.1f} mm"
+            )
+    return trials
+
+
+def recommended(trials: list[Trial], motors: Motors) -> Trial | None:
+    """The gentlest of those that are about as good as the best the motors can follow."""
+    able = [trial for trial in trials if trial.within(motors)]
+    if not able:
+        return None
+    best = min(trial.robust for trial in able)
+    good = [trial for trial in able if trial.robust <= ROUGHLY * best]
+    return min(good, key=lambda trial: trial.acceleration)
+
+
+def _tried(
+    trial: Trial,
+    compensator: Compensator,
+    samples: Iterable[Samples],
+    printer: Printer,
+    drawn: list[Plant],
+) -> Iterator[None]:
+    """Fills the trial, a chunk at a time."""
+    commands = compensate(samples, compensator, ("racking",))
+    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    standing = _rated(commands, trial, printer.kinematics)
+    trial.drawn = [ContourErrors() for _ in drawn]
+    plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
+    streams = branches(standing, len(plants))
+    judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
+    for judgements in zip(*judged, strict=True):
+        for judgement, errors in zip(judgements, statistics, strict=True):
+            for contour in judgement.contour.values():  # none where nothing moves
+                errors.add(contour, judgement.extruding)
+        yield
+
+
+def _stopped(
+    trial: StopsTrial, compensator: Compensator, planned: Iterable[Planned], printer: Printer
+) -> Iterator[None]:
+    """Fills the trial, a chunk at a time."""
+    waits = rests(trial.name, "racking", passing(printer, TOLERANCE))
+    commands = compensate(sample(planned, printer.limits, waits), compensator, ("racking",))
+    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    clock = Clock()
+    for judgement in judge(clock.samples(commands), printer.plant, JUDGED_EVERY):
+        for contour in judgement.contour.values():
+            trial.contour.add(contour, judgement.extruding)
+        trial.samples, trial.resting = clock.end, clock.resting
+        yield
+
+
+def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
+    """The chunks as they are; how hard the belts are driven is noted."""
+    differences = Differences(kinematics)
+    for chunk in chunks:
+        trial.seconds += TS * len(chunk)
+        if len(chunk):
+            rates = differences.of(chunk.commands["racking"])
+            trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))
+            acceleration = float(np.abs(rates.belt_acceleration).max())
+            trial.acceleration = max(trial.acceleration, acceleration)
+            off = np.hypot(*(chunk.commands["racking"] - chunk.xyze[:, :Z]).T)
+            trial.furthest = max(trial.furthest, float(off.max()))
+        if chunk.ends_stretch:
+            differences = Differences(kinematics)
+        yield chunk

@@ -1,0 +1,1 @@
+"""Output files: complete or not at all."""

@@ -1,0 +1,1 @@
+"""Samples to the step times of the motors."""

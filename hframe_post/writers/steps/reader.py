@@ -1,0 +1,206 @@
+"""Step files → positions: what a controller's motors do with them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.errors import StepFileError
+from hframe_post.writers.files.compression import decompressing
+from hframe_post.writers.steps.file import MOTORS, NAMES, VERSION, Header
+
+BYTES_AT_ONCE = 1 << 20
+MOST_DIGITS = 18  # of a tick
+NUMBER = rb"(-?\d{1,18}(?:\.\d{1,18})?(?:e[+-]?\d{1,3})?)"
+START = re.compile(rb"#start,(\d{1,18})" + rb",(-?\d{1,18})" * len(MOTORS))
+END = re.compile(rb"#end,(\d{1,18}),(\d{1,18})")
+HEADER = re.compile(
+    rb"#hframe-post (steps|step-bits),(\d+)\n"
+    rb"#version,([^\n]*)\n#printer,([^\n]*)\n#settings,([^\n]*)\n"
+    rb"#clock_hz," + NUMBER + rb"\n#motors,A,B,Z,E\n"
+    rb"#step_mm" + (rb"," + NUMBER) * len(MOTORS) + rb"\n"
+    rb"#belt,A," + NUMBER + rb"," + NUMBER + rb"\n#belt,B," + NUMBER + rb"," + NUMBER + rb"\n"
+)
+VALUES = {"steps": ("ABZE", "01"), "step-bits": ("0123456789abcdef",) * 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Positions:
+    """Where the motors stand after each of n rows, in order of tick.
+
+    tick (n,); position (n, 4): whole steps of A, B, z, e; xyze (n, 4): mm. Of rows with equal
+    ticks the last counts. fresh: the first is no step but where the machine was found to stand.
+    """
+
+    tick: Integers
+    position: Integers
+    xyze: Array
+    fresh: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StepFile:
+    """A step file on disk. Iterating gives its ``Positions`` in blocks, in constant memory."""
+
+    path: Path
+    header: Header
+    head: int  # bytes before the first row
+
+    def __iter__(self) -> Iterator[Positions]:
+        """Raises StepFileError, which names the line, and OSError."""
+        reader = _Reader(self)
+        with decompressing(self.path) as file:
+            _piece(file, self.head, self.path)
+            rest = b""
+            while piece := _piece(file, BYTES_AT_ONCE, self.path):
+                lines, newline, rest = (rest + piece).rpartition(b"\n")
+                yield from reader.lines(lines + newline)
+                if len(rest) > BYTES_AT_ONCE:
+                    raise StepFileError("a line does not end", self.path)
+        reader.finish(rest)
+
+
+def read(path: str | Path) -> StepFile:
+    """The step file of that name; .gz and .zst are unpacked.
+
+    Raises StepFileError where it is none, OSError, and HframeError without zstandard.
+    """
+    path = Path(path)
+    with decompressing(path) as file:
+        text = _piece(file, BYTES_AT_ONCE, path)
+    match = HEADER.match(text)
+    if match is None:
+        raise StepFileError("this is no step file", path, 1)
+    kind, version, printer, settings = (match[k].decode("utf-8", "replace") for k in (1, 3, 4, 5))
+    if match[2] != b"%d" % VERSION:
+        raise StepFileError(f"version {match[2].decode()} of the format is not known", path, 1)
+    if not text.startswith(NAMES[kind], match.end()):
+        raise StepFileError("the names of the columns are missing", path, text.count(b"\n"))
+    clock, *numbers = (float(match[k]) for k in range(6, 15))
+    steps, matrix = tuple(numbers[:4]), np.reshape(numbers[4:], (2, 2))
+    if min(clock, *steps) <= 0.0 or np.linalg.det(matrix) == 0.0:
+        raise StepFileError("clock, step lengths or belts make no sense", path, 1)
+    header = Header(kind, version, printer, settings, clock, steps, matrix)
+    return StepFile(path, header, match.end() + len(NAMES[kind]))
+
+
+def _piece(file: IO[bytes], size: int, path: Path) -> bytes:
+    try:
+        return file.read(size)
+    except OSError:
+        raise
+    except Exception as error:  # each way of packing has its own exceptions
+        raise StepFileError(f"cannot be unpacked: {error}", path) from None
+
+
+class _Reader:
+    """Rows → positions, with the last tick and position remembered."""
+
+    def __init__(self, file: StepFile) -> None:
+        header = file.header
+        self._path, self._bits = file.path, header.kind == "step-bits"
+        self._tables = [_table(names) for names in VALUES[header.kind]]
+        self._step_mm = np.array(header.step_mm)
+        self._to_xy = np.linalg.inv(header.matrix)
+        self._line = header.text().count(b"\n") + 1  # of the next line
+        self._position: Integers | None = None
+        self._tick = self._rows = 0
+        self._ended = False
+
+    def lines(self, text: bytes) -> Iterator[Positions]:
+        """Whole lines."""
+        at = 0
+        while at < len(text):
+            if self._ended:
+                raise self._wrong("lines after the end")
+            if text.startswith(b"#", at):
+                stop = text.index(b"\n", at)
+                yield from self._directive(text[at:stop])
+                self._line += 1
+                at = stop + 1
+            else:
+                stop = text.find(b"\n#", at) + 1 or len(text)
+                yield self._rows_of(text[at:stop])
+                at = stop
+
+    def finish(self, rest: bytes) -> None:
+        """After the last whole line."""
+        if rest or not self._ended:
+            raise self._wrong("the file is not complete")
+
+    def _directive(self, line: bytes) -> Iterator[Positions]:
+        if match := START.fullmatch(line):
+            tick, *position = (int(number) for number in match.groups())
+            if tick < self._tick:
+                raise self._wrong("ticks go backwards")
+            self._tick, self._position = tick, np.array(position)
+            yield self._positions(np.array([tick]), self._position[None], fresh=True)
+        elif match := END.fullmatch(line):
+            if int(match[2]) != self._rows:
+                raise self._wrong(f"{self._rows} rows where there should be {int(match[2])}")
+            self._ended = True
+        elif not line.startswith(b"#event,"):
+            raise self._wrong("this line is not known")
+
+    def _rows_of(self, text: bytes) -> Positions:
+        """Rows between two other lines."""
+        if self._position is None:
+            raise self._wrong("steps from an unknown position")
+        tick, first, second, good = _numbers(text, *self._tables)
+        good &= np.diff(tick, prepend=self._tick) >= self._bits * (np.arange(len(tick)) > 0)
+        if not good.all():
+            self._line += int(np.argmin(good))
+            raise self._wrong("this is no row of steps, or its tick goes backwards")
+        change = np.zeros((len(tick), len(MOTORS)), dtype=np.int64)
+        if self._bits:
+            for motor in range(len(MOTORS)):
+                change[:, motor] = (first >> motor & 1) * (2 * (second >> motor & 1) - 1)
+        else:
+            change[np.arange(len(tick)), first] = 2 * second - 1
+        position = self._position + np.cumsum(change, axis=0)
+        self._tick, self._position = int(tick[-1]), position[-1]
+        self._rows += len(tick)
+        self._line += len(tick)
+        return self._positions(tick, position, fresh=False)
+
+    def _positions(self, tick: Integers, position: Integers, fresh: bool) -> Positions:
+        xyze = position * self._step_mm
+        xyze[:, :2] = xyze[:, :2] @ self._to_xy.T
+        return Positions(tick, position, xyze, fresh)
+
+    def _wrong(self, cause: str) -> StepFileError:
+        return StepFileError(cause, self._path, self._line)
+
+
+def _table(names: str) -> Integers:
+    """The value that each byte means; −1: none."""
+    table = np.full(256, -1)
+    table[list(names.encode())] = np.arange(len(names))
+    return table
+
+
+def _numbers(
+    text: bytes, first: Integers, second: Integers
+) -> tuple[Integers, Integers, Integers, Flags]:
+    """The three columns of rows ``123,A,1``, (n,) each, and whether each row is one."""
+    byte = np.frombuffer(text, dtype=np.uint8)
+    end = np.flatnonzero(byte == ord("\n"))
+    width = np.diff(end, prepend=-1) - len(",A,1\n")
+    good = (width >= 1) & (width <= MOST_DIGITS)
+    comma_1, name, comma_2, value = (byte[np.maximum(end - k, 0)] for k in (4, 3, 2, 1))
+    good &= (comma_1 == ord(",")) & (comma_2 == ord(","))
+    one, other = first[name], second[value]
+    good &= (one >= 0) & (other >= 0)
+    tick = np.zeros(len(end), dtype=np.int64)
+    for place in range(int(width[good].max(initial=0))):
+        digit = byte[np.maximum(end - 5 - place, 0)].astype(np.int64) - ord("0")
+        within = place < width
+        good &= ~within | ((digit >= 0) & (digit <= 9))
+        tick += np.where(within & good, digit * 10**place, 0)
+    return tick, one, other, good

@@ -1,0 +1,232 @@
+"""Samples → the steps of the motors, on the ticks of a stepping clock.
+
+Rules:
+ 1. Between samples the command is a monotone cubic (``crossings``). A motor steps where it
+    crosses the middle between two whole steps, on the next tick. Sample i is where the command
+    stands at the end of millisecond i.
+ 2. A motor steps once a tick at most, and ``direction_setup`` after its last step when it
+    turns. A step that comes too soon is late, never lost; a command faster than the clock is
+    an error.
+ 3. Positions are whole steps from the origin of the coordinates: rounding never adds up.
+ 4. At a line that needs standstill, all steps before it have been made, and none after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import takewhile
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Integers, Z
+from hframe_post.compensation.guard import LEEWAY
+from hframe_post.errors import LimitError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Steps
+from hframe_post.stream.chunks import stretches
+from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples
+from hframe_post.writers.steps.crossings import crossings, spaced
+from hframe_post.writers.steps.file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
+
+GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
+SAMPLES_AT_ONCE = 1 << 14
+LATEST = 1e-3  # s that a step may be late beyond direction_setup
+
+HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE: "yielded"}
+
+
+@dataclass(frozen=True, slots=True)
+class StepCounts:
+    """What was stepped: by motor (4,) all steps, and forwards less backwards.
+
+    ticks: of the whole print; starts: how often the motors' places were given anew; passed: mm
+    of filament in lines passed on.
+    """
+
+    steps: Integers
+    net: Integers
+    ticks: int
+    starts: int
+    passed: float
+
+
+class Stepper:
+    """Commands as steps. strategy: whose command is stepped."""
+
+    def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
+        self._machine = _Machine(strategy, kinematics, table)
+
+    def step(self, chunks: Iterable[Samples]) -> Iterator[Item]:
+        """The steps, with a ``Start`` wherever the machine may stand anew. Raises LimitError."""
+        for stretch in stretches(chunks):
+            for chunk in stretch:
+                yield from self._machine.chunk(chunk)
+            self._machine.known = False
+        yield from self._machine.end()
+
+    @property
+    def counts(self) -> StepCounts:
+        """Of everything, once all steps have been asked for."""
+        m = self._machine
+        return StepCounts(m.steps.copy(), m.net.copy(), m.ticks, m.starts, m.passed)
+
+
+class _Motor:
+    """The last step of one motor: its tick and direction."""
+
+    def __init__(self, letter: str, table: Steps) -> None:
+        self._letter, self._clock = letter, table.clock_hz
+        self._gap = max(1, math.ceil(table.direction_setup * table.clock_hz - 1e-9))
+        self._latest = self._gap + math.ceil(LATEST * table.clock_hz)
+        self._last, self._heading = -self._gap, 0
+
+    def place(self, due: Integers, direction: Integers, line: Integers) -> Integers:
+        """Ticks (k,) of the next steps, k ≥ 1. Raises LimitError where one comes too late."""
+        ticks = spaced(due, direction, self._gap, self._last, self._heading)
+        late = ticks - due
+        if late.max() > self._latest:
+            k = int(np.argmax(late > self._latest))
+            raise LimitError(
+                f"delay of a step of motor {self._letter} (s)", int(late[k]) / self._clock,
+                self._latest / self._clock, int(line[k]),
+                "lower steps.direction_setup in the profile if the drivers allow it, or raise "
+                "effort in [compensation]",
+            )  # fmt: skip
+        self._last, self._heading = int(ticks[-1]), int(direction[-1])
+        return ticks
+
+
+class _Machine:
+    """All motors, the samples whose intervals are not finished, and steps not yet in order."""
+
+    def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
+        self._strategy, self._kinematics = strategy, kinematics
+        self.steps = np.zeros(len(MOTORS), dtype=np.int64)
+        self.net = np.zeros(len(MOTORS), dtype=np.int64)
+        self.ticks, self.starts, self.passed = 0, 0, 0.0
+        self._lengths = np.array([table.belt, table.belt, table.z, table.e])
+        self._per_sample, self._clock = table.clock_hz * TS, table.clock_hz
+        self._motors = [_Motor(letter, table) for letter in MOTORS]
+        self.known = False  # whether the motors' places are
+        self._u = np.zeros((0, len(MOTORS)))  # the sample before the first interval, and on
+        self._line = np.zeros(0, dtype=np.int64)
+        self._index = 0  # of the sample _u[1]
+        self._end = 0  # index after the last sample taken
+        self._floor = 0  # tick of the last line at rest
+        self._keys = np.zeros(0, dtype=np.int64)
+        self._notes: list[Note] = []
+
+    def chunk(self, chunk: Samples) -> Iterator[Item]:
+        """Takes a chunk; yields what nothing can precede any more."""
+        x, y = chunk.commands[self._strategy].T
+        mm = np.column_stack([*self._kinematics.belts(x, y), chunk.xyze[:, Z:]])
+        u = np.round(mm, GRAIN) / self._lengths + 0.5
+        done = 0
+        for event in chunk.events:
+            if isinstance(event, Mark):
+                tick = max(self._tick(event.index), self._floor)
+                self._notes.append(Note(tick, HANDLINGS[Handling.CARRY], event.text))
+            elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
+                at = event.index - chunk.first
+                yield from self._take(u[done:at], chunk, done)
+                done = at
+                yield from self._rest(event.index)
+                released = event.action.handling is Handling.RELEASE
+                name = HANDLINGS[event.action.handling]
+                if released:
+                    self.passed += event.action.filament
+                    name = name if event.action.text else "end"
+                self._notes.append(Note(self._floor, name, event.action.text))
+        yield from self._take(u[done:], chunk, done)
+
+    def end(self) -> Iterator[Item]:
+        """What is left."""
+        yield from self._rest(self._end)
+        yield End(self._floor)
+        self.ticks = self._floor
+
+    def _tick(self, index: int) -> int:
+        """Tick at which the millisecond of the sample ``index`` begins."""
+        return math.ceil(index * self._per_sample)
+
+    def _take(self, u: Array, chunk: Samples, row: int) -> Iterator[Item]:
+        """Samples u (n, 4), of which the first is row ``row`` of the chunk."""
+        if not len(u):
+            return
+        line = chunk.line[row : row + len(u)]
+        self._end = chunk.first + row + len(u)
+        if not self.known:
+            self.known, self._index = True, chunk.first + row
+            self._u, self._line = np.repeat(u[:1], 2, axis=0), np.repeat(line[:1], 2)
+            tick = max(self._tick(self._index), self._floor)
+            yield from self._emit(tick + 1)  # what was noted on the way here
+            self.starts += 1
+            yield Start(tick, tuple(np.floor(u[0]).astype(int).tolist()))
+            u, line = u[1:], line[1:]
+        for k in range(0, len(u), SAMPLES_AT_ONCE):
+            self._u = np.concatenate([self._u, u[k : k + SAMPLES_AT_ONCE]])
+            self._line = np.concatenate([self._line, line[k : k + SAMPLES_AT_ONCE]])
+            self._advance()
+            yield from self._emit(self._tick(self._index + 1))
+
+    def _rest(self, index: int) -> Iterator[Item]:
+        """The machine stands before sample ``index``, and everything up to there is yielded."""
+        if self.known:
+            self._u = np.concatenate([self._u, self._u[-1:]])
+            self._line = np.concatenate([self._line, self._line[-1:]])
+            self._advance()
+            self._u, self._line = self._u[1:], self._line[1:]
+        last = self._keys.max(initial=0) >> KEY_BITS
+        self._floor = max(self._floor, self._tick(index), int(last))
+        yield from self._emit(None)
+
+    def _advance(self) -> None:
+        """Steps of the intervals that have a sample on either side."""
+        n = len(self._u) - 3
+        if n < 1:
+            return
+        self._check_speed()
+        keys = [self._keys]
+        for k, motor in enumerate(self._motors):
+            u = np.ascontiguousarray(self._u[:, k])
+            interval, share, direction = crossings(u)
+            if not len(interval):
+                continue
+            time = (self._index + 1 + interval + share) * self._per_sample
+            due = np.maximum(np.ceil(time).astype(np.int64), self._floor + 1)
+            ticks = motor.place(due, direction, self._line[2:][interval])
+            keys.append((ticks << KEY_BITS) + (2 * k + (direction > 0)))
+            self.steps[k] += len(ticks)
+            self.net[k] += int(direction.sum())
+        self._keys = np.sort(np.concatenate(keys), kind="stable")  # merges what is sorted
+        self._u, self._line, self._index = self._u[n:], self._line[n:], self._index + n
+
+    def _check_speed(self) -> None:
+        """Raises LimitError where the stepping clock is too slow for the command."""
+        rate = np.abs(np.diff(self._u[1:-1], axis=0))
+        over = ~(rate <= self._per_sample * LEEWAY)  # what is no number is over, too
+        if over.any():
+            k = int(np.argmax(over.any(axis=1)))
+            motor = int(np.argmax(over[k]))
+            mm = self._lengths[motor]
+            raise LimitError(
+                f"speed of motor {MOTORS[motor]} (mm/s)", float(rate[k, motor] * mm / TS),
+                float(self._clock * mm), int(self._line[k + 2]),
+                "raise steps.clock_hz in the profile if the controller allows it, take longer "
+                "steps, or lower the print's speed",
+            )  # fmt: skip
+
+    def _emit(self, before: int | None) -> Iterator[Item]:
+        """Steps and notes of ticks below ``before``; None: all."""
+        if before is None:
+            keys, self._keys = self._keys, self._keys[:0]
+            notes, self._notes = tuple(self._notes), []
+        else:
+            at = int(np.searchsorted(self._keys, before << KEY_BITS))
+            keys, self._keys = self._keys[:at], self._keys[at:]
+            n = sum(1 for _ in takewhile(lambda note: note.tick < before, self._notes))
+            notes, self._notes = tuple(self._notes[:n]), self._notes[n:]
+        if len(keys) or notes:
+            yield Stepped(keys, notes)

@@ -1,0 +1,1 @@
+"""Samples to a stream of G-code."""

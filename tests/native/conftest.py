@@ -1,0 +1,35 @@
+"""The loops, built anew from their source: what is tested is what is in the tree."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+import hframe_post
+from hframe_post.native import kernels
+
+SOURCES = Path(hframe_post.__file__).parent / "native"
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, kernels.Kernel]:
+    compiler = shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0])
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    path = tmp_path_factory.mktemp("compiled") / "kernels.so"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O3", "-ffp-contract=off", "-fPIC"]
+    sources = sorted(map(str, SOURCES.glob("*.c")))
+    subprocess.run([compiler, *flags, "-shared", "-o", path, *sources, "-lm"], check=True)
+    found = kernels.loaded(path)
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def compiled(library: dict[str, kernels.Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every loop is the compiled one."""
+    monkeypatch.setattr(kernels, "built", lambda: library)

@@ -1,0 +1,109 @@
+"""Many plain moves at once give the items, and the errors, that they give one by one."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hframe_post.errors import HframeError
+from hframe_post.gcode.commands import DIALECTS
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.native import kernels
+from hframe_post.native.kernels import Kernel
+from hframe_post.printer.settings import Printer
+from tests.conftest import ROOT, SAMPLES
+
+START = [b"G28\n", b"G1 X10 Y10 Z0.2 F3000\n", b"M82\n"]
+PLACES = ["0", "1", "-0", "10.", ".5", "+3", "199.999", "250", "-1", "100.12345678901", "7" * 16,
+          "1e3", "--1", "1.2.3", "", "-", ".", "100000.5", "1234567", "0012.50"]  # fmt: skip
+number = st.one_of(
+    st.sampled_from(PLACES), st.decimals(0, 200, places=3).map(str), st.integers(0, 200).map(str)
+)
+words = st.lists(st.tuples(st.sampled_from("FXYZEXYEXYxIS"), number), max_size=5)
+endings = st.sampled_from(
+    ["", "", "", "", " ", "\t", "\r", " ; fan", ";a\rb", " ;\r", "*12", "  x"]
+)
+move = st.builds(
+    lambda code, given, tail: f"{code}{''.join(f' {a}{n}' for a, n in given)}{tail}",
+    st.sampled_from(["G1", "G1", "G1", "G0", "G01", "g1", " G1", "G1 "]), words, endings,
+)  # fmt: skip
+ordered = st.builds(
+    lambda f, x, y, z, e: "G1" + "".join(
+        f" {a}{n}" for a, n in zip("FXYZE", (f, x, y, z, e), strict=True) if n is not None
+    ),
+    st.none() | st.sampled_from(["0", "0.5", "1500", "60", "9000.5"]),
+    *(st.none() | number for _ in range(4)),
+)  # fmt: skip
+other = st.sampled_from(["; a", "", "M83", "M82", "G91", "G90", "G20", "G21", "M220 S50", "G92 E0",
+                         "G92 X5", "M204 S500", "G28", "MACRO", "G2 X20 Y20 I5 J5"])  # fmt: skip
+
+
+def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
+    """All that the reader makes of it, comparable."""
+    read_items: list[Any] = []
+    try:
+        for item in read(iter(lines), options):
+            values = [getattr(item, field.name) for field in dataclasses.fields(item)]
+            values = [v.tobytes() if isinstance(v, np.ndarray) else repr(v) for v in values]
+            read_items.append((type(item).__name__, *values))
+    except HframeError as error:
+        read_items.append(str(error))
+    return read_items
+
+
+@settings(max_examples=300, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
+@given(
+    st.lists(st.one_of(ordered, ordered, ordered, ordered, move, other), max_size=30),
+    st.sampled_from(sorted(DIALECTS)), st.sampled_from(["\n", "\r\n", ""]), st.booleans(),
+)  # fmt: skip
+def test_any_lines(
+    paper: Printer, library: dict[str, Kernel], texts: list[str], dialect: str, end: str, bed: bool
+) -> None:
+    options = ReadOptions(DIALECTS[dialect], travel=paper.travel if bed else None)
+    lines = START + [(text + end).encode() for text in texts]
+    same_either_way(lines, options, library)
+
+
+@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
+def test_a_slice(library: dict[str, Kernel], name: str) -> None:
+    lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
+    same_either_way(lines, ReadOptions(DIALECTS["klipper"]), library)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests" / "quirks").glob("*.gcode")), ids=str)
+def test_oddities(library: dict[str, Kernel], path: Any) -> None:
+    lines = path.read_bytes().splitlines(keepends=True)
+    for dialect in DIALECTS.values():
+        same_either_way(lines, ReadOptions(dialect), library)
+
+
+def test_an_error_of_the_source_comes_in_its_turn(library: dict[str, Kernel]) -> None:
+    """The lines before it are read, and what is wrong with them is said first."""
+
+    def source(wrong: bytes) -> Any:
+        yield from START
+        yield wrong
+        raise OSError("gone")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "built", lambda: library)
+        with pytest.raises(OSError, match="gone"):
+            list(read(source(b"G1 X20\n"), ReadOptions(DIALECTS["klipper"])))
+        with pytest.raises(HframeError, match="F"):
+            list(read(source(b"G1 X20 F-3\n"), ReadOptions(DIALECTS["klipper"])))
+
+
+def same_either_way(lines: list[bytes], options: ReadOptions, library: dict[str, Kernel]) -> None:
+    found = []
+    for loops in (None, library):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(kernels, "built", lambda loops=loops: loops)
+            found.append(items(lines, options))
+    assert found[0] == found[1]
