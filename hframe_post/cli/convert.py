@@ -16,8 +16,8 @@ from hframe_post.cli.options import (
     extrusion_option,
     files_read,
     firmwares,
+    force_option,
     formats,
-    i_know_option,
     json_option,
     limits_option,
     on_limit_option,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 @limits_option
 @extrusion_option
 @on_limit_option
-@i_know_option
+@force_option
 @click.option(
     "--tolerance", type=click.FloatRange(1e-4, 0.1), show_default="0.014", metavar="MM",
     help="G-code for Klipper: how far the written command may be off the computed one.",
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: FileLimits,
-    extrusion: Extrusion | None, on_limit: str, i_know: bool, tolerance: float | None,
+    extrusion: Extrusion | None, on_limit: str, force: bool, tolerance: float | None,
     every_sample: bool, retract: Retract, predict: str, max_error: dict[str, float] | None,
     error_measure: str | None, speed_up: float | None, model_error: float | None,
     jobs: int | None, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
@@ -126,7 +126,7 @@ def convert(
     finely = tolerance is not None or every_sample
     profile = _profile(printer, firmware, kind, finely)
     fast = asked(profile, source, max_error, error_measure, speed_up, model_error)
-    profile = replace(profile, invented=profile.invented and not i_know)
+    profile = replace(profile, invented=profile.invented and not force)
     options = _options(profile, kind, compensation, predict, limits, extrusion, on_limit,
                        None if every_sample else tolerance or TOLERANCE)  # fmt: skip
     options = replace(options, retract=retract, speed=fast)

@@ -88,13 +88,41 @@ on_limit_option = click.option(
     help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
 )  # fmt: skip
 
-i_know_option = click.option(
-    "--i-know", "i_know", is_flag=True,
-    help="Compensate though the profile's plant is marked as invented, or another printer's.",
-)  # fmt: skip
+
+def renamed_option(
+    old: str, new: str, value: Any = None, advice: str = "", **settings: Any
+) -> Callable[[Command], Command]:
+    """Return the decorator for an option's old name: it warns and is otherwise the new option.
+
+    new: the option, or its parameter's name where that is another. value: what a flag means for
+    the new option, if that is more than the flag. advice: what to type instead, if not ``new``.
+    """
+
+    def use_new(context: click.Context, _: click.Parameter, given: Any) -> None:
+        if given is None or given is False or given == ():
+            return
+        say(f"Warning: {old} will be removed: use {advice or new}")
+        name = new.lstrip("-").replace("-", "_")
+        context.default_map = {
+            **(context.default_map or {}), name: given if value is None else value,
+        }  # fmt: skip
+
+    return click.option(
+        old, hidden=True, expose_value=False, is_eager=True, callback=use_new, **settings
+    )
+
+
+def force_option(command: Command) -> Command:
+    """Add ``--force``."""
+    command = renamed_option("--i-know", "--force", is_flag=True)(command)
+    return click.option(
+        "--force", is_flag=True,
+        help="Compensate even though the profile's plant was not measured on your printer.",
+    )(command)  # fmt: skip
+
 
 seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.",
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
 )  # fmt: skip
 
 json_option = click.option(

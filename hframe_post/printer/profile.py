@@ -189,7 +189,7 @@ def check_identified(printer: Printer) -> None:
         raise PrinterError(
             "this plant is not your printer's, so nothing is compensated with it: measure yours "
             "with 'hframe-post sweep' and 'hframe-post identify' (docs/identify.md), convert "
-            "with -c none, or say --i-know",
+            "with -c none, or override with --force",
             "plant.invented", printer.name,
         )  # fmt: skip
 

@@ -46,8 +46,11 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     assert not out.exists()
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0
-    assert run(*line, "--i-know").returncode == 0
-    told = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--i-know")
+    assert run(*line, "--force").returncode == 0
+    renamed = run(*line, "--i-know")
+    assert renamed.returncode == 0
+    assert b"Warning: --i-know will be removed: use --force" in renamed.stderr
+    told = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
     assert told.returncode == 0, told.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
     assert b"[invented plant]" in run("printers").stdout

@@ -15,7 +15,7 @@ from hframe_post.cli.batch.watching import watch_folder
 from hframe_post.cli.options import (
     LazyChoice,
     files_read,
-    i_know_option,
+    force_option,
     json_option,
     limits_option,
     on_limit_option,
@@ -50,7 +50,7 @@ def address(text: str) -> str:
 @click.option("-c", "--compensation", type=LazyChoice(strategies), help="Default: the profile's.")
 @limits_option
 @on_limit_option
-@i_know_option
+@force_option
 @click.option(
     "--resume", is_flag=True,
     help="Skip what is there already, converted with the same settings from a file not newer.",
@@ -73,7 +73,7 @@ def address(text: str) -> str:
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, compensation: str | None, limits: str, on_limit: str, i_know: bool, resume: bool,
+    printer: str, compensation: str | None, limits: str, on_limit: str, force: bool, resume: bool,
     watched: Path | None, scheduler: str | None, send: bool, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert many files at a time; one that fails does not stop the others.
@@ -91,10 +91,10 @@ def batch(
 
     _check_usage(sources, watched, folder, json_file, scheduler, send)
     stamped = first_line(printer, compensation, limits, on_limit)  # so it is a sound profile
-    if compensation != "none" and not i_know:
+    if compensation != "none" and not force:
         check_identified(load(printer))
     folder.mkdir(parents=True, exist_ok=True)
-    options = ["--limits", limits, "--on-limit", on_limit, *(["--i-know"] if i_know else [])]
+    options = ["--limits", limits, "--on-limit", on_limit, *(["--force"] if force else [])]
     options += ["-c", compensation] if compensation else []
     place = _place(scheduler, send, jobs, printer, options, stamped)
     if watched is not None:
