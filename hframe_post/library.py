@@ -16,20 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hframe_post.arrays import Array
-from hframe_post.blas import one_thread
 from hframe_post.compensation.compensate import settling
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.gcode.lines import lines_of, reread
-from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
+from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction import contour
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
+from hframe_post.resources import one_blas_thread
 from hframe_post.studies.simulation import simulate as simulation
 from hframe_post.studies.simulation.report import SimulationReport
 from hframe_post.studies.simulation.uncertainty import draws as drawn
@@ -47,7 +47,7 @@ def load_printer(name_or_path: str | Path) -> Printer:
     return profile.load(str(name_or_path))
 
 
-@one_thread()
+@one_blas_thread()
 def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Array:
     """The command for the motors under which the nozzle follows a path: eq. 12, 13 and 19.
 
@@ -68,7 +68,7 @@ def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Ar
     return np.concatenate([done, course.finish()])
 
 
-@one_thread()
+@one_blas_thread()
 def predict(command: ArrayLike, printer: Printer) -> Array:
     """Where the nozzle goes under a command (m, 2): x and y, (m, 2), eq. 1 and 2.
 
@@ -106,7 +106,7 @@ def convert(
     *,
     strategy: str | None = None,
     predict: Iterable[str] | None = None,
-    limits: FileLimits = "file",
+    limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
     clamp: bool = False,
     tolerance: float | None = TOLERANCE,
@@ -147,7 +147,7 @@ def convert(
         return files.convert(lines, files.Target(outputs, output, own), printer, options, kind)
 
 
-@one_thread()
+@one_blas_thread()
 def simulate(
     source: Source,
     printer: Printer,
@@ -157,7 +157,7 @@ def simulate(
     draws: int = 50,
     seed: int = 0,
     steps: bool = False,
-    limits: FileLimits = "file",
+    limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
     clamp: bool = False,
 ) -> SimulationReport:
@@ -194,7 +194,7 @@ class Tuning:
     stops: tuple[StopsTrial, ...] = ()
 
 
-@one_thread()
+@one_blas_thread()
 def tune(
     source: Source,
     printer: Printer,
@@ -204,7 +204,7 @@ def tune(
     model_error: float | None = None,
     draws: int = 10,
     seed: int = 0,
-    limits: FileLimits = "file",
+    limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
 ) -> Tuning:
     """Which window and weight suit this printer and this kind of print.
@@ -218,7 +218,7 @@ def tune(
     share = known_to(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
     with _lines_of(source) as lines:
-        reading = ReadOptions.of(printer, limits, extrusion)
+        reading = ReadOptions.from_printer(printer, limits, extrusion)
         stops = tuple(tuning.StopsTrial(name) for name in STOPS)
         trials = tuning.tune(lines, printer, grid, plants, reading, stops)
     tried = tuple(trial for trial in stops if trial.samples)

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.model.strategy import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 
@@ -45,7 +45,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def blas_in_one_thread() -> Iterator[None]:
     """As wherever the package promises equal bytes."""
-    with one_thread():
+    with one_blas_thread():
         yield
 
 

@@ -32,7 +32,7 @@ from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
     from hframe_post.conversion.options import Options, Retract
-    from hframe_post.gcode.options import Extrusion, FileLimits
+    from hframe_post.gcode.options import Extrusion, LimitSource
     from hframe_post.printer.settings import Printer
 
 
@@ -95,7 +95,7 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def convert(
     source: Path, output: Path | None, asked_format: str | None, printer: str,
-    firmware: str | None, compensation: str | None, limits: FileLimits,
+    firmware: str | None, compensation: str | None, limits: LimitSource,
     extrusion: Extrusion | None, on_limit: str, force: bool, tolerance: float | None,
     every_sample: bool, retract: Retract, predict: str, max_error: dict[str, float] | None,
     error_measure: str | None, speed_up: float | None, model_error: float | None,
@@ -222,7 +222,7 @@ def _profile(printer: str, firmware: str | None, kind: str, finely: bool) -> Pri
 
 
 def _options(
-    profile: Printer, kind: str, compensation: str | None, predict: str, limits: FileLimits,
+    profile: Printer, kind: str, compensation: str | None, predict: str, limits: LimitSource,
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
 ) -> Options:  # fmt: skip
     from hframe_post.conversion.files import GCODE

@@ -22,7 +22,7 @@ from hframe_post.cli.options import (
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
-    from hframe_post.gcode.options import Extrusion, FileLimits
+    from hframe_post.gcode.options import Extrusion, LimitSource
     from hframe_post.printer.settings import Printer
     from hframe_post.studies.shapers.rivals import Rival
 
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary, no progress bar.")
 def simulate(
-    source: Path | None, path: str | None, printer: str, limits: FileLimits,
+    source: Path | None, path: str | None, printer: str, limits: LimitSource,
     extrusion: Extrusion | None, on_limit: str, plant_file: str | None,
     shares: tuple[float, ...], draws: int, seed: int, steps: bool, against: str | None,
     layers: bool, json_file: Path | None, report_file: Path | None, quiet: bool,
@@ -115,7 +115,7 @@ def simulate(
 
 
 def _rivals(
-    source: Path | None, profile: Printer, limits: FileLimits, extrusion: Extrusion | None
+    source: Path | None, profile: Printer, limits: LimitSource, extrusion: Extrusion | None
 ) -> list[Rival]:
     """What input shapers would do for the print; of the path if no file is given."""
     from hframe_post.conversion.pipeline import Options

@@ -23,7 +23,7 @@ from hframe_post.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from hframe_post.gcode.options import Extrusion, FileLimits, ReadOptions
+    from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
     from hframe_post.library import Tuning
     from hframe_post.printer.settings import Printer
     from hframe_post.studies.tuning.pareto import Pareto
@@ -68,7 +68,7 @@ NO_CANDIDATE = (
 )  # fmt: skip
 @json_option
 def tune(
-    source: Path | None, path: str | None, printer: str, limits: FileLimits,
+    source: Path | None, path: str | None, printer: str, limits: LimitSource,
     extrusion: Extrusion | None, knots: tuple[int, ...], effort: tuple[float, ...],
     model_error: float | None, draws: int, seed: int, figure: Path | None, output: Path | None,
     keep_limits: bool, shaper: bool, json_file: Path | None,
@@ -104,7 +104,7 @@ def tune(
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither figure nor profile")
-        reading = ReadOptions.of(profile, limits, extrusion)
+        reading = ReadOptions.from_printer(profile, limits, extrusion)
         with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
             _tell_shaper(lines, profile, reading, open_json(findings, json_file), json_file)
         return
@@ -154,7 +154,7 @@ class _Asked:
     model_error: float
     draws: int
     seed: int
-    limits: FileLimits
+    limits: LimitSource
     extrusion: Extrusion | None
 
     def tuned(self, lines: Iterable[bytes], profile: Printer) -> Tuning:

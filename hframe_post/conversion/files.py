@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import (
     Conversion,
     GcodeConversion,
@@ -25,6 +24,7 @@ from hframe_post.errors import HframeError
 from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread
 from hframe_post.writers.files.atomic_file import Outputs
 from hframe_post.writers.files.compression import compressing
 from hframe_post.writers.samples import COLUMNS, as_csv
@@ -66,7 +66,7 @@ class Format:
     divides: bool = False
 
 
-@one_thread()
+@one_blas_thread()
 def convert(
     lines: Iterable[bytes],
     target: Target | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hframe_post.gcode.options import Extrusion, FileLimits
+from hframe_post.gcode.options import Extrusion, LimitSource
 from hframe_post.planner.pacing import Paces
 from hframe_post.printer.settings import Speed
 
@@ -27,7 +27,7 @@ class Options:
 
     strategy: str
     predict: tuple[str, ...] = ()
-    limits: FileLimits = "file"
+    limits: LimitSource = "file"
     clamp: bool = False
     tolerance: float | None = TOLERANCE
     extrusion: Extrusion | None = None

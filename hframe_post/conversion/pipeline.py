@@ -53,13 +53,15 @@ class _Source:
 
     def spans(self) -> Spans:
         """To be computed one after the other. Raises HframeError."""
-        reading = ReadOptions.of(self._printer, self._options.limits, self._options.extrusion)
+        reading = ReadOptions.from_printer(
+            self._printer, self._options.limits, self._options.extrusion
+        )
         items = self._input.items(read(self._input.lines(self._lines), reading))
-        items = self._times.of("read", items)
+        items = self._times.timed("read", items)
         if self._options.paces is not None:
             items = pace(items, self._options.paces)
         planned = plan(self._path.items(items), self._printer.limits)
-        return Spans(self._times.of("plan", planned))
+        return Spans(self._times.timed("plan", planned))
 
     def report(self, seen: SpanSummary) -> Report:
         """What the stages saw. Raises HframeError where the prediction cannot be right."""

@@ -54,7 +54,7 @@ class SpanWriter:
 
         def output() -> Iterator[Output]:
             judged = stages.judged(stages.computed(span.items), threads)
-            yield from stages.times.of("write", writer.write(judged))
+            yield from stages.times.timed("write", writer.write(judged))
             result.seen, result.written = stages.summary, writer.summary
 
         result.output = output()

@@ -90,21 +90,21 @@ class Stages:
         options, limits, times = self._options, self._printer.limits, self.times
         lifts = passing(self._printer, options.tolerance, options.retract == "moving")
         waits = rests(self._printer.compensation.stops, options.strategy, lifts)
-        samples = times.of("sample", sample(items, limits, waits))
+        samples = times.timed("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = stand(times.of("compensate", commands), self._solvers)
+        commands = stand(times.timed("compensate", commands), self._solvers)
         furthest = reach(self._printer.plant, limits)
-        commands = within_reach(times.of("stand", commands), options.strategy, furthest)
+        commands = within_reach(times.timed("stand", commands), options.strategy, furthest)
         if options.clamp:
             commands = self._clamp.limit(commands, options.strategy)
-        return times.of("guard", self._guard.check(commands, options.strategy))
+        return times.timed("guard", self._guard.check(commands, options.strategy))
 
     def judged(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Commands on their way to the output; threads: one computes them, one predicts."""
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
-            commands = self.times.of("predict", self._errors.samples(commands))
+            commands = self.times.timed("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
         return self._clock.samples(commands)
 

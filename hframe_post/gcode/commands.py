@@ -86,7 +86,7 @@ class Vocabulary:
     prefixes: tuple[tuple[str, Effect], ...]
 
     @classmethod
-    def of(cls, harmless: Iterable[str] = (), returns: Iterable[str] = ()) -> Vocabulary:
+    def with_names(cls, harmless: Iterable[str] = (), returns: Iterable[str] = ()) -> Vocabulary:
         """The usual commands, and those that a user's profile adds or knows better."""
         names = {
             name.upper(): effect

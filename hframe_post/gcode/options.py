@@ -8,7 +8,7 @@ from typing import Literal
 from hframe_post.gcode.commands import Dialect, Vocabulary, dialect
 from hframe_post.printer.settings import Printer, Retraction, Travel
 
-FileLimits = Literal["file", "file-all", "printer"]
+LimitSource = Literal["file", "file-all", "printer"]
 Extrusion = Literal["absolute", "relative"]
 
 
@@ -23,19 +23,19 @@ class ReadOptions:
     """
 
     dialect: Dialect
-    limits: FileLimits = "file"
+    limits: LimitSource = "file"
     extrusion: Extrusion | None = None
     travel: Travel | None = None
-    vocabulary: Vocabulary = field(default_factory=Vocabulary.of)
+    vocabulary: Vocabulary = field(default_factory=Vocabulary.with_names)
     retraction: Retraction | None = None
 
     @classmethod
-    def of(
-        cls, printer: Printer, limits: FileLimits = "file", extrusion: Extrusion | None = None
+    def from_printer(
+        cls, printer: Printer, limits: LimitSource = "file", extrusion: Extrusion | None = None
     ) -> ReadOptions:
         """For a printer. Raises HframeError where its firmware is unknown."""
         firmware = printer.firmware
-        vocabulary = Vocabulary.of(firmware.harmless, firmware.returns)
+        vocabulary = Vocabulary.with_names(firmware.harmless, firmware.returns)
         return cls(
             dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary,
             printer.retraction,

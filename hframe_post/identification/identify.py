@@ -13,7 +13,6 @@ from itertools import permutations
 import numpy as np
 
 from hframe_post.arrays import X, Y
-from hframe_post.blas import one_thread
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.diagnosis.along_x import Moving, apart, moving
 from hframe_post.identification.diagnosis.causes import Linear
@@ -44,6 +43,7 @@ from hframe_post.identification.responses.measured import (
     by_nozzle,
 )
 from hframe_post.model.plant import Plant
+from hframe_post.resources import one_blas_thread
 
 AT_REST = {"Gxx": 1.0, "Gyy": 1.0, "Gxtheta": 0.0}  # gain of a plant that stands
 PLACES_APART = 20.0  # mm over which places must spread to tell racking
@@ -155,7 +155,7 @@ class Identified:
         return [replace(plant, Gxx=G) for G in self.moving.there] if self.moving else []
 
 
-@one_thread()
+@one_blas_thread()
 def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     """Transfer functions and x_c from runs of both axes. Raises IdentificationError."""
     x_runs, y_runs = (_swept(runs, axis, settings) for axis in (X, Y))

@@ -94,7 +94,7 @@ def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
 
 def path(printer: Printer) -> Array:
     """The rectangle of Fig. 7, planned, (E + 1, 2); it begins and ends at rest."""
-    items = read(rectangle(printer), ReadOptions.of(printer))
+    items = read(rectangle(printer), ReadOptions.from_printer(printer))
     blocks = sample(plan(items, printer.limits), printer.limits, Rests())
     xy = np.concatenate([block.xyze[:, :Z] for block in blocks])
     corners = xy[0] + np.array([[120, 0], [120, 20], [0, 20], [0, 0]])

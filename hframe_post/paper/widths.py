@@ -69,7 +69,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
 def _middle(lines: Iterable[bytes], printer: Printer) -> float:
     """Middle in x of what is extruded."""
     low, high = np.inf, -np.inf
-    for item in read(lines, ReadOptions.of(printer, "file-all")):
+    for item in read(lines, ReadOptions.from_printer(printer, "file-all")):
         if isinstance(item, Moves):
             laid = np.flatnonzero(np.diff(item.points[:, E]) > 0.0)
             ends = item.points[np.concatenate([laid, laid + 1]), X]

@@ -21,13 +21,13 @@ class StageTimes:
         self.seconds: dict[str, float] = {}
         self._asked = threading.local()  # in each thread: seconds of the stages before, nested
 
-    def of(self, stage: str, items: Iterable[T]) -> Iterator[T]:
+    def timed(self, stage: str, items: Iterable[T]) -> Iterator[T]:
         """The same items; how long they take is noted. Several streams may be of one stage."""
         source, end = iter(items), object()
-        while (item := self._timed(stage, source, end)) is not end:
+        while (item := self._next(stage, source, end)) is not end:
             yield item  # type: ignore[misc]  # the end is the only one that is no T
 
-    def _timed(self, stage: str, source: Iterator[T], end: object) -> T | object:
+    def _next(self, stage: str, source: Iterator[T], end: object) -> T | object:
         stack: list[float] = self._asked.__dict__.setdefault("stack", [])
         stack.append(0.0)
         begun = time.thread_time()

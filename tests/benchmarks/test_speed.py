@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread
 from tests.conftest import SAMPLES
 
 OPTIONS = Options("racking", ("none", "racking"))
@@ -77,7 +77,7 @@ def test_conversion_by_processes(benchmark: BenchmarkFixture, tmp_path: Path, jo
 
 
 def converted(lines: list[bytes], printer: Printer) -> Report:
-    with one_thread():
+    with one_blas_thread():
         conversion = GcodeConversion(lines, printer, OPTIONS)
         for _ in conversion:
             pass

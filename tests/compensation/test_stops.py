@@ -53,7 +53,7 @@ def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> lis
 
 def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
     raw = (line.encode() + b"\n" for line in lines)
-    items = read(raw, ReadOptions.of(printer, "printer"))
+    items = read(raw, ReadOptions.from_printer(printer, "printer"))
     waits = rests(printer.compensation.stops, strategy)
     return list(sample(plan(items, printer.limits), printer.limits, waits))
 
@@ -238,7 +238,7 @@ def test_a_wait_of_hours_is_not_held(paper: Printer) -> None:
     lines = [*HEAD, "G1 X90 Y60 E1 F6000", "G4 P1800000", "G1 X90 Y90 E1"]
     compensator, held_back = prepared(paper), 0
     raw = (line.encode() + b"\n" for line in lines)
-    items = read(raw, ReadOptions.of(paper, "printer"))
+    items = read(raw, ReadOptions.from_printer(paper, "printer"))
     taken = 0
 
     def counted() -> Iterable[Samples]:

@@ -13,7 +13,7 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options, SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
@@ -58,7 +58,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
         whole = converted(lines, paper, kind)
         for moves, samples in cuts:
             with monkeypatch.context() as patch:
-                patch.setattr(gathering, "MOVES_PER_ITEM", moves)
+                patch.setattr(batching, "MOVES_PER_ITEM", moves)
                 patch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
                 patch.setattr(steps, "SAMPLES_AT_ONCE", samples)
                 assert converted(lines, paper, kind) == whole

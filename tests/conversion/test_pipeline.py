@@ -15,8 +15,8 @@ from hframe_post.conversion.meters import InputMeter
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.gcode import batching as gathering
-from hframe_post.gcode.options import FileLimits
+from hframe_post.gcode import batching
+from hframe_post.gcode.options import LimitSource
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -105,7 +105,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     options = Options("racking", ("none", "racking"))
     whole, report = converted(lines, paper, options)
     for moves, samples in cuts:
-        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut, cut_report = converted(lines, paper, options)
         assert cut == whole
@@ -271,7 +271,7 @@ def test_relative_end_code_ends_where_the_file_says(paper: Printer) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
 @pytest.mark.parametrize("limits", ["file-all", "printer"])
-def test_samples_convert_whole(paper: Printer, name: str, limits: FileLimits) -> None:
+def test_samples_convert_whole(paper: Printer, name: str, limits: LimitSource) -> None:
     lines = sample(name)
     options = Options("racking", ("none", "racking"), limits=limits)
     text, report = converted(lines, paper, options)

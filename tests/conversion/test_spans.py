@@ -46,7 +46,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def planned(lines: list[bytes], printer: Printer) -> list[Planned]:
-    return list(plan(read(iter(lines), ReadOptions.of(printer)), printer.limits))
+    return list(plan(read(iter(lines), ReadOptions.from_printer(printer)), printer.limits))
 
 
 @pytest.mark.usefixtures("short")

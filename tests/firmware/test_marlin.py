@@ -17,7 +17,7 @@ from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.planner import PLANNERS
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import player
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import batching
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
@@ -303,7 +303,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     whole = converted(lines, marlin)[0]
     assert converted(lines, marlin)[0] == whole
     for moves, samples in cuts:
-        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         assert converted(lines, marlin)[0] == whole
 

@@ -8,8 +8,7 @@ from itertools import repeat
 import pytest
 
 from hframe_post.errors import GcodeError, LimitError
-from hframe_post.gcode import batching as gathering
-from hframe_post.gcode import lines
+from hframe_post.gcode import batching, lines
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.gcode.options import Extrusion, ReadOptions
 from hframe_post.gcode.reader import read
@@ -103,7 +102,7 @@ def test_carried_lines_without_end_are_released_now_and_then(line: bytes) -> Non
         held += len(item.marks) if isinstance(item, Moves) else 1
         most = max(most, held)
     assert 3 <= released < 30
-    assert most * gathering.PER_LINE <= 1.1 * gathering.CARRIED_AT_ONCE
+    assert most * batching.PER_LINE <= 1.1 * batching.CARRIED_AT_ONCE
     assert isinstance(item, Passthrough)
     assert item.line == 100_005
 

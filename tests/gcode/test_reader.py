@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, HframeError
-from hframe_post.gcode import arcs
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import arcs, batching
 from hframe_post.gcode.commands import KLIPPER, dialect
 from hframe_post.gcode.lexer import PLAIN_MOVE, Line, numbers
 from hframe_post.gcode.options import ReadOptions
@@ -197,7 +196,7 @@ def test_lines_that_are_not_motion_pass_byte_for_byte_and_in_order() -> None:
 
 
 def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gathering, "MOVES_PER_ITEM", 2)
+    monkeypatch.setattr(batching, "MOVES_PER_ITEM", 2)
     lines = ("G1 X1", ";a", "G1 X2", "G1 X3", ";b", "G1 X4", ";c", "G1 X5")
     blocks = moves(*lines)
     assert [block.marks for block in blocks[:2]] == [(Mark(1, b";a"),), (Mark(1, b";b"),)]

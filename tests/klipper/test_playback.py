@@ -12,7 +12,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
 from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
 from hframe_post.conversion.report import Report
-from hframe_post.gcode.options import FileLimits
+from hframe_post.gcode.options import LimitSource
 from hframe_post.printer import profile
 from hframe_post.writers.stream.deferred import DeferredLine
 from tests.conftest import SAMPLES
@@ -118,7 +118,7 @@ def check(run: Played) -> None:
 
 @pytest.mark.klipper
 @pytest.mark.parametrize("limits", [pytest.param("file-all", marks=pytest.mark.slow), "printer"])
-def test_cube_is_played_as_intended(tmp_path: Path, limits: FileLimits) -> None:
+def test_cube_is_played_as_intended(tmp_path: Path, limits: LimitSource) -> None:
     check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 12))
 
 
@@ -177,7 +177,7 @@ def test_prism_is_played_as_intended(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
 @pytest.mark.parametrize("limits", ["file-all", "printer"])
 def test_whole_samples_are_played_as_intended(
-    tmp_path: Path, name: str, limits: FileLimits
+    tmp_path: Path, name: str, limits: LimitSource
 ) -> None:
     check(played(name, tmp_path, Options("racking", limits=limits)))
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import batching
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
@@ -92,7 +92,7 @@ def test_filament_and_path_stay_and_cuts_change_nothing(monkeypatch: pytest.Monk
     bare = paced(Paces({}))
     np.testing.assert_array_equal(whole.points, bare.points)
     for size in (1, 2, 5):
-        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", size)
+        monkeypatch.setattr(batching, "MOVES_PER_ITEM", size)
         lines = [line.encode() for line in PRINT]
         items = pace(read(lines, ReadOptions(dialect("klipper"), "file-all")), chosen)
         cut = [item for item in items if isinstance(item, Moves)]

@@ -24,10 +24,10 @@ def working(items: Iterable[int], seconds: float) -> Iterator[int]:
 @pytest.mark.parametrize("threads", [False, True])
 def test_own_time_in_one_thread_and_in_several(threads: bool) -> None:
     times = StageTimes()
-    first: Iterable[int] = times.of("first", working(range(4), WORK))
+    first: Iterable[int] = times.timed("first", working(range(4), WORK))
     first = prefetch(first) if threads else first
-    second = times.of("second", working(first, 3 * WORK))
-    assert list(times.of("third", (item for item in second))) == [0, 1, 2, 3]
+    second = times.timed("second", working(first, 3 * WORK))
+    assert list(times.timed("third", (item for item in second))) == [0, 1, 2, 3]
     assert times.seconds["first"] == pytest.approx(4 * WORK, rel=0.2)
     assert times.seconds["second"] == pytest.approx(12 * WORK, rel=0.2)
     assert times.seconds["third"] < WORK
@@ -40,7 +40,7 @@ def test_an_error_passes_and_waiting_is_free() -> None:
         raise ValueError("lost")
 
     times = StageTimes()
-    stream = times.of("stage", failing())
+    stream = times.timed("stage", failing())
     assert next(stream) == 1
     with pytest.raises(ValueError, match="lost"):
         next(stream)

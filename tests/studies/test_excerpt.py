@@ -17,7 +17,7 @@ from tests.conftest import SAMPLES
 
 
 def of(paper: Printer, lines: Iterable[bytes]) -> list[Piece]:
-    return excerpt(read(lines, ReadOptions.of(paper)))
+    return excerpt(read(lines, ReadOptions.from_printer(paper)))
 
 
 def seconds(pieces: list[Piece]) -> dict[str, float]:

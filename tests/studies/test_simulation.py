@@ -11,7 +11,7 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, HframeError
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner import sampling
@@ -105,7 +105,7 @@ def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)
     whole = simulated(sample("rectangle.gcode"), study)
     for moves, samples in [(1, 7), (7, 100), (100, 10_000)]:
-        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         cut = simulated(sample("rectangle.gcode"), study)
         assert cut.parts.layers.keys() == whole.parts.layers.keys()

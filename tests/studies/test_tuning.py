@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError
-from hframe_post.gcode import batching as gathering
+from hframe_post.gcode import batching
 from hframe_post.model.lpfbs import Window
 from hframe_post.planner import sampling
 from hframe_post.printer import profile
@@ -117,7 +117,7 @@ def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch
     grid = candidates(profiled.compensation, (10,), (50.0,))
     (whole,) = tune(rectangle(profiled), profiled, grid, [])
     for moves, samples in [(1, 7), (7, 100)]:
-        monkeypatch.setattr(gathering, "MOVES_PER_ITEM", moves)
+        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
         monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
         (cut,) = tune(rectangle(profiled), profiled, grid, [])
         assert cut.contour.all.count == whole.contour.all.count

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread
 from hframe_post.studies.simulation.reference_path import rectangle
 from hframe_post.studies.simulation.report import SimulationReport
 from hframe_post.studies.simulation.simulate import Study, simulate
@@ -59,7 +59,7 @@ class Recommendation:
         ]
 
 
-@one_thread()
+@one_blas_thread()
 def recommend(
     plant: Plant, profile: Printer, model_error: float, elsewhere: Sequence[Plant] = ()
 ) -> Recommendation | None:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from hframe_post.arrays import TS
-from hframe_post.blas import one_thread
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.gcode.options import ReadOptions
@@ -20,6 +19,7 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread
 from hframe_post.studies.shapers.shapers import (
     KLIPPER,
     Shaping,
@@ -45,13 +45,13 @@ class Rival:
     seconds: float
 
 
-@one_thread()
+@one_blas_thread()
 def rivals(lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options) -> list[Rival]:
     """Strategies and shapers on a print, the most accurate first. Raises HframeError.
 
     lines: gives the print anew at each call.
     """
-    reading = ReadOptions.of(printer, options.limits, options.extrusion)
+    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
     searched = search(printer.plant, paths(lines(), printer, reading))
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_as(printer.plant, name) for name in KLIPPER}

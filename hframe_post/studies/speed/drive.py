@@ -62,7 +62,7 @@ class Drive:
         self._lines, self._printer, self._measure, self._free = lines, printer, measure, free
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._asked = options
-        self._reading = ReadOptions.of(printer, options.limits, options.extrusion)
+        self._reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
         self._compensator = prepared(printer)
         self._at_stops = solvers(self._compensator, options.strategies, printer)
         self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.reach

@@ -18,12 +18,11 @@ import math
 from dataclasses import dataclass
 from typing import cast
 
-from hframe_post.blas import one_thread
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.memory import give_back
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
+from hframe_post.resources import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.bound import AIM, TINY, Bound, gentler, harder, milder, slower
 from hframe_post.studies.speed.cooling import Cooling
@@ -70,11 +69,11 @@ def hastened(lines: Lines, printer: Printer, options: Options) -> Fastest:
     )  # fmt: skip
     drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
     found = fastest(lines, printer, options, bound, freedom, tuple(drawn))
-    give_back()
+    release_memory()
     return found
 
 
-@one_thread()
+@one_blas_thread()
 def fastest(
     lines: Lines,
     printer: Printer,

@@ -60,7 +60,7 @@ class Pareto:
 
 def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
     """A short part of a print, whatever limits the file asks for. Raises HframeError."""
-    items = read(lines, ReadOptions.of(printer, "printer"))
+    items = read(lines, ReadOptions.from_printer(printer, "printer"))
     kept = excerpt(items, first_layers=0)
     while len(kept) > 1 and sum(sum(p.seconds.values()) for p in kept) > ENOUGH:
         kept = kept[::2]

@@ -120,7 +120,7 @@ def tune(
         stops = list(stops)
     except ValueError:  # of the profile's window, which may be why it is tuned
         stops = []
-    items = plan(read(lines, reading or ReadOptions.of(printer)), printer.limits)
+    items = plan(read(lines, reading or ReadOptions.from_printer(printer)), printer.limits)
     planned, *others = branches(items, 1 + len(stops))
     waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
     beside = [
