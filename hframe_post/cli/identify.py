@@ -170,9 +170,9 @@ def identify(
             if folder is not None:
                 _draw(found, folder, findings)
             middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
-            plant, elsewhere = found.plant(middle), found.elsewhere(middle)
-            known = found.uncertainty
-            compensation = None if found.useless else recommend(plant, profile, known, elsewhere)
+            plant, elsewhere = found.plant(middle), found.plants_at_ends(middle)
+            known = found.model_error
+            compensation = None if found.refusal else recommend(plant, profile, known, elsewhere)
             report = IdentificationReport(
                 found, plant, compensation, reading.setup, reading.findings
             )
@@ -181,7 +181,7 @@ def identify(
                 drawn.write(identification_page(report, profile.description or profile.name))
         click.echo(report.as_text(), err=str(json_file) == "-")
         if compensation is None:
-            raise IdentificationError(found.useless or NO_WINDOW)
+            raise IdentificationError(found.refusal or NO_WINDOW)
         if file is not None:
             windows, notes = compensation.windows, report.origin()
             text = with_plant(printer, report.plant, windows, notes, round(known, 4))

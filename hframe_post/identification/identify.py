@@ -14,17 +14,17 @@ import numpy as np
 
 from hframe_post.arrays import X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.along_x import Moving, apart, moving
+from hframe_post.identification.diagnosis.along_x import ModeShift, find_mode_shift, position_spread
 from hframe_post.identification.diagnosis.causes import Linear
-from hframe_post.identification.diagnosis.certainty import (
+from hframe_post.identification.diagnosis.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.diagnosis.uncertainty import (
     DAILY,
     MOST,
     SIGMAS,
-    Certainty,
-    certainty,
-    of_centre,
+    Uncertainty,
+    lever_arm_uncertainty,
+    model_uncertainty,
 )
-from hframe_post.identification.diagnosis.linearity import Nonlinearity, Swept, nonlinearity
 from hframe_post.identification.fitting.fit import Fit, at_one_time, fit, with_gain
 from hframe_post.identification.fitting.weighting import Distortion
 from hframe_post.identification.recordings.gravity import CERTAIN
@@ -95,18 +95,21 @@ class Identified:
     arms: Line | None
     warnings: list[str]
     racks: bool
-    silent: bool
-    moving: Moving | None
-    nonlinear: Nonlinearity | None
-    certain: dict[str, Certainty]
-    centred: tuple[float, float] | None
+    racking_below_noise: bool
+    mode_shift: ModeShift | None
+    nonlinearity: Nonlinearity | None
+    uncertainties: dict[str, Uncertainty]
+    lever_arm_sd: tuple[float, float] | None
 
     @property
-    def uncertainty(self) -> float:
+    def model_error(self) -> float:
         """Share by which the printer may differ from the model."""
-        shares = [DAILY, *(one.share for name, one in self.certain.items() if name != "Gxtheta")]
-        if self.centred is not None:
-            shares.append(min(SIGMAS * self.centred[1], MOST))
+        shares = [
+            DAILY,
+            *(one.share for name, one in self.uncertainties.items() if name != "Gxtheta"),
+        ]
+        if self.lever_arm_sd is not None:
+            shares.append(min(SIGMAS * self.lever_arm_sd[1], MOST))
         return max(shares)
 
     @property
@@ -115,7 +118,7 @@ class Identified:
         return {axis: self.fits[name].gain for axis, name in zip(AXES, ("Gxx", "Gyy"), strict=True)}
 
     @property
-    def useless(self) -> str | None:
+    def refusal(self) -> str | None:
         """Why no profile may be made of it, if a model explains too little."""
         for axis, gain in self.gains.items():
             if abs(gain - 1.0) > MOST_GAIN:
@@ -125,8 +128,8 @@ class Identified:
                 )
         for name, found in self.fits.items():
             most = USELESS
-            if self.nonlinear is not None:
-                most = NONLINEAR if found.over > BEYOND else BENT
+            if self.nonlinearity is not None:
+                most = NONLINEAR if found.residual_over_noise > BEYOND else BENT
             if found.residual > most and name != "Gxtheta":
                 return (
                     f"{name}: a model of order {found.order} leaves {100 * found.residual:.0f} % "
@@ -137,10 +140,10 @@ class Identified:
     @property
     def _cause(self) -> str:
         """Why a model is no good."""
-        if self.nonlinear is not None:
-            return self.nonlinear.told
-        if self.moving is not None:
-            return f"{self.moving.told}, too far for one model"
+        if self.nonlinearity is not None:
+            return self.nonlinearity.message
+        if self.mode_shift is not None:
+            return f"{self.mode_shift.message}, too far for one model"
         return "the order is too low, or the files are not of one printer"
 
     def plant(self, x_c: float) -> Plant:
@@ -149,10 +152,10 @@ class Identified:
         known = x_c if self.x_c is None else self.x_c
         return Plant(self.fits["Gxx"].G, self.fits["Gyy"].G, racking, known)
 
-    def elsewhere(self, x_c: float) -> list[Plant]:
+    def plants_at_ends(self, x_c: float) -> list[Plant]:
         """The plant at the least and the greatest x, where it changes along x."""
         plant = self.plant(x_c)
-        return [replace(plant, Gxx=G) for G in self.moving.there] if self.moving else []
+        return [replace(plant, Gxx=G) for G in self.mode_shift.at_ends] if self.mode_shift else []
 
 
 @one_blas_thread()
@@ -173,9 +176,9 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     if nonlinear is None:
         smeared = {name: one for name, one in measured.items() if one.spread > SMEARED}
         for name, one in smeared.items():
-            fits[name] = _fit(name, one, settings, apart([run for _, run in one.places]))
+            fits[name] = _fit(name, one, settings, position_spread([run for _, run in one.places]))
     fits = dict(zip(fits, at_one_time(*fits.values()), strict=True))
-    along_x = moving(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
+    along_x = find_mode_shift(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     arms = _arms(x_runs.runs, settings, along_x is not None)
     racking = arms is not None and _racks(arms)
     if ends.runs:
@@ -183,7 +186,7 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         fits["Gxtheta"] = _fit("Gxtheta", measured["Gxtheta"], settings, along)
     elif arms and racking:
         # the same recordings as those of Gxx, so the same delay
-        late = (fits["Gxx"].delay,) * 2
+        late = (fits["Gxx"].recording_delay,) * 2
         measured["Gxtheta"] = Measured(arms.by_place, arms.slope, arms.off, late)
         found = _fit("Gxtheta", measured["Gxtheta"], settings, along)
         fits["Gxtheta"] = with_gain(found, fits["Gyy"].gain)
@@ -198,9 +201,9 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
 
 def _certain(
     fits: dict[str, Fit], measured: dict[str, Measured], settings: Settings
-) -> dict[str, Certainty]:
+) -> dict[str, Uncertainty]:
     known = {
-        name: certainty(found, [run for _, run in measured[name].places], settings.band_hz)
+        name: model_uncertainty(found, [run for _, run in measured[name].places], settings.band_hz)
         for name, found in fits.items()
     }
     return {name: one for name, one in known.items() if one is not None}
@@ -208,7 +211,7 @@ def _certain(
 
 def _centred(x_runs: Together, along: Measured) -> tuple[float, float]:
     heard = x_runs.runs
-    return of_centre([run.place for run in heard], [run.y for run in heard], along.mean)
+    return lever_arm_uncertainty([run.place for run in heard], [run.y for run in heard], along.mean)
 
 
 def _swept(runs: Sequence[Run], axis: int, settings: Settings) -> Together:
@@ -238,7 +241,9 @@ def _nonlinear(
         found = fits[name]
         known = [(run.command, run.harmonics) for run in heard.runs if run.harmonics is not None]
         if known:
-            printer = Linear(found.response, found.gain, found.delay + found.lag)
+            printer = Linear(
+                found.response, found.gain, found.recording_delay + found.printer_delay
+            )
             axes[AXIS[name]] = Swept(known, printer)
     return nonlinearity(axes, step)
 

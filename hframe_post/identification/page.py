@@ -54,13 +54,15 @@ def _told(measured: Measured, found: Fit) -> str:
     modes = ", ".join(f"{hz:.1f} Hz (damping {damping:.2f})" for hz, damping in found.modes)
     several = len(measured.places) > 1
     places = f", places differ by {100 * measured.spread:.1f} %" if several else ""
-    return f"{modes or 'none rings'}; delay {found.lag * 1e3:.2f} ms{places}"
+    return f"{modes or 'none rings'}; delay {found.printer_delay * 1e3:.2f} ms{places}"
 
 
 def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
     """Magnitude and phase as measured by place, together and fitted; coherence; what it is off."""
     mean, hz = measured.mean, measured.mean.hz
-    model = found.G.response(2.0 * np.pi * TS * hz) * np.exp(-2j * np.pi * hz * found.delay)
+    model = found.G.response(2.0 * np.pi * TS * hz) * np.exp(
+        -2j * np.pi * hz * found.recording_delay
+    )
     racking, fbs = STRATEGIES["racking"].colour, STRATEGIES["fbs"].colour
     places = [(f"x = {place:.0f} mm", heard) for place, heard in measured.places]
     lines = {

@@ -25,7 +25,7 @@ def identification(name: str, measured: Measured, found: Fit) -> Figure:
     figure, axes = canvas(4, 1, (6.0, 8.0))
     axis, colour = axes[:, 0], STRATEGIES["racking"].colour
     hz, mean = measured.mean.hz, measured.mean
-    delay = np.exp(-2j * np.pi * hz * found.delay)
+    delay = np.exp(-2j * np.pi * hz * found.recording_delay)
     model = found.G.response(2.0 * np.pi * TS * hz) * delay
     curves = [(response, f"x = {place:.0f} mm") for place, response in measured.places]
     for response, label in curves:

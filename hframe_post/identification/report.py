@@ -24,7 +24,7 @@ def functions_table(identified: Identified) -> list[str]:
         differ = f"{100 * measured.spread:.1f} %" if several else "one place"
         lines.append(
             f"{name:10s}{found.order:6d}{100 * found.residual:7.2f} %{differ:>15s}"
-            f"{found.lag * 1e3:7.2f} ms   {', '.join(ringing) or 'none rings'}"
+            f"{found.printer_delay * 1e3:7.2f} ms   {', '.join(ringing) or 'none rings'}"
         )
     return lines
 
@@ -47,10 +47,12 @@ class IdentificationReport:
         """In words, what the user should not rely on, and what it costs."""
         identified = self.identified
         told = [*self.findings, *identified.warnings]
-        if identified.nonlinear is not None:
-            told.append(identified.nonlinear.told + self._stays(identified.nonlinear.share))
-        if identified.moving is not None:
-            told.append(f"{identified.moving.told}. {ONE_MODEL}{self._elsewhere()}")
+        if identified.nonlinearity is not None:
+            told.append(
+                identified.nonlinearity.message + self._stays(identified.nonlinearity.share)
+            )
+        if identified.mode_shift is not None:
+            told.append(f"{identified.mode_shift.message}. {ONE_MODEL}{self._elsewhere()}")
         elif identified.measured["Gxx"].spread > SPREAD:
             told.append(
                 f"Gxx differs by {100 * identified.measured['Gxx'].spread:.0f} % over the gantry's "
@@ -58,10 +60,10 @@ class IdentificationReport:
                 + self._stays(identified.measured["Gxx"].spread)
             )
         for name, found in identified.fits.items():
-            if identified.nonlinear is None and identified.moving is None:
+            if identified.nonlinearity is None and identified.mode_shift is None:
                 told += [f"{name}: {text}" + self._stays(found.residual) for text in found.warnings]
         racking = "Gxtheta" in identified.fits
-        if not racking and identified.racks and not identified.silent:
+        if not racking and identified.racks and not identified.racking_below_noise:
             told.append(
                 "racking was not measured: the profile cancels ringing only. Sweep x at several "
                 "places, or put sensors on both ends of the bridge"
@@ -78,9 +80,9 @@ class IdentificationReport:
         return f". Of {none:.0f} µm without compensation up to {share * none:.0f} µm may stay"
 
     def _elsewhere(self) -> str:
-        if self.compensation is None or not self.compensation.elsewhere:
+        if self.compensation is None or not self.compensation.rms_at_ends:
             return ""
-        worst = max(self.compensation.elsewhere)
+        worst = max(self.compensation.rms_at_ends)
         return f". At the ends the rectangle would be {worst:.0f} µm off"
 
     def as_json(self) -> dict[str, Any]:
@@ -90,10 +92,10 @@ class IdentificationReport:
             "functions": {name: self._function(name) for name in self.identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": self.identified.x_c is not None},
             "uncertainty": {
-                "share": round(self.identified.uncertainty, 5),
+                "share": round(self.identified.model_error, 5),
                 **{
                     name: {"hz": one.hz, "damping": one.damping, "gain": one.gain}
-                    for name, one in self.identified.certain.items()
+                    for name, one in self.identified.uncertainties.items()
                 },
                 **self._of_centre(),
             },
@@ -105,9 +107,9 @@ class IdentificationReport:
         }
 
     def _of_centre(self) -> dict[str, float]:
-        if self.identified.centred is None:
+        if self.identified.lever_arm_sd is None:
             return {}
-        x_c, size = self.identified.centred
+        x_c, size = self.identified.lever_arm_sd
         return {"x_c_mm": round(x_c, 4), "racking": round(size, 5)}
 
     def _function(self, name: str) -> dict[str, Any]:
@@ -115,8 +117,8 @@ class IdentificationReport:
         return {
             "order": found.order,
             "residual": round(found.residual, 6),
-            "delay_ms": round(found.lag * 1e3, 4),
-            "recording_late_ms": round(found.delay * 1e3, 4),
+            "delay_ms": round(found.printer_delay * 1e3, 4),
+            "recording_late_ms": round(found.recording_delay * 1e3, 4),
             "spread": round(measured.spread, 6),
             "runs": len(measured.places),
             "modes": [
@@ -143,13 +145,13 @@ class IdentificationReport:
         """Twice the standard deviations, a line for each function, and what `tune` makes of it."""
         found = self.identified
         lines = []
-        for name, one in found.certain.items():
+        for name, one in found.uncertainties.items():
             hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd in one.hz)
             lines.append(f"{name}: modes {hz}; gain ±{200.0 * one.gain:.2f} %")
-        if found.centred is not None:
-            x_c, size = found.centred
+        if found.lever_arm_sd is not None:
+            x_c, size = found.lever_arm_sd
             lines.append(f"x_c ±{2.0 * x_c:.2f} mm, racking ±{200.0 * size:.2f} %")
-        return [*lines, f"the printer, from day to day: {100.0 * found.uncertainty:.1f} %"]
+        return [*lines, f"the printer, from day to day: {100.0 * found.model_error:.1f} %"]
 
     def _sensor(self) -> str:
         reads = []
@@ -162,7 +164,7 @@ class IdentificationReport:
     def notes(self) -> list[str]:
         """In words, what is as usual but good to know."""
         told = []
-        if self.identified.silent:
+        if self.identified.racking_below_noise:
             told.append("racking is less than its own uncertainty: the profile has none")
         fits = self.identified.fits.items()
         return told + [f"{name}: {text}" for name, found in fits for text in found.notes]

@@ -54,7 +54,7 @@ def judge(seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"seed": seed, "class": fault, "kinematics": machine.kinematics}
     try:
         found = identified(machine, swept(machine, chip, PLACES, PLACES[:3:2], seed, step=STEP))
-        refused = found.useless
+        refused = found.refusal
     except HframeError as error:
         found, refused = None, str(error)
     row["refused"] = refused
@@ -76,8 +76,8 @@ def judge(seed: int) -> dict[str, Any]:
 
 def told(found: Identified) -> list[str]:
     """Causes and warnings."""
-    causes = [found.nonlinear.cause] if found.nonlinear else []
-    causes += ["along x"] if found.moving else []
+    causes = [found.nonlinearity.cause] if found.nonlinearity else []
+    causes += ["along x"] if found.mode_shift else []
     if causes:
         return causes
     return [text for fit in found.fits.values() for text in fit.warnings]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.diagnosis.along_x import Moving, apart, moving
-from hframe_post.identification.diagnosis.certainty import noisy
+from hframe_post.identification.diagnosis.along_x import ModeShift, find_mode_shift, position_spread
+from hframe_post.identification.diagnosis.uncertainty import noisy
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.fitting.modal import Data, Structure, fit
 from hframe_post.identification.fitting.weighting import weights
@@ -29,14 +29,14 @@ def measured(place: float, change: float, rng: np.random.Generator) -> Frequency
     return noisy(FrequencyResponse(HZ, H, 0.999 * one, one, 10.0), rng)
 
 
-def told(change: float, seed: int) -> Moving | None:
+def told(change: float, seed: int) -> ModeShift | None:
     rng = np.random.default_rng(seed)
     runs = [measured(place, change, rng) for place in PLACES]
     mean = average(runs)
     model = fit(Data(HZ, mean.H, weights(mean), BAND, (-1.6e-4, 5e-3)), Structure(2, False))
     G, delay = model.discrete(model.delay, model.gain), model.delay
     found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, (), ())
-    return moving(found, list(zip(PLACES, runs, strict=True)), BAND)
+    return find_mode_shift(found, list(zip(PLACES, runs, strict=True)), BAND)
 
 
 @pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
@@ -56,6 +56,6 @@ def test_where_places_differ_the_mean_is_known_to_that_only() -> None:
     runs = [measured(place, 0.1, rng) for place in PLACES]
     still = [measured(place, 0.0, rng) for place in PLACES]
     peak = np.array([HERE_HZ])
-    assert abs(apart(runs).at(peak)[0]) > 0.3
-    assert abs(apart(runs).at(np.array([5.0]))[0]) < 0.05
-    assert abs(apart(still).at(peak)[0]) < 0.05
+    assert abs(position_spread(runs).at(peak)[0]) > 0.3
+    assert abs(position_spread(runs).at(np.array([5.0]))[0]) < 0.05
+    assert abs(position_spread(still).at(peak)[0]) < 0.05

@@ -42,7 +42,7 @@ def test_what_is_not_linear_does_not_pass_for_modes(
     (hz, _), *_ = found.modes
     assert hz == pytest.approx(PEAK_HZ, rel=0.03)
     assert found.gain == pytest.approx(GAIN, abs=0.005)
-    assert found.over < 1.5  # what is missed is what harmonics tell
+    assert found.residual_over_noise < 1.5  # what is missed is what harmonics tell
 
 
 def test_of_a_linear_printer_the_same_is_two_modes(

@@ -27,7 +27,7 @@ def check(seed: int, step: float = 0.0) -> None:
     except IdentificationError:
         assert fault != "linear"
         return
-    if found.useless is not None:
+    if found.refusal is not None:
         assert fault != "linear"
         return
     profile = printer(machine)
@@ -41,7 +41,7 @@ def check(seed: int, step: float = 0.0) -> None:
             assert error.compensated <= max(LINEAR * best, SMALL)
     if fault == "linear":
         assert not [text for fit in found.fits.values() for text in fit.warnings]
-        assert found.nonlinear is None
+        assert found.nonlinearity is None
         for axis, gain in zip("xy", chip.gains, strict=False):
             assert found.gains[axis] == pytest.approx(gain, abs=0.01)
 
@@ -68,5 +68,5 @@ def test_what_is_refused_is_told_why() -> None:
     """A mode that moves so far that the places' mean is no printer's."""
     machine, chip, _ = drawn(5059)
     found = identified(machine, swept(machine, chip, PLACES, PLACES[:3:2], 5059, step=STEP))
-    assert found.useless is not None
-    assert "changes along x" in found.useless
+    assert found.refusal is not None
+    assert "changes along x" in found.refusal

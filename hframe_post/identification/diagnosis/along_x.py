@@ -27,18 +27,18 @@ RINGS = 0.7  # damping ratio of a mode whose frequency is one
 
 
 @dataclass(frozen=True, slots=True)
-class Moving:
+class ModeShift:
     """The mode whose movement is known best: Hz at the least and the greatest x (mm) of the places.
 
-    there: the transfer functions at both.
+    at_ends: the transfer functions at both.
     """
 
     hz: tuple[float, float]
     x: tuple[float, float]
-    there: tuple[TransferFunction, TransferFunction]
+    at_ends: tuple[TransferFunction, TransferFunction]
 
     @property
-    def told(self) -> str:
+    def message(self) -> str:
         """In words, without the consequence."""
         return (
             f"the printer changes along x: its mode of {self.hz[0]:.1f} Hz at x = "
@@ -46,7 +46,7 @@ class Moving:
         )
 
 
-def apart(runs: Sequence[FrequencyResponse]) -> Distortion:
+def position_spread(runs: Sequence[FrequencyResponse]) -> Distortion:
     """By how much places differ from their mean, by frequency: of that mean no more is known.
 
     Modes that move smear it, and a smeared resonance looks like several.
@@ -57,9 +57,9 @@ def apart(runs: Sequence[FrequencyResponse]) -> Distortion:
     return Distortion(runs[0].hz, off.astype(complex), 0.0)
 
 
-def moving(
+def find_mode_shift(
     found: Fit, places: Sequence[tuple[float, FrequencyResponse]], band_hz: tuple[float, float]
-) -> Moving | None:
+) -> ModeShift | None:
     """How the modes move over the places; None where they do not, or that cannot be told."""
     model = found.model
     if not isinstance(model, Modal) or len(places) < 3:
@@ -84,9 +84,9 @@ def moving(
     if sure[k] < stats.t.isf(CHANCE, len(x) - 2):
         return None
     ends = [own[int(np.argmin(x))], own[int(np.argmax(x))]]
-    first, last = (one.discrete(found.lag, one.gain) for one in ends)
+    first, last = (one.discrete(found.printer_delay, one.gain) for one in ends)
     hz = [float((middle[k] + slope[k] * (at - x.mean())) / (2.0 * np.pi)) for at in (left, right)]
-    return Moving((hz[0], hz[1]), (left, right), (first, last))
+    return ModeShift((hz[0], hz[1]), (left, right), (first, last))
 
 
 def _lines(x: Array, omega: Array) -> tuple[Array, Array, Array]:

@@ -62,7 +62,7 @@ class Nonlinearity:
         return max(self.shares.values())
 
     @property
-    def told(self) -> str:
+    def message(self) -> str:
         """For the user."""
         cause = CAUSES[self.cause].format(size=self.size, microns=1e3 * self.size)
         where = " and ".join(f"{100 * s:.1f} % in {axis}" for axis, s in self.shares.items())

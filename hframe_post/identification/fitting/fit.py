@@ -25,20 +25,19 @@ UNKNOWN = 5e-5  # s of a delay that noise may leave unknown
 class Fit:
     """The transfer function ``G`` and how it was found.
 
-    gain: of the sensor, divided out. delay: s, of the recording, not part of G; lag: s of delay in
-    G beside its modes, and its bounds. modes: Hz and damping ratio, lowest first. residual:
-    ‖H − Ĥ‖ / ‖H‖ over the band, weighted with input power and coherence; over: the same in units
-    of the noise.
+    gain: of the sensor, divided out. recording_delay: s, not part of G. printer_delay: s, part of
+    G in addition to its modes, with its bounds. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted
+    with input power and coherence; residual_over_noise: the same in units of the noise.
     """
 
     G: TransferFunction
     order: int
     residual: float
-    over: float
+    residual_over_noise: float
     gain: float
-    delay: float
-    lag: float
-    lags: tuple[float, float]
+    recording_delay: float
+    printer_delay: float
+    printer_delay_bounds: tuple[float, float]
     model: Modal | Rational
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
@@ -128,7 +127,9 @@ def at_one_time(x: Fit, y: Fit) -> tuple[Fit, Fit]:
     recording and printer together far better. What is left of it for the printer is an interval;
     where those of both axes overlap, or nearly so, one delay serves both.
     """
-    low, high = (choose(one.lags[k] for one in (x, y)) for k, choose in ((0, max), (1, min)))
+    low, high = (
+        choose(one.printer_delay_bounds[k] for one in (x, y)) for k, choose in ((0, max), (1, min))
+    )
     if not isinstance(x.model, Modal) or not isinstance(y.model, Modal) or low > high + UNKNOWN:
         return x, y
     lag = (low + high) / 2.0
@@ -137,4 +138,4 @@ def at_one_time(x: Fit, y: Fit) -> tuple[Fit, Fit]:
 
 def _behind(found: Fit, model: Modal, lag: float) -> Fit:
     G = model.discrete(lag, found.gain)
-    return replace(found, G=G, delay=model.place.delay - lag, lag=lag)
+    return replace(found, G=G, recording_delay=model.place.delay - lag, printer_delay=lag)

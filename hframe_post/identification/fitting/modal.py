@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.fitting.hold import Term, delayed, held
+from hframe_post.identification.fitting.discrete import Term, delayed, held
 from hframe_post.identification.fitting.weighting import SENSOR
 from hframe_post.model.transfer_function import TransferFunction
 

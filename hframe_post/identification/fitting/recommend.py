@@ -25,12 +25,12 @@ DRAWS = 10
 class Recommendation:
     """The windows of x and y for the plant that was found, and what they are predicted to do.
 
-    elsewhere: µm RMS that stay at other places of a printer that changes along x.
+    rms_at_ends: µm RMS that stay at other places of a printer that changes along x.
     """
 
     windows: tuple[Window, Window]
     predicted: SimulationReport
-    elsewhere: list[float]
+    rms_at_ends: list[float]
 
     def rms(self, strategy: str) -> float:
         """Predicted contour error of the rectangle, µm."""

@@ -28,7 +28,7 @@ SIGMAS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Certainty:
+class Uncertainty:
     """Standard deviations: of modes' frequencies and dampings (relative), lowest first, with how
     much each mode counts; of the gain (relative)."""
 
@@ -44,9 +44,9 @@ class Certainty:
         return min(SIGMAS * max(own, default=0.0), MOST)
 
 
-def certainty(
+def model_uncertainty(
     found: Fit, runs: Sequence[FrequencyResponse], band_hz: tuple[float, float]
-) -> Certainty | None:
+) -> Uncertainty | None:
     """Of a model of modes; None of another one, whose roots cannot be told apart so."""
     model = found.model
     if not isinstance(model, Modal):
@@ -66,7 +66,7 @@ def certainty(
         gain.append(size / float((np.abs(model.response(part.hz)) ** 2).sum()))
     order = np.argsort(model.place.omega)
     counts = (np.abs(model.c) + np.abs(model.d))[order]
-    return Certainty(
+    return Uncertainty(
         _relative(np.array(omega)[:, order], model.place.omega[order]),
         _relative(np.array(zeta)[:, order], model.place.zeta[order]),
         tuple((counts / counts.max()).tolist()),
@@ -74,7 +74,7 @@ def certainty(
     )
 
 
-def of_centre(
+def lever_arm_uncertainty(
     places: Sequence[float], responses: Sequence[FrequencyResponse], Gxx: FrequencyResponse
 ) -> tuple[float, float]:
     """Standard deviations of x_c (mm) and of racking (relative), by the lever arm."""

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.identification.diagnosis.certainty import DAILY, Certainty, certainty, of_centre
+from hframe_post.identification.diagnosis.uncertainty import (
+    DAILY,
+    Uncertainty,
+    lever_arm_uncertainty,
+    model_uncertainty,
+)
 from hframe_post.identification.fitting.fit import Fit, fit
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 from tests.identification.test_modal import BAND, HZ, TWO, continuous
@@ -26,10 +31,10 @@ def measured(noise: float, seed: int) -> list[FrequencyResponse]:
     return runs
 
 
-def known(noise: float, seed: int) -> tuple[Fit, Certainty]:
+def known(noise: float, seed: int) -> tuple[Fit, Uncertainty]:
     runs = measured(noise, seed)
     found = fit(runs, average(runs), 4, 1.0, BAND)
-    sure = certainty(found, runs, BAND)
+    sure = model_uncertainty(found, runs, BAND)
     assert sure is not None
     return found, sure
 
@@ -62,7 +67,7 @@ def test_the_centre_is_known_as_well_as_the_noise_lets_it() -> None:
             FrequencyResponse(HZ, ((p - 130.0) * theta).astype(complex), coherence, power)
             for p in places
         ]
-        return of_centre(places, heard, along)
+        return lever_arm_uncertainty(places, heard, along)
 
     (x_c, size), (worse, less) = across(0.02), across(0.2)
     assert 0.0 < x_c < worse < 20.0
