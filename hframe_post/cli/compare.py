@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import LazyChoice, files_read, firmwares, json_option, open_json
+from hframe_post.cli.options import FirmwareChoice, files_read, json_option, open_json
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}
 TIMES = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -46,7 +46,7 @@ def _quantity(text: str, units: dict[str, float]) -> float:
     help="How much earlier or later a place may be reached (us, ms, s).",
 )  # fmt: skip
 @click.option(
-    "--firmware", type=LazyChoice(firmwares), default="klipper", show_default=True,
+    "--firmware", type=FirmwareChoice(), default="klipper", show_default=True,
     help="Who reads the files: after G90 and G91, E means another thing to Marlin.",
 )  # fmt: skip
 @json_option

@@ -11,11 +11,11 @@ import click
 
 from hframe_post.cli import choice
 from hframe_post.cli.options import (
+    FirmwareChoice,
     LazyChoice,
     dashed,
     extrusion_option,
     files_read,
-    firmwares,
     force_option,
     formats,
     json_option,
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     help="Racking and ringing, ringing only (fbs), or none. Default: the profile's.",
 )  # fmt: skip
 @click.option(
-    "--firmware", type=LazyChoice(firmwares),
+    "--firmware", type=FirmwareChoice(),
     help="G-code: who reads the output. Default: the profile's.",
 )  # fmt: skip
 @limits_option

@@ -37,6 +37,21 @@ class LazyChoice(click.Choice[str]):
         """Click's constructor has none to give."""
 
 
+class FirmwareChoice(LazyChoice):
+    """A firmware that the output can be written for."""
+
+    def __init__(self) -> None:
+        super().__init__(firmwares)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name. Raises PrinterError for a firmware that is not supported any more."""
+        if value == "reprapfirmware":
+            from hframe_post.printer.firmware_tables import named
+
+            named(value, "--firmware")
+        return super().convert(value, param, ctx)
+
+
 def firmwares() -> Iterable[str]:
     """Those that the output can be written for."""
     from hframe_post.firmware.registry import FIRMWARES

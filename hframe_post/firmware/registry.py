@@ -14,7 +14,6 @@ from hframe_post.firmware.klipper.player import Klipper, retracts_moving
 from hframe_post.firmware.klipper.player import passing as klippers_passing
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.player import Player
-from hframe_post.firmware.reprapfirmware import RepRapFirmware
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Rests
@@ -47,7 +46,6 @@ FIRMWARES = {
     for each in (
         Firmware("klipper", "Klipper", Klipper.of, True, klippers_passing, retracts_moving),
         Firmware("marlin", "Marlin", Marlin.of),
-        Firmware("reprapfirmware", "RepRapFirmware", RepRapFirmware.of, decimates=True),
     )
 }
 

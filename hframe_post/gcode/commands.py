@@ -117,8 +117,7 @@ class Dialect:
     """Where firmwares differ in what a command means.
 
     g90_sets_e: whether G90 makes E absolute and G91 makes it relative, as M82 and M83 do;
-    elsewhere E is relative while the file is in G91, and M82 and M83 stay as they were, or
-    ``e_on_its_own``: G90 and G91 mean nothing to E.
+    elsewhere E is relative while the file is in G91, and M82 and M83 stay as they were.
     obeyed: which commands that set limits it obeys. keeps_factor: whether M220 B keeps the
     speed factor and M220 R brings it back. zero_feed: whether F0 means nothing, instead of
     being an error. splines: whether it plays G5. cr_ends_lines: whether a carriage return ends
@@ -138,7 +137,6 @@ class Dialect:
     path_acceleration: Callable[[Words, Accelerations], Accelerations]
     dwell: Callable[[Words], float]
     rejoins: bool = False
-    e_on_its_own: bool = False
     g92_resets: bool = False
 
 
@@ -175,11 +173,7 @@ MARLIN = Dialect(
     "marlin", True, frozenset({"M201", "M203", "M204", "M205"}), True, True, True, True,
     _marlin_acceleration, _marlin_dwell,
 )  # fmt: skip
-REPRAPFIRMWARE = Dialect(  # M203 is in mm/min there, and M205 is not its own
-    "reprapfirmware", False, frozenset({"M201", "M204"}), False, True, False, False,
-    _marlin_acceleration, _marlin_dwell, e_on_its_own=True,
-)  # fmt: skip
-DIALECTS = {each.name: each for each in (KLIPPER, MARLIN, REPRAPFIRMWARE)}
+DIALECTS = {each.name: each for each in (KLIPPER, MARLIN)}
 
 
 def dialect(name: str) -> Dialect:

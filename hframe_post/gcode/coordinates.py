@@ -23,7 +23,7 @@ class Coordinates:
     """
 
     def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
-        self._g90_sets_e, self._e_on_its_own = dialect.g90_sets_e, dialect.e_on_its_own
+        self._g90_sets_e = dialect.g90_sets_e
         self._g92_resets = dialect.g92_resets
         self.absolute = self.absolute_e = self.xy_plane = True
         self.e_told = False
@@ -40,7 +40,7 @@ class Coordinates:
         ox, oy, oz, oe = self.offset if self.absolute else self.position
         if not self.absolute_e:
             oe = pe
-        elif self._g90_sets_e or self._e_on_its_own:  # whatever G91 says of x, y and z
+        elif self._g90_sets_e:  # whatever G91 says of x, y and z
             oe = self.offset[3]
         scale = self.scale
         return (

@@ -82,25 +82,6 @@ class MarlinTable:
 
 
 @dataclass(frozen=True, slots=True)
-class RepRapFirmwareTable:
-    """RepRapFirmware's own settings, in force outside the stream; mm, s.
-
-    shaper: the type that M593 P names, empty: none is turned on again.
-    """
-
-    max_velocity: tuple[float, float] = positive(most=FASTEST)
-    max_acceleration: tuple[float, float] = positive(most=HARDEST)
-    acceleration: float = positive(most=HARDEST)
-    travel_acceleration: float = positive(most=HARDEST)
-    jerk: tuple[float, float] = positive(most=1e3)
-    jerk_e: float = positive(most=1e3)
-    pressure_advance: float = not_negative(0.0, most=10.0)
-    shaper: str = ""
-    shaper_freq: float = not_negative(0.0, most=1e3)
-    lines_per_second: float = positive(400.0, below=1001.0)
-
-
-@dataclass(frozen=True, slots=True)
 class Firmware:
     """Who reads the output, and the tables of the firmwares that the profile knows.
 
@@ -113,7 +94,6 @@ class Firmware:
     returns: tuple[str, ...] = ()
     klipper: KlipperTable | None = None
     marlin: MarlinTable | None = None
-    reprapfirmware: RepRapFirmwareTable | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,16 +111,21 @@ class Table:
 TABLES = {
     "klipper": Table(KlipperTable, "Klipper's own limits"),
     "marlin": Table(MarlinTable, "Marlin's own settings", "Marlin needs whole steps"),
-    "reprapfirmware": Table(RepRapFirmwareTable, "RepRapFirmware's own settings"),
 }
 
 
+REPRAPFIRMWARE_REMOVED = (
+    "support for RepRapFirmware was removed, because its output was never run on the real "
+    f"firmware: choose one of {', '.join(TABLES)}"
+)
 NAMES = ("harmless", "returns")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
 
 def named(dialect: str, key: str = "", source: str = "") -> Table:
-    """The firmware of that name. Raises PrinterError."""
+    """Return the table of the firmware with that name. Raises PrinterError."""
+    if dialect == "reprapfirmware":
+        raise PrinterError(REPRAPFIRMWARE_REMOVED, key, source)
     if dialect not in TABLES:
         raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
     return TABLES[dialect]
@@ -148,6 +133,8 @@ def named(dialect: str, key: str = "", source: str = "") -> Table:
 
 def load_firmware(table: dict[str, Any]) -> Firmware:
     """``[firmware]`` with its tables, from TOML. Raises PrinterError."""
+    if "reprapfirmware" in table:
+        raise PrinterError(REPRAPFIRMWARE_REMOVED, "firmware.reprapfirmware")
     known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
     dialect = table.get("dialect", "klipper")
     if not isinstance(dialect, str):

@@ -49,7 +49,7 @@ def with_dialect(name: str) -> Printer:
 
 
 def test_unknown_firmware_is_an_error_in_the_library() -> None:
-    with pytest.raises(HframeError, match="one of klipper, marlin, reprapfirmware"):
+    with pytest.raises(HframeError, match="one of klipper, marlin"):
         player(with_dialect("other"), None)
     with pytest.raises(HframeError, match=r"paper: firmware\.dialect: must be one of"):
         played_by(load("paper"), "other")
@@ -89,3 +89,17 @@ def test_every_number_of_a_firmwares_table_has_bounds(name: str) -> None:
         if "float" in str(member.type) or "int" in str(member.type):
             assert member.metadata.keys() & {"above", "least"}, member.name
             assert member.metadata.keys() & {"below", "most"}, member.name
+
+
+REMOVED = r"RepRapFirmware was removed, because its output was never run on the real firmware"
+
+
+@pytest.mark.parametrize("text", ['dialect = "reprapfirmware"', "[firmware.reprapfirmware]"])
+def test_profile_for_reprapfirmware_is_told_that_it_was_removed(text: str) -> None:
+    with pytest.raises(PrinterError, match=REMOVED):
+        parse(f'extends = "paper"\n[firmware]\n{text}\n', "duet")
+
+
+def test_option_for_reprapfirmware_is_told_that_it_was_removed() -> None:
+    with pytest.raises(PrinterError, match=f"--firmware: support for {REMOVED}"):
+        convert.make_context("convert", ["in.gcode", "--firmware", "reprapfirmware"])

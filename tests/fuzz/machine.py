@@ -1,6 +1,6 @@
 """What a firmware would do with a file, as far as a check needs it: independent of the package.
 
-It follows places, filament and modes of Klipper, Marlin or RepRapFirmware. Arcs reach no further
+It follows places, filament and modes of Klipper or Marlin. Arcs reach no further
 than their ends; a command that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note
 where it stands.
 """

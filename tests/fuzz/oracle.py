@@ -25,7 +25,6 @@ from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DURATION, ELAPSED, DeferredLine
 from tests.conftest import SAMPLES
-from tests.firmware.test_reprapfirmware import DUET
 from tests.fuzz import files, mutations, settings
 from tests.fuzz.arcs import arcs
 from tests.fuzz.machine import UNSEEN, Machine
@@ -46,7 +45,7 @@ BOM = b"\xef\xbb\xbf"
 WRITTEN = re.compile(rb"G1(?: [XYZE]-?\d+(?:\.\d+)?)*(?: F\d+(?:\.\d+)?)?")
 WITHOUT_LINE = ("empty", "not a single move", "binary", "not a text file", "mm of filament")
 EXTRUSIONS: tuple[Extrusion, ...] = ("absolute", "relative")
-FIRMWARES = ("klipper", "marlin", "reprapfirmware")
+FIRMWARES = ("klipper", "marlin")
 
 
 @cache
@@ -55,7 +54,6 @@ def printer(firmware: str) -> Printer:
     return {
         "klipper": partial(load, "paper"),
         "marlin": partial(load, "paper-marlin"),
-        "reprapfirmware": partial(parse, DUET, "duet"),
     }[firmware]()
 
 
@@ -78,7 +76,7 @@ def check_gcode(seed: int, seeds: list[bytes]) -> tuple[str, bytes, bytes]:
     """
     rng = Random(seed)
     text = mutations.gcode(rng, seeds)
-    firmware = rng.choice(("klipper", "klipper", "klipper", "marlin", "reprapfirmware"))
+    firmware = rng.choice(("klipper", "klipper", "klipper", "marlin"))
     strategy, clamp = rng.choice(("racking", "racking", "fbs", "none")), rng.random() < 0.2
     # what E is where a file says nothing: told, as a user may, or by the moves' evidence
     told: Extrusion | None = rng.choice(("absolute", "absolute", "relative", None))

@@ -84,8 +84,7 @@ def test_g92_renames_a_place() -> None:
 def test_g92_alone_is_klippers_for_all_coordinates() -> None:
     lines = ("M82", "G1 X10 E5", "G92", "G1 X10 E5")
     assert ends(*lines)[-1] == [20.0, 0.0, 0.0, 10.0]
-    for firmware in ("marlin", "reprapfirmware"):
-        assert ends(*lines, firmware=firmware)[-1] == [10.0, 0.0, 0.0, 5.0]
+    assert ends(*lines, firmware="marlin")[-1] == [10.0, 0.0, 0.0, 5.0]
 
 
 def test_inches() -> None:

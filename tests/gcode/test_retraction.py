@@ -89,7 +89,6 @@ def test_a_lone_g10_at_the_end_passes() -> None:
     [
         ("marlin", "M207 S1.5 F1200\nM208 S0 F600", [(-1.5, 20.0), (1.5, 10.0)]),
         ("marlin", "M207 S1.5 Z0.3", []),
-        ("reprapfirmware", "M207 S1.5 R0 F1200", []),
         ("klipper", "M207 S1.5", PAIR),
     ],
 )

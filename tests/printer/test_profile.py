@@ -189,7 +189,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nstrategy = 'best'", "compensation.strategy", "none, fbs, racking"),
         ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
         ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
-        ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin, reprap"),
+        ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
         ("[firmware]\nbegin_macro = 3", "firmware.klipper.begin_macro", "must be text"),
         ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
         ("[firmware.klipper]\nminimum_cruise_ratio = 1.0",
