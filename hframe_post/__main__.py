@@ -6,18 +6,20 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Runs the command line. Imports take a while: till then an interrupt just ends it."""
+    """Run the command line and end the process.
+
+    Until the imports are done, Ctrl-C ends the process without a traceback.
+    """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    if getattr(sys, "frozen", False):  # as one file, which is each of its processes, too
+    if getattr(sys, "frozen", False):  # a single file, which its child processes run, too
         from multiprocessing import freeze_support
 
         freeze_support()
 
-    from hframe_post.cli.main import main as command
-    from hframe_post.cli.process import run
+    from hframe_post.cli.main import run
 
-    run(command)
+    run()
 
 
 if __name__ == "__main__":

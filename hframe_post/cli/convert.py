@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hframe_post.cli import choice
 from hframe_post.cli.options import (
     FirmwareChoice,
     LazyChoice,
+    chosen_printer,
     dashed,
     extrusion_option,
     files_read,
@@ -113,10 +113,11 @@ def convert(
       hframe-post in.gcode --report report.html
     """
     from hframe_post.cli import slicer
-    from hframe_post.cli.process import processors
     from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
     from hframe_post.conversion.options import TOLERANCE
+    from hframe_post.printer.choice import proof
+    from hframe_post.process import processor_count
     from hframe_post.writers.files.atomic_file import Outputs
 
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
@@ -149,17 +150,17 @@ def convert(
         if str(source) != "-":
             outputs.watch(file, source)
         target = Target(outputs, None if to_stdout else output or source, source)
-        jobs = jobs or processors()
+        jobs = jobs or processor_count()
         log(f"conversion to {kind}, --jobs {jobs}")
         report = converted(lines, None if dry_run else target, profile, options, kind, jobs)
         log(f"{report.read.lines} lines are converted")
         log_stages(report.seconds)
-        write_json({**choice.taken().as_json(), **report.as_json(), **told_as_json(found)})
+        write_json({**chosen_printer().as_json(), **report.as_json(), **told_as_json(found)})
         text = "\n".join(
             [
                 *slicer.output(os.environ),
-                choice.taken().as_text(),
-                choice.proof(profile),
+                chosen_printer().as_text(),
+                proof(profile),
                 report.as_text(),
                 *told(found),
                 *slicer.warnings(os.environ, profile.limits),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.process import itself
+from hframe_post.process import own_command
 
 NAME = "HframePost"  # of the file and of the class in it: Cura finds one by the other
 _VERSION = re.compile(r"\d+\.\d+")
@@ -79,7 +79,7 @@ def program() -> str:
     for name in ("hframe-post", "hframe-post.exe"):
         if (own := Path(sys.executable).parent / name).is_file():
             return str(own)
-    python, *rest = itself()
+    python, *rest = own_command()
     return " ".join((f'"{python}"', *rest)) if rest else python
 
 

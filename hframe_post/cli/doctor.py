@@ -11,11 +11,10 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli import choice
-from hframe_post.cli.options import printer_option
+from hframe_post.cli.options import chosen_printer, printer_option
 from hframe_post.version import __version__
 
-PACKAGES = ("click", "numpy", "scipy", "ruckig", "rich", "tomlkit", "threadpoolctl", "platformdirs")
+PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
 EXTRAS = ("matplotlib", "pyarrow", "zstandard", "watchfiles", "distributed")
 
 
@@ -103,7 +102,7 @@ def _profile(told: _Told, printer: str, config: Path | None) -> None:
     from hframe_post.printer.klipper_cfg import KlipperConfig, check
     from hframe_post.printer.profile import load, shipped
 
-    chosen = choice.taken()
+    chosen = chosen_printer()
     try:
         profile = load(printer)
         prepared(profile)

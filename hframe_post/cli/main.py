@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
+import traceback
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
+from hframe_post import process
 from hframe_post.version import __version__
 
 COMMANDS = {  # module of hframe_post.cli, its function
     "convert": "convert.convert",
-    "batch": "batch.command.batch",
+    "batch": "batch.batch",
     "compare": "compare.compare",
     "simulate": "simulate.simulate",
     "paper": "paper.paper",
@@ -79,3 +84,39 @@ def main() -> None:
     hframe-post in.gcode                  convert it in place (slicers' hook)
     hframe-post convert --help            all options of it
     """
+
+
+def run() -> NoReturn:
+    """Run the command line and end the process: with status 0 only if all was done and printed."""
+    process.open_closed_streams()
+    process.clean_up_when_killed()
+    process.end_with_parent()
+    try:
+        main()
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 1
+    except MemoryError:
+        status = _fail("there is not enough memory; nothing was written")
+    except OSError as error:  # while click wrote to standard output
+        status = _fail(error.strerror or str(error))
+    except Exception as error:  # our mistake, not the user's
+        status = _fail(_bug_report(error))
+    failure = process.flush_streams()
+    if failure is not None and status == 0:
+        status = 1 if isinstance(failure, BrokenPipeError) else _fail(str(failure))
+    sys.exit(status)
+
+
+def _fail(message: str) -> int:
+    with contextlib.suppress(OSError):
+        click.echo(f"Error: {message}", err=True)
+    return 1
+
+
+def _bug_report(error: Exception) -> str:
+    """One line from which the fault can be found."""
+    frames = traceback.extract_tb(error.__traceback__)[-3:]
+    places = ", ".join(f"{os.path.basename(f.filename)}:{f.lineno}" for f in reversed(frames))
+    message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return f"this is a bug in hframe-post, please report it: {message} ({places})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -10,14 +11,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from hframe_post.cli import choice
 from hframe_post.cli.progress import progress
+from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
     from hframe_post.writers.files.atomic_file import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+_CHOICE = "hframe_post.choice"  # in a context's meta
 
 
 class LazyChoice(click.Choice[str]):
@@ -80,10 +82,22 @@ def formats() -> Iterable[str]:
     return FORMATS
 
 
+def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
+    choice = choose(requested, os.environ)
+    context.meta[_CHOICE] = choice
+    return choice.profile
+
+
+def chosen_printer() -> Choice:
+    """Return which profile the running command uses, and why."""
+    choice: Choice = click.get_current_context().meta[_CHOICE]
+    return choice
+
+
 printer_option = click.option(
-    "-p", "--printer", metavar="NAME|FILE", callback=choice.take,
-    help="Profile: a shipped one's name, or a TOML file. Default: what HFRAME_PRINTER or "
-    "'hframe-post use' says, else 'paper'.",
+    "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
+    help="Printer profile: a shipped one's name, or a TOML file. Default: the variable "
+    "HFRAME_PRINTER, then the profile set with 'hframe-post use', then 'paper'.",
 )  # fmt: skip
 
 limits_option = click.option(
@@ -125,6 +139,16 @@ def renamed_option(
     return click.option(
         old, hidden=True, expose_value=False, is_eager=True, callback=use_new, **settings
     )
+
+
+def removed_option(old: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
+    """Return the decorator for an option that does nothing any more but print this advice."""
+
+    def warn(context: click.Context, _: click.Parameter, given: Any) -> None:
+        if given is not None and given is not False:
+            say(f"Warning: {old} will be removed: {advice}")
+
+    return click.option(old, hidden=True, expose_value=False, callback=warn, **settings)
 
 
 def force_option(command: Command) -> Command:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hframe_post.cli import choice
 from hframe_post.cli.options import (
+    chosen_printer,
     files_read,
     json_option,
     on_limit_option,
@@ -98,11 +98,11 @@ def simulate(
         log(f"{report.read.lines} lines are simulated")
         log_stages(report.seconds)
         found = _rivals(source, profile, limits, extrusion) if against else []
-        told = [choice.taken().as_text(), report.as_text(layers)]
+        told = [chosen_printer().as_text(), report.as_text(layers)]
         if found:
             told.append(rivals_as_text(found))
         beside = {"against": rivals_as_json(found)} if found else {}
-        write_json({**choice.taken().as_json(), **report.as_json(), **beside})
+        write_json({**chosen_printer().as_json(), **report.as_json(), **beside})
         if report_file is not None and source is not None:
             options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
             log("page: the simulation once more")

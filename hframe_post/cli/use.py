@@ -22,7 +22,7 @@ def use(profile: str | None, forget: bool) -> None:
     Example:
       hframe-post use my.toml
     """
-    from hframe_post.cli.choice import choose, config_file
+    from hframe_post.printer.choice import choose, config_file
     from hframe_post.printer.profile import load, shipped
 
     if forget and profile is not None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.cli.choice import choose
 from hframe_post.cli.slicer import warnings
+from hframe_post.printer.choice import choose
 from hframe_post.printer.settings import Printer
 from tests.cli.test_main import RECTANGLE, run
 

@@ -12,9 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import TYPE_CHECKING
 
 from hframe_post.errors import HframeError, one_line
 
@@ -25,7 +23,6 @@ VARIABLE = "HFRAME_PRINTER"
 FALLBACK = "paper"
 _NOTE = re.compile(r"^\s*HFRAME_PRINTER\s*=\s*(\S.*)", re.MULTILINE)
 _ESCAPE = re.compile(r"\\(.)")  # as the slicers write text of several lines into one
-_META = "hframe_post.choice"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +96,3 @@ def proof(profile: Printer) -> str:
         return "NOT VERIFIED on a machine: 'hframe-post verify' shows whether this profile helps"
     less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the machine"
     return f"verified    {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"
-
-
-def take(context: click.Context, parameter: click.Parameter, asked: Any) -> str:
-    """The callback of ``-p``: the choice is kept for the summary."""
-    choice = choose(asked, os.environ)
-    context.meta[_META] = choice
-    return choice.profile
-
-
-def taken() -> Choice:
-    """The choice of the running command."""
-    choice: Choice = click.get_current_context().meta[_META]
-    return choice

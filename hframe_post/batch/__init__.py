@@ -1,0 +1,1 @@
+"""Conversion of many files, in processes here or on a cluster."""

@@ -1,0 +1,146 @@
+"""Processes: children that end with their parent, signals, and standard streams."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import subprocess  # nosec B404  only this tool itself is started
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from types import FrameType
+from typing import TextIO
+
+from hframe_post.writers.files.temporary import give_up
+
+CHILD = "HFRAME_POST_CHILD"  # set in the environment of a ChildProcess
+FATAL_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+SHOW_CURSOR = b"\x1b[?25h\n"  # progress bars hide it
+
+
+def processor_count() -> int:
+    """Return how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def own_command() -> list[str]:
+    """Return the first words of a command that runs this tool in another process."""
+    if getattr(sys, "frozen", False):  # a single file that needs no Python
+        return [sys.executable]
+    return [sys.executable, "-m", "hframe_post"]
+
+
+class ChildProcess:
+    """A process of this tool that ends, and cleans up, when its parent ends for any reason.
+
+    Its standard input is a pipe that nobody writes to. Only the parent holds the other end, so
+    the pipe closes when the parent is gone. Its two outputs are piped to the parent.
+    """
+
+    def __init__(self, command: Sequence[str]) -> None:
+        reading_end, self._writing_end = os.pipe()
+        try:
+            self._process = subprocess.Popen(  # nosec B603  no shell, a list
+                command, stdin=reading_end, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                env={**os.environ, CHILD: "1"},
+            )  # fmt: skip
+        finally:
+            os.close(reading_end)
+
+    def wait(self) -> tuple[int, bytes, bytes]:
+        """Wait for the end; return the exit status (-n: signal n), stdout and stderr."""
+        try:
+            output, error = self._process.communicate()
+            return self._process.returncode, output, error
+        finally:
+            os.close(self._writing_end)
+
+    def stop(self) -> None:
+        """Ask the process to end; it removes its temporary files."""
+        self._process.terminate()
+
+
+def end_with_parent() -> None:
+    """Start watching the parent if this process is a ``ChildProcess``."""
+    if os.environ.get(CHILD):
+        threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    os.read(0, 1)  # returns when the parent is gone
+    while not give_up():  # let files finish that are being moved into place
+        time.sleep(0.01)
+    os._exit(1)
+
+
+def clean_up_when_killed() -> None:
+    """Remove temporary files when a signal ends this process.
+
+    The handler ends the process itself: an exception could be lost in a library's callback, and
+    would wait for threads.
+    """
+    for name in FATAL_SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _die)
+
+
+def _die(number: int, _: FrameType | None) -> None:
+    if give_up():
+        with contextlib.suppress(OSError, ValueError):
+            if sys.stderr.isatty():
+                os.write(sys.stderr.fileno(), SHOW_CURSOR)
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+
+
+def open_closed_streams() -> None:
+    """Replace closed standard streams by streams on the null device.
+
+    Otherwise the next file to be opened would take a stream's number, and receive what is printed.
+    The null device is opened the wrong way round, so that reading input or writing output fails.
+    """
+    for descriptor, mode in ((0, os.O_WRONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, mode)  # takes the lowest free number: this one
+    if sys.stdin is None:
+        sys.stdin = _text_stream(0, "r")
+    if sys.stdout is None:
+        sys.stdout = _text_stream(1, "w")
+    if sys.stderr is None:
+        sys.stderr = _text_stream(2, "w")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # file names may hold any bytes
+
+
+def _text_stream(descriptor: int, mode: str) -> TextIO:
+    raw = io.FileIO(descriptor, mode)  # `open` would refuse a stream that cannot be written
+    buffered = io.BufferedReader(raw) if mode == "r" else io.BufferedWriter(raw)
+    return io.TextIOWrapper(buffered, encoding="utf-8")
+
+
+def flush_streams() -> OSError | ValueError | None:
+    """Flush standard output and error; return why output failed, None if it did not.
+
+    A stream that cannot be flushed is redirected to the null device, so that Python does not
+    complain about it at exit.
+    """
+    failure: OSError | ValueError | None = None
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError) as error:
+            if stream is sys.stdout:
+                failure = error
+            with contextlib.suppress(OSError, ValueError):
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, stream.fileno())
+    return failure
