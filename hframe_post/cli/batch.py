@@ -146,9 +146,13 @@ def _convert(jobs: list[Job], converter: Converter, quiet: bool) -> None:
 
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
     terminal = sys.stderr.isatty()
+
+    def count(_: Job | None) -> str:
+        return f"{sum(job.finished for job in jobs)} of {len(jobs)}"
+
     with click.progressbar(
         length=sum(sizes.values()), file=sys.stderr, hidden=quiet or not terminal,
-        item_show_func=lambda _: f"{sum(job.finished for job in jobs)} of {len(jobs)}",
+        item_show_func=count,
     ) as bar:  # fmt: skip
         for job in run(jobs, converter):
             if not quiet:
