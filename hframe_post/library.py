@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hframe_post.arrays import Array
-from hframe_post.compensation.compensate import settling
+from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
@@ -62,7 +62,7 @@ def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Ar
     """
     path, chosen = _places(xy, "xy"), strategy_of(strategy)
     compensator = prepared(printer)
-    r = settling(compensator, printer.limits, printer.travel)
+    r = settling_samples(compensator, printer.limits, printer.travel)
     course = chosen.begin(compensator, path[0])
     done = course.feed(np.pad(path, ((r, r), (0, 0)), mode="edge"))
     return np.concatenate([done, course.finish()])

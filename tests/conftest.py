@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 
 from hframe_post.conversion.pipeline import Commands, Options, prepared
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.resources import one_blas_thread

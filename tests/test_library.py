@@ -122,7 +122,7 @@ def test_what_is_no_path_is_refused(paper: Printer, wrong: list[float]) -> None:
 
 
 def test_unknown_strategies_and_profiles_are_the_tools_errors(paper: Printer) -> None:
-    with pytest.raises(hp.HframeError, match="no strategy is named 'raking'"):
+    with pytest.raises(hp.HframeError, match="unknown strategy 'raking'"):
         hp.compensate(np.zeros((5, 2)), paper, "raking")
     with pytest.raises(hp.HframeError, match="no such profile"):
         hp.load_printer("nobody")

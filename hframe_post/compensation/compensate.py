@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, X, Z
-from hframe_post.model.strategies import strategy
-from hframe_post.model.strategy import Compensator, Course
+from hframe_post.model.strategies import Compensator, StrategyState, strategy
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Samples, frozen
@@ -48,7 +47,7 @@ def compensate(
 class _Courses:
     """The strategies at work on one stretch, and the samples that wait for their commands."""
 
-    def __init__(self, courses: dict[str, Course]) -> None:
+    def __init__(self, courses: dict[str, StrategyState]) -> None:
         self._courses = courses
         self._held: list[Samples] = []
         self._ready = {name: np.zeros((0, 2)) for name in courses}
@@ -84,7 +83,7 @@ class _Courses:
         yield replace(ready, commands=commands)
 
 
-def settling(compensator: Compensator, limits: Limits, travel: Travel) -> int:
+def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
     """Samples of standstill in which any command leads and settles, to SETTLED mm.
 
     Those of the fastest start and stop, in x and y at once, at the longest lever arm.

@@ -1,8 +1,9 @@
-"""No command leaves the bed or outruns a motor: an error, or a clamp that is reported.
+"""Checks of the model and of the commands before anything is written, and the clamp.
 
-Clamping takes the compensation back, smoothly and only around the place, until the belts
-can follow; at the edge of the bed the command is cut off. Where the belts cannot follow the taking
-back itself, all of it is taken, over a longer time.
+No command may leave the bed, outrun a motor, or ask for more than a real printer can need: each is
+an error. A clamp may instead reduce the compensation, smoothly and only where needed, until the
+belts can follow; at the edge of the bed it cuts the command off. Where the belts cannot follow the
+reduction itself, it removes all of the compensation over a longer time.
 """
 
 from __future__ import annotations
@@ -12,50 +13,108 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Z
-from hframe_post.errors import HframeError, LimitError
+from hframe_post.arrays import TS, Array, X, Y, Z
+from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
-from hframe_post.printer.settings import Motors, Travel
+from hframe_post.model.plant import Plant
+from hframe_post.printer.settings import Limits, Motors, Printer, Travel
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
-REACH = 80  # samples over which a clamp sets in and fades out
-WIDER = (2 * REACH, 4 * REACH)  # where belts cannot follow that
-SEEN = REACH + sum(WIDER) + 6  # samples to either side that decide; the belts' differences see two
-TAKE_MORE = 0.9  # share of the excess-free compensation that a clamp leaves
-LEEWAY = 1.0 + 1e-9  # limits met exactly are met
-SLACK = 1e-9  # mm, to the same end
-FAULT = "line {line}: the command computed here {what}; nothing was written. Please report this"
+REACH = 80  # samples over which a clamp fades in and out
+LONGER_REACHES = (2 * REACH, 4 * REACH)  # tried where the belts cannot follow that
+AROUND = REACH + sum(LONGER_REACHES) + 6  # samples to either side that a clamp depends on
+MARGIN = 0.9  # share of the admissible compensation that a clamp keeps
+LEEWAY, SLACK = 1.0 + 1e-9, 1e-9  # factor and mm by which a limit that is met exactly passes
+SLOW_HZ = 3.0  # frequency at which lag and stiffness are read off a model
+ADVICE = (
+    "the [plant] of this profile does not describe this printer: run `hframe-post sweep` and "
+    "`hframe-post identify` again"
+)
+
+
+# ---------------------------------------------------------------------- the model
+
+
+def check_model(printer: Printer) -> None:
+    """Raise PrinterError if the gantry would twist further than any gantry does."""
+    G, limits = printer.plant.Gxtheta, printer.limits
+    if G is None:
+        return
+    omega = 2.0 * np.pi * SLOW_HZ
+    slow = abs(complex(G.response(np.array([omega * TS]))[0]))
+    angle = min(slow / omega * limits.velocity, slow / omega**2 * limits.acceleration)
+    if angle > 0.02:  # rad
+        raise PrinterError(
+            f"this model twists the gantry by {1e3 * angle:.0f} mrad, more than any printer; "
+            f"{ADVICE}",
+            "plant.Gxtheta", printer.name,
+        )  # fmt: skip
+
+
+def max_deviation(plant: Plant, limits: Limits) -> float:
+    """Return how far a command may be from its path, in mm.
+
+    A command leads the path by what the nozzle lags behind: speed times lag, and acceleration over
+    the square of the printer's frequency. Twice that, and 3 mm, are allowed.
+    """
+    omega = 2.0 * np.pi * SLOW_HZ
+    lead = 0.0
+    for G in (plant.Gxx, plant.Gyy):
+        response = complex(G.response(np.array([omega * TS]))[0])
+        lag, compliance = -response.imag / omega, abs(1.0 - response.real) / omega**2
+        lead = max(lead, abs(lag) * limits.velocity + compliance * limits.acceleration)
+    return 3.0 + 2.0 * lead
+
+
+def check_deviation(chunks: Iterable[Samples], strategy: str, most: float) -> Iterator[Samples]:
+    """Yield the chunks unchanged. Raise HframeError if a command is over ``most`` mm off its path.
+
+    A model that asks for more than ``max_deviation`` contradicts itself.
+    """
+    for chunk in chunks:
+        if len(chunk):
+            command = chunk.commands[strategy]
+            dx, dy = (command[:, axis] - chunk.xyze[:, axis] for axis in (X, Y))
+            off2 = dx * dx + dy * dy
+            if not off2.max() <= most * most:
+                k = int(off2.argmax())
+                raise HframeError(
+                    f"line {int(chunk.line[k])}: the compensation would move the nozzle "
+                    f"{np.sqrt(off2[k]):.1f} mm off its path; the lag of the model explains at "
+                    f"most {most:.1f} mm. Probably {ADVICE}"
+                )
+        yield chunk
+
+
+def check_prediction(rms: float) -> None:
+    """Raise HframeError if the printer could not print at all without compensation.
+
+    rms: predicted contour error in mm without compensation.
+    """
+    if rms > 1.0:
+        raise HframeError(
+            f"the model predicts {rms:.1f} mm RMS of contour error without compensation, more than "
+            f"any working printer has. Probably {ADVICE}"
+        )
+
+
+# ---------------------------------------------------------------------- the guard
 
 
 @dataclass(frozen=True, slots=True)
 class Peaks:
-    """The most that the commands asked of the machine: mm/s, mm/s²; axis_acceleration: x, y."""
+    """Greatest rates of the commands, mm/s and mm/s²; axis_acceleration: x, y."""
 
     belt_velocity: float = 0.0
     belt_acceleration: float = 0.0
     axis_acceleration: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Clamped:
-    """Samples taken back, the source line of the first of them, and the most of any (mm)."""
-
-    samples: int = 0
-    line: int = 0
-    most: float = 0.0
-
-    def joined(self, later: Clamped) -> Clamped:
-        """Both."""
-        return Clamped(
-            self.samples + later.samples, self.line or later.line, max(self.most, later.most)
-        )
-
-
 class Guard:
-    """Lets commands pass once they are known to be safe. ``peaks``: of what has passed.
+    """Passes commands that are safe. ``peaks``: rates of what has passed so far.
 
-    clamped: whether all that could be taken back has been.
+    clamped: whether a clamp has already reduced the compensation, which error messages mention.
     """
 
     def __init__(
@@ -66,9 +125,9 @@ class Guard:
         self.peaks = Peaks()
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
-        """The stream as it is. Raises LimitError for a command of ``strategy`` that is not safe.
+        """Yield the chunks unchanged. Raise LimitError for an unsafe command of ``strategy``.
 
-        HframeError for a stream that is not sound: the last look at it before it is written.
+        Raises HframeError for a stream with a gap or a value that is not finite.
         """
         end: int | None = None  # of the last chunk; every span begins at 0
         for stretch in stretches(chunks):
@@ -79,7 +138,7 @@ class Guard:
                 end = chunk.end
                 if len(chunk):
                     _check_travel(chunk, command, self._travel)
-                    rates = differences.of(command)
+                    rates = differences.rates(command)
                     _check_motors(chunk, rates, self._motors, self._clamped)
                     self._note(rates)
                 yield chunk
@@ -94,20 +153,91 @@ class Guard:
         )
 
 
+def _greatest(values: Array) -> float:
+    """Return the greatest magnitude, without a copy of the array."""
+    return max(float(values.max()), -float(values.min()))
+
+
+def _check_sound(chunk: Samples, command: Array, first: int | None) -> None:
+    fault = "line {}: the command computed here {}; nothing was written. Please report this bug"
+    places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
+    if (first is not None and chunk.first != first) or places != sorted(places):
+        line = int(chunk.line[0]) if len(chunk) else 0
+        raise HframeError(fault.format(line, "goes back in time"))
+    if not (np.isfinite(command).all() and np.isfinite(chunk.xyze).all()):
+        finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
+        raise HframeError(fault.format(int(chunk.line[np.argmin(finite)]), "is not a number"))
+
+
+def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
+    z = chunk.xyze[:, Z]
+    low, high = travel.z
+    if z.min() < low - SLACK or z.max() > high + SLACK:
+        k = int(np.argmax((z < low - SLACK) | (z > high + SLACK)))
+        bound = low if z[k] < low else high
+        advice = "change travel.z in the profile if the printer allows it"
+        raise LimitError("z (mm)", float(z[k]), bound, int(chunk.line[k]), advice)
+    for axis, (low, high) in enumerate((travel.x, travel.y)):
+        position = command[:, axis]
+        if position.min() >= low - SLACK and position.max() <= high + SLACK:
+            continue
+        below = position.min() < low - SLACK
+        k, bound = (int(position.argmin()), low) if below else (int(position.argmax()), high)
+        off = abs(position[k] - chunk.xyze[k, axis])
+        raise LimitError(
+            f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
+            f"the compensation adds {off:.3g} mm here: move the part inwards, "
+            "widen [travel] in the profile if the bed allows it, or use --on-limit clamp",
+        )  # fmt: skip
+
+
+def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -> None:
+    for name, unit, asked, limit in (
+        ("velocity", "mm/s", rates.belt_velocity, motors.belt_velocity),
+        ("acceleration", "mm/s²", rates.belt_acceleration, motors.belt_acceleration),
+    ):
+        if _greatest(asked) > limit * LEEWAY:
+            magnitude = np.abs(asked).max(axis=0)
+            k = int(magnitude.argmax())
+            raise LimitError(
+                f"belt {name} ({unit})", float(magnitude[k]), limit, int(chunk.line[k]),
+                "raise effort in [compensation], lower the print's speed or acceleration, "
+                f"raise motors.belt_{name} if the motors can do it"
+                + ("; clamping was not enough" if clamped else ", or use --on-limit clamp"),
+            )  # fmt: skip
+
+
+# ---------------------------------------------------------------------- the clamp
+
+
+@dataclass(frozen=True, slots=True)
+class Clamped:
+    """Number of samples clamped, source line of the first, and the greatest change (mm)."""
+
+    samples: int = 0
+    line: int = 0
+    most: float = 0.0
+
+    def joined(self, later: Clamped) -> Clamped:
+        """Return the total of this part of a stream and a later one."""
+        return Clamped(
+            self.samples + later.samples, self.line or later.line, max(self.most, later.most)
+        )
+
+
 class Clamp:
-    """Takes commands back where they ask too much. ``clamped``: what was, so far."""
+    """Reduces commands that ask too much. ``clamped``: what was changed so far."""
 
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
         self.clamped = Clamped()
 
     def limit(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
-        """The stream with the command of ``strategy`` taken back where it asks too much."""
-        travel = self._travel
+        """Yield the chunks with the command of ``strategy`` reduced where it asks too much."""
         for stretch in stretches(chunks):
-            for chunk, wide, where in with_neighbours(stretch, SEEN, SEEN):
-                path, command = wide.xyze[:, :Z], wide.commands[strategy]
-                safe = _taken_back(path, command, travel, self._motors, self._kinematics)
+            for chunk, wide, where in with_neighbours(stretch, AROUND, AROUND):
+                command = wide.commands[strategy]
+                safe = self._reduced(wide.xyze[:, :Z], command)
                 changed = (safe != command).any(axis=1)[where]
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
@@ -116,112 +246,51 @@ class Clamp:
                     self.clamped = self.clamped.joined(Clamped(int(changed.sum()), line, most))
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
+    def _reduced(self, path: Array, command: Array) -> Array:
+        """Return the command (n, 2) as bed and belts allow it, the belts if at all possible."""
+        travel = self._travel
+        edges = (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1])
+        share = _faded(self._admissible(path, command), REACH)
+        for reach in LONGER_REACHES:
+            safe = np.clip(path + share[:, None] * (command - path), *edges)
+            if (share == 1.0).all():
+                return safe
+            exceeded = self._admissible(path, safe) < 1.0
+            if not exceeded.any():
+                return safe
+            share = np.minimum(share, _faded(np.where(exceeded, 0.0, 1.0), reach))
+        return np.clip(path + share[:, None] * (command - path), *edges)
 
-def _greatest(values: Array) -> float:
-    """The greatest magnitude."""
-    return max(float(values.max()), -float(values.min()))
-
-
-def _taken_back(
-    path: Array, command: Array, travel: Travel, motors: Motors, kinematics: Kinematics
-) -> Array:
-    """The command (n, 2) as bed and belts allow it, the belts if at all possible."""
-    share = _faded(_needed(path, command, travel, motors, kinematics), REACH)
-    edges = (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1])
-    for wider in (*WIDER, None):
-        safe = np.clip(path + share[:, None] * (command - path), *edges)
-        if wider is None or (share == 1.0).all():
-            break
-        exceeded = _needed(path, safe, travel, motors, kinematics) < 1.0
-        if not exceeded.any():
-            break
-        share = np.minimum(share, _faded(np.where(exceeded, 0.0, 1.0), wider))
-    return safe
-
-
-def _needed(
-    path: Array, command: Array, travel: Travel, motors: Motors, kinematics: Kinematics
-) -> Array:
-    """Share of the compensation that bed and belts allow at each sample, (n,)."""
-    needed = np.ones(len(path))
-    for axis, (low, high) in enumerate((travel.x, travel.y)):
-        of_path, of_command = path[:, axis], command[:, axis]
-        needed = np.minimum(needed, _allowed(of_path, of_command, low, high, 1.0))
-    for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
-        path_rate = np.diff(kinematics.belts(*path.T), n=order) / TS**order
-        command_rate = np.diff(kinematics.belts(*command.T), n=order) / TS**order
-        for belt in (0, 1):
-            allowed = _allowed(path_rate[belt], command_rate[belt], -limit, limit, TAKE_MORE)
-            needed[order:] = np.minimum(needed[order:], allowed)
-    return needed
+    def _admissible(self, path: Array, command: Array) -> Array:
+        """Return the share of the compensation that bed and belts allow at each sample, (n,)."""
+        share, motors, belts = np.ones(len(path)), self._motors, self._kinematics.belts
+        for axis, (low, high) in enumerate((self._travel.x, self._travel.y)):
+            bed = _share_within(path[:, axis], command[:, axis], low, high, 1.0)
+            share = np.minimum(share, bed)
+        for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
+            path_rate = np.diff(belts(*path.T), n=order) / TS**order
+            command_rate = np.diff(belts(*command.T), n=order) / TS**order
+            for own, asked in zip(path_rate, command_rate, strict=True):
+                belt = _share_within(own, asked, -limit, limit, MARGIN)
+                share[order:] = np.minimum(share[order:], belt)
+        return share
 
 
-def _faded(needed: Array, over: int) -> Array:
-    """A smooth share (n,), no more than is needed, that fades ``over`` so many samples."""
+def _faded(needed: Array, reach: int) -> Array:
+    """Return a smooth share (n,) that is nowhere above ``needed`` and fades over ``reach``."""
     share = np.ones(len(needed))
-    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-over, over + 1) / (over + 1))
-    for k in np.flatnonzero(needed < 1.0).tolist():  # few: the places where a limit is exceeded
-        low, high = max(k - over, 0), min(k + over + 1, len(share))
-        taken = (1.0 - needed[k]) * ramp[low - k + over : high - k + over]
-        share[low:high] = np.minimum(share[low:high], 1.0 - taken)
+    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
+    for k in np.flatnonzero(needed < 1.0).tolist():  # few: only where a limit is exceeded
+        low, high = max(k - reach, 0), min(k + reach + 1, len(share))
+        removed = (1.0 - needed[k]) * ramp[low - k + reach : high - k + reach]
+        share[low:high] = np.minimum(share[low:high], 1.0 - removed)
     return share
 
 
-def _allowed(path: Array, command: Array, low: float, high: float, margin: float) -> Array:
-    """Share of command − path (n,) that stays within low … high, times a margin if not all."""
+def _share_within(path: Array, command: Array, low: float, high: float, margin: float) -> Array:
+    """Return the share of command − path (n,) that stays within bounds; times margin if not all."""
     over = (command < low - SLACK) | (command > high + SLACK)
     bound = np.clip(command, low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (bound - path) / (command - path)
     return np.where(over, np.clip(margin * share, 0.0, 1.0), 1.0)
-
-
-def _check_sound(chunk: Samples, command: Array, first: int | None) -> None:
-    """Raises HframeError unless time goes on and all numbers are numbers."""
-    line = int(chunk.line[0]) if len(chunk) else 0
-    places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
-    if (first is not None and chunk.first != first) or places != sorted(places):
-        raise HframeError(FAULT.format(line=line, what="goes back in time"))
-    if not (np.isfinite(command).all() and np.isfinite(chunk.xyze).all()):
-        finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
-        line = int(chunk.line[np.argmin(finite)])
-        raise HframeError(FAULT.format(line=line, what="is not a number"))
-
-
-def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
-    z = chunk.xyze[:, Z]
-    if z.min() < travel.z[0] - SLACK or z.max() > travel.z[1] + SLACK:
-        k = int(np.argmax((z < travel.z[0] - SLACK) | (z > travel.z[1] + SLACK)))
-        low, high = travel.z
-        bound = low if z[k] < low else high
-        advice = "see travel.z of the profile"
-        raise LimitError("z (mm)", float(z[k]), bound, int(chunk.line[k]), advice)
-    for axis, (low, high) in enumerate((travel.x, travel.y)):
-        position = command[:, axis]
-        if position.min() >= low - SLACK and position.max() <= high + SLACK:
-            continue
-        for k, bound in ((int(position.argmin()), low), (int(position.argmax()), high)):
-            if position[k] < low - SLACK or position[k] > high + SLACK:
-                off = abs(position[k] - chunk.xyze[k, axis])
-                raise LimitError(
-                    f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
-                    f"the compensation adds {off:.3g} mm here: move the part inwards, "
-                    "widen [travel] in the profile if the bed allows it, or use --on-limit clamp",
-                )  # fmt: skip
-
-
-def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -> None:
-    for order, name, asked, limit in (
-        (1, "velocity", rates.belt_velocity, motors.belt_velocity),
-        (2, "acceleration", rates.belt_acceleration, motors.belt_acceleration),
-    ):
-        if _greatest(asked) > limit * LEEWAY:
-            magnitude = np.abs(asked).max(axis=0)
-            k = int(magnitude.argmax())
-            raise LimitError(
-                f"belt {name} (mm/s{'²' * (order - 1)})", float(magnitude[k]), limit,
-                int(chunk.line[k]),
-                "raise effort in [compensation], lower the print's speed or acceleration, "
-                f"raise motors.belt_{name} if the motors can do it"
-                + ("; clamping was not enough" if clamped else ", or use --on-limit clamp"),
-            )  # fmt: skip

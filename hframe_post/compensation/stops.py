@@ -20,10 +20,9 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Z
 from hframe_post.model.stop import StopSolver
-from hframe_post.model.stop_filters import State
-from hframe_post.model.stop_judged import BESIDE, BEYOND, NEAREST, Stop, Surroundings
-from hframe_post.model.strategies import strategy
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.stop_cost import BESIDE, BEYOND, NEAREST, Stop, Surroundings
+from hframe_post.model.stop_plant import State
+from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.model.transfer_function import BLOCK_SAMPLES
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
@@ -49,14 +48,14 @@ def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
     return replace(passing, before=n, after=n, aside=ASIDE, long=LONGEST)
 
 
-def solvers(
+def stop_solvers(
     compensator: Compensator, names: Iterable[str], printer: Printer
 ) -> dict[str, StopSolver]:
     """Solvers of the strategies of these names, but of those whose command is the path."""
     effort = compensator.x.window.effort, compensator.y.window.effort
     belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
     bed = printer.travel.x, printer.travel.y
-    believed = {name: strategy(name).believes(compensator.plant) for name in names}
+    believed = {name: strategy(name).assumed(compensator.plant) for name in names}
     return {
         name: StopSolver(plant, effort, belts, motors, bed)
         for name, plant in believed.items()
@@ -64,7 +63,7 @@ def solvers(
     }
 
 
-def stand(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
+def hold_at_stops(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
     """The stream with commands that stand where the machine does something else.
 
     solvers: by strategy; the commands of others stay as they are.

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from hframe_post.arrays import Array
-from hframe_post.compensation.plausibility import check_model, check_prediction
+from hframe_post.compensation.guard import check_model, check_prediction
 from hframe_post.conversion.meters import FilamentMeter, InputMeter
 from hframe_post.conversion.options import TOLERANCE as TOLERANCE
 from hframe_post.conversion.options import Options as Options
@@ -25,7 +25,7 @@ from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import pace
 from hframe_post.printer.settings import Printer
@@ -178,7 +178,7 @@ class StepConversion:
         table, kinematics = printer.steps, printer.kinematics
         if table is None:
             raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
-        if not kinematics.apart:
+        if not kinematics.z_is_separate:
             cause = f"the motor of z moves with x on a {kinematics.type}: its steps are not written"
             raise PrinterError(cause, "kinematics.type", printer.name)
         self._table = table

@@ -13,13 +13,13 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
-from hframe_post.compensation.stops import solvers
+from hframe_post.compensation.stops import stop_solvers
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.spans import Span
 from hframe_post.conversion.stages import SpanSummary, Stages
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import player
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import Output
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
@@ -41,7 +41,7 @@ class SpanWriter:
 
     def __init__(self, printer: Printer, options: Options, compensator: Compensator) -> None:
         self.made_of = printer, options, compensator
-        self._at_stops = solvers(compensator, options.strategies, printer)
+        self._at_stops = stop_solvers(compensator, options.strategies, printer)
 
     def streamed(self, span: Span, threads: bool) -> WrittenSpan:
         """The span as it is computed, by threads or without."""

@@ -7,14 +7,20 @@ from dataclasses import dataclass, field
 
 from hframe_post.arrays import TS
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.guard import Clamp, Clamped, Guard, Peaks
-from hframe_post.compensation.plausibility import reach, within_reach
-from hframe_post.compensation.stops import rests, solvers, stand
+from hframe_post.compensation.guard import (
+    Clamp,
+    Clamped,
+    Guard,
+    Peaks,
+    check_deviation,
+    max_deviation,
+)
+from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import passing
 from hframe_post.model.stop import StopSolver
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
@@ -79,7 +85,7 @@ class Stages:
     ) -> None:
         self._printer, self._options = printer, options
         self._compensator, self._strategies = compensator, strategies
-        self._solvers = at_stops or solvers(compensator, strategies, printer)
+        self._solvers = at_stops or stop_solvers(compensator, strategies, printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock, self._errors = Clock(), ErrorMeter(printer.plant)
@@ -92,9 +98,9 @@ class Stages:
         waits = rests(self._printer.compensation.stops, options.strategy, lifts)
         samples = times.timed("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = stand(times.timed("compensate", commands), self._solvers)
-        furthest = reach(self._printer.plant, limits)
-        commands = within_reach(times.timed("stand", commands), options.strategy, furthest)
+        commands = hold_at_stops(times.timed("compensate", commands), self._solvers)
+        furthest = max_deviation(self._printer.plant, limits)
+        commands = check_deviation(times.timed("stand", commands), options.strategy, furthest)
         if options.clamp:
             commands = self._clamp.limit(commands, options.strategy)
         return times.timed("guard", self._guard.check(commands, options.strategy))

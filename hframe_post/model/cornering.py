@@ -21,7 +21,7 @@ import numpy as np
 from hframe_post.arrays import Array, E
 
 
-def deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
+def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
     """mm off the vertex, from the speed through a right angle; shapes as given."""
     squared = np.square(square_corner_velocity)
     return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)

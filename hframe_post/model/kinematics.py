@@ -46,7 +46,7 @@ class Kinematics:
         return self.type == "hbot"
 
     @property
-    def apart(self) -> bool:
+    def z_is_separate(self) -> bool:
         """Whether z has a motor of its own."""
         return self.type != "corexz"
 
@@ -64,13 +64,13 @@ class Kinematics:
         return np.stack([ax * x + ay * y, bx * x + by * y])
 
     @property
-    def reach(self) -> float:
+    def max_speed_ratio(self) -> float:
         """Greatest speed of the nozzle while neither belt moves faster than 1."""
         corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; the rest mirrors these
         return float(np.linalg.norm(np.linalg.solve(self.matrix, corners), axis=0).max())
 
     @property
-    def reach_everywhere(self) -> float:
+    def min_speed_ratio(self) -> float:
         """Speed of the nozzle in any direction at which neither belt moves faster than 1."""
         return float(1.0 / np.linalg.norm(self.matrix, axis=1).max())
 
@@ -94,7 +94,7 @@ class Differences:
         self._kinematics = kinematics
         self._before: Array | None = None
 
-    def of(self, command: Array) -> Rates:
+    def rates(self, command: Array) -> Rates:
         """Rates at the next samples of the command (n, 2), mm."""
         if not len(command):
             none = np.zeros((2, 0))

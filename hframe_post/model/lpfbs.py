@@ -25,8 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.model.recursion import Recursion
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.transfer_function import Recursion, TransferFunction
 
 RANK_TOLERANCE = 1e-11  # smallest singular value, relative, of a window that can be solved
 

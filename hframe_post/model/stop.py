@@ -38,8 +38,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
-from hframe_post.model.stop_filters import Filters, State, judged
-from hframe_post.model.stop_judged import (
+from hframe_post.model.stop_cost import (
     BESIDE,
     BEYOND,
     FAR,
@@ -47,9 +46,10 @@ from hframe_post.model.stop_judged import (
     Rows,
     Stop,
     Surroundings,
+    judged,
     sampled,
 )
-from hframe_post.model.stop_response import Response
+from hframe_post.model.stop_plant import Filters, Response, State
 
 GROWTH = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4, 5, 6, 8, 10, 12, 14, 19)  # knots, from the stop on
 DEGREE = 3

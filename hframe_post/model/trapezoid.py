@@ -45,7 +45,7 @@ class Trapezoid:
         ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
         return (self.length + ramped) / peak
 
-    def lasting(self, seconds: float) -> Trapezoid:
+    def slowed_to(self, seconds: float) -> Trapezoid:
         """The same way at the lower speed with which it takes so long; itself, if it takes longer.
 
         Solves length = v·T − [(v − v_s)² + (v − v_e)²]/2a, where ends are no faster than the rest.
@@ -57,7 +57,7 @@ class Trapezoid:
         v = (S - math.sqrt(max(S * S - 4.0 * c, 0.0))) / 2.0
         return replace(self, cruise=min(max(v, self.v_s, self.v_e), self.cruise))
 
-    def way(self, t: Array) -> Array:
+    def distance(self, t: Array) -> Array:
         """mm done at times t (n,), s, from its beginning."""
         up, down = self.ramps
         t = np.clip(t, 0.0, self.seconds)

@@ -16,7 +16,7 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory
 from hframe_post.planner.lookahead import plan

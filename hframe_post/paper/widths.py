@@ -13,9 +13,9 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.strategy import Compensator
-from hframe_post.prediction.labels import Labels
+from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.predict import predict
+from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves, Samples
 
@@ -84,7 +84,7 @@ def _outer_walls(
     labels = Labels()
     pieces: dict[str, dict[str, list[Array]]] = {}
     for block, nozzle in predicted:
-        layer, feature = labels.of(block)
+        layer, feature = labels.number(block)
         outer = [k for k, name in enumerate(labels.features) if name.upper() in OUTER_WALLS]
         wall = np.isin(feature, outer)
         for number in np.unique(layer[wall]).tolist():

@@ -25,7 +25,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.model import cornering
-from hframe_post.planner.travel import with_own_travel
+from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
@@ -46,7 +46,7 @@ Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps insi
 def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
     """Settles the speeds of a stream of items. What must happen at rest follows a stop."""
     queue = _Queue(limits)
-    for item in with_own_travel(items, limits):
+    for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
             queue.append(item)
             while (ready := queue.settled()) is not None:
@@ -182,7 +182,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
         by_e = Z_SHARE * limits.extruder_acceleration / retracting
     acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
     corner = np.minimum(moves.corner, limits.square_corner_velocity)
-    deviation = cornering.deviation(corner, acceleration)
+    deviation = cornering.junction_deviation(corner, acceleration)
     deviation = np.minimum(deviation, limits.junction_deviation)
     return _Limited(moves.line, moves.points, length, cruise, acceleration, deviation)
 
@@ -240,14 +240,14 @@ def _take_back(speed: Array, length: Array, acceleration: Array, jerk: float) ->
     """Lowers speed[i + 1] to what can be reached from speed[i], along the whole chain."""
     active = np.arange(len(length))
     while len(active):
-        top = reach(speed[active], length[active], acceleration[active], jerk)
+        top = reachable_speed(speed[active], length[active], acceleration[active], jerk)
         lower = top < speed[active + 1]
         active, top = active[lower] + 1, top[lower]
         speed[active] = top
         active = active[active < len(length)]
 
 
-def reach(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
+def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
     """Greatest speed reached from ``v0`` within ``length``, from zero to zero acceleration.
 
     Speeding up by Δ takes T = Δ/a + a/j, or 2√(Δ/j) where Δ < a²/j, over (v0 + Δ/2)·T.

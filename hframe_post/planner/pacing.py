@@ -1,10 +1,10 @@
-"""Moves → moves at another pace: acceleration, corners and feed by what is being printed.
+"""Speeds and accelerations of moves, changed before they are planned: of travel, and by feature.
 
-    file's moves ──► kind of each (outer wall, infill, travel …) ──► its pace ──► look-ahead
+    file's moves ──► feature of each (outer wall, infill, …) ──► its pace ──► travel ──► look-ahead
 
-What is kept as the file has it (first layers, bridges, …) keeps its limits, too. A pace never
-asks for more than the hot end can melt, nor for more than the extruder can accelerate, nor makes a
-layer shorter than it may be: for that each layer has a factor of its own.
+Features that keep the speeds of the file (first layers, bridges, …) keep its limits, too. A pace
+never asks for more than the hot end can melt or the extruder can accelerate. It never makes a layer
+shorter than its least time: each layer has a factor of its own for that.
 """
 
 from __future__ import annotations
@@ -16,34 +16,62 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
+from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
 from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, frozen
 
 NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 NAMES = (*KINDS, OTHER, TRAVEL)
-SAME_HEIGHT = 1e-3  # mm; what the next object's first layer may be off the first one's
+SAME_HEIGHT = 1e-3  # mm by which first layers of objects printed one by one may differ
+
+
+def with_travel_limits(items: Iterable[Item], limits: Limits) -> Iterator[Item]:
+    """Yield the items with the profile's speed and acceleration of travel, if it has any.
+
+    Travel extrudes nothing, so it need not be traced exactly. Its acceleration becomes
+    ``limits.travel_acceleration``, or what the file asks for in travel alone. Its speed becomes
+    ``limits.travel_velocity`` where it is level and, in the file, no slower than the last
+    extrusion: slower travel is meant to be slow, for instance to wipe the nozzle.
+    """
+    if not (limits.travel_velocity or limits.travel_acceleration):
+        yield from items
+        return
+    printed = np.inf  # mm/s of the last extrusion; none yet
+    for item in items:
+        if not isinstance(item, Moves):
+            yield item
+            continue
+        delta = np.diff(item.points, axis=0)
+        travels = delta[:, E] == 0.0
+        acceleration, speed = item.acceleration.copy(), item.speed.copy()
+        if limits.travel_acceleration:
+            acceleration[travels] = min(limits.travel_acceleration, item.limits.travel)
+        printing = np.where(delta[:, E] > 0.0, np.arange(len(speed)), -1)
+        last = np.maximum.accumulate(printing)
+        before = np.where(last < 0, printed, item.speed[last])
+        printed = float(item.speed[last[-1]]) if last[-1] >= 0 else printed
+        if limits.travel_velocity:
+            speed[travels & (delta[:, Z] == 0.0) & (item.speed >= before)] = limits.travel_velocity
+        yield replace(item, speed=frozen(speed), acceleration=frozen(acceleration))
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How hard one kind of feature is driven: mm/s², mm/s at square corners, times the feed."""
+    """Speeds of one kind of feature: mm/s², mm/s at square corners, and a factor on the feed."""
 
     acceleration: float
     corner: float
     feed: float = 1.0
 
 
-AS_ASKED = Pace(math.inf, math.inf)
-
-
 @dataclass(frozen=True, slots=True)
 class Paces:
     """The pace of each kind of feature; a kind without one keeps what the file has.
 
-    flow: mm of filament a second, at most, where the feed is raised; filament_acceleration: mm/s²
-    of it, at most, where the acceleration is. first_layers: how many keep
-    what the file has, and with them all that lies as low, where objects are printed one by one.
-    layers: factor on the feed of a layer, by its place in the print from 1, where it is not 1.
+    flow: mm/s of filament, at most, where the feed is raised. filament_acceleration: mm/s² of
+    filament, at most, where the acceleration is raised. first_layers: how many layers keep what
+    the file has; so does all that lies as low, where objects are printed one by one. layers:
+    factor on the feed of a layer, by its place in the print from 1; 1 if missing.
     """
 
     kinds: dict[str, Pace]
@@ -55,18 +83,18 @@ class Paces:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a print, or a piece of it, begins. floor: z of what its first layers laid down."""
+    """Where a print, or a piece of it, begins. floor: greatest z of its first layers."""
 
     place: Place = field(default_factory=Place)
     floor: float = -math.inf
 
 
 def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Iterator[Item]:
-    """The items with the limits and speeds of their moves changed. start: of the first of them."""
+    """Yield the items with the speeds and limits of ``paces``. start: place of the first item."""
     pacer = _Pacer(paces, start or Start())
     for item in items:
         if isinstance(item, Moves):
-            yield pacer.moves(item)
+            yield pacer.paced(item)
         else:
             if isinstance(item, Passthrough):
                 pacer.labeller.mark(item.text)
@@ -74,26 +102,26 @@ def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Ite
 
 
 class Labeller:
-    """Which kind of feature and which layer each move belongs to."""
+    """Tells which kind of feature and which layer each move belongs to."""
 
     def __init__(self, start: Start) -> None:
         self._place, self._floor = replace(start.place), start.floor
         self._kind = NAMES.index(kind(start.place.feature))
 
     def mark(self, text: bytes) -> None:
-        """A line between moves."""
+        """Read a line between moves."""
         if self._place.mark(text):
             self._kind = NAMES.index(kind(self._place.feature))
 
     @property
     def start(self) -> Start:
-        """Of what comes next."""
+        """Return the place of the next move."""
         return Start(replace(self._place), self._floor)
 
-    def of(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:
-        """Number in NAMES of each move's kind, its layer, and whether that is a first one, (n,).
+    def classify(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:
+        """Return each move's kind (an index into NAMES), its layer, and whether a first one, (n,).
 
-        A first layer is one of the first of the print, or lies as low.
+        A first layer is one of the first ``first_layers`` of the print, or lies as low.
         """
         starts, kinds, layers = [0], [self._kind], [self._place.layer]
         for mark in moves.marks:
@@ -103,54 +131,55 @@ class Labeller:
             layers.append(self._place.layer)
         times = np.diff([*starts, len(moves.line)])
         number, layer = np.repeat(kinds, times), np.repeat(layers, times)
-        laying, z = np.diff(moves.points[:, E]) > 0.0, moves.points[1:, Z]
-        number[~laying] = NAMES.index(TRAVEL)
-        lowest = laying & (layer > 0) & (layer <= first_layers)
+        extruding, z = np.diff(moves.points[:, E]) > 0.0, moves.points[1:, Z]
+        number[~extruding] = NAMES.index(TRAVEL)
+        lowest = extruding & (layer > 0) & (layer <= first_layers)
         self._floor = float(z[lowest].max(initial=self._floor))
-        first = (layer <= first_layers) | (laying & (z <= self._floor + SAME_HEIGHT))
+        first = (layer <= first_layers) | (extruding & (z <= self._floor + SAME_HEIGHT))
         return number, layer, first
 
 
 class _Pacer:
-    """How each kind is driven."""
-
     def __init__(self, paces: Paces, start: Start) -> None:
         self._paces, self.labeller = paces, Labeller(start)
-        own = [paces.kinds.get(name) for name in NAMES]
-        self._paced = np.array([pace is not None for pace in own])
-        self._limits = np.array([astuple(pace or AS_ASKED) for pace in own]).T  # (3, kinds)
+        of_kinds = [paces.kinds.get(name) for name in NAMES]
+        unlimited = Pace(math.inf, math.inf)
+        self._is_paced = np.array([pace is not None for pace in of_kinds])
+        self._limits = np.array([astuple(pace or unlimited) for pace in of_kinds]).T  # (3, kinds)
 
-    def moves(self, moves: Moves) -> Moves:
-        """The moves at their paces. The file's limits by axis become limits of each move."""
-        kinds, layer, first = self.labeller.of(moves, self._paces.first_layers)
+    def paced(self, moves: Moves) -> Moves:
+        """Return the moves at their paces; the file's limits by axis become limits of each move."""
+        kinds, layer, first = self.labeller.classify(moves, self._paces.first_layers)
         delta = np.diff(moves.points, axis=0)
         length = lengths(delta[:, :E])
-        chosen = self._paced[kinds] & ~first
+        chosen = self._is_paced[kinds] & ~first
         acceleration, corner, feed = self._limits[:, kinds]
-        speed, own_acceleration = _by_axis(moves, np.abs(delta) / length[:, None])
-        asked = speed * feed * self._factors(layer)
+        file_speed, file_acceleration = _within_axis_limits(moves, np.abs(delta) / length[:, None])
+        speed = file_speed * feed * self._layer_factors(layer)
         with np.errstate(divide="ignore"):
-            path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm, of a mm of filament
-        melts, fed = self._paces.flow * path, self._paces.filament_acceleration * path
-        asked = np.minimum(asked, np.maximum(melts, np.minimum(asked, speed)))
-        acceleration = np.minimum(acceleration, np.maximum(fed, own_acceleration))
+            path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm of path per mm of filament
+        melted, fed = self._paces.flow * path, self._paces.filament_acceleration * path
+        speed = np.minimum(speed, np.maximum(melted, np.minimum(speed, file_speed)))
+        acceleration = np.minimum(acceleration, np.maximum(fed, file_acceleration))
         return replace(
             moves,
-            speed=frozen(np.where(chosen, asked, speed)),
-            acceleration=frozen(np.where(chosen, acceleration, own_acceleration)),
+            speed=frozen(np.where(chosen, speed, file_speed)),
+            acceleration=frozen(np.where(chosen, acceleration, file_acceleration)),
             corner=frozen(np.where(chosen, corner, moves.corner)),
             limits=NO_LIMITS,
         )
 
-    def _factors(self, layer: Integers) -> Array:
-        """Of the feed, (n,)."""
-        first, slowed = int(layer[0]), self._paces.layers
-        factors = [slowed.get(number, 1.0) for number in range(first, int(layer[-1]) + 1)]
+    def _layer_factors(self, layer: Integers) -> Array:
+        first, by_layer = int(layer[0]), self._paces.layers
+        factors = [by_layer.get(number, 1.0) for number in range(first, int(layer[-1]) + 1)]
         return np.array(factors)[layer - first]
 
 
-def _by_axis(moves: Moves, share: Array) -> tuple[Array, Array]:
-    """Speed and acceleration (n,) within the file's limits by axis; share (n, 4) of each axis."""
+def _within_axis_limits(moves: Moves, share: Array) -> tuple[Array, Array]:
+    """Return speed and acceleration (n,) within the file's limits by axis.
+
+    share (n, 4): mm that each axis moves in a mm of path.
+    """
     speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
     with np.errstate(divide="ignore"):
         for axis in range(4):

@@ -226,9 +226,9 @@ class _Sampler:
             entry = self._passing(self._acceleration)
         if motion is not None and not self._labelled and not (self._rested and self._aside):
             leaving = self._passing(float(motion.acceleration[0]))
-        profile = StandingProfile.of(move, self._limits, entry, leaving)
+        profile = StandingProfile.from_move(move, self._limits, entry, leaving)
         if long := profile.samples >= self._rests.long:
-            profile = StandingProfile.of(move, self._limits)
+            profile = StandingProfile.from_move(move, self._limits)
         entry, leaving = profile.trapezoid.v_s, profile.trapezoid.v_e
         yield from self._come_to_rest(long, passing=entry > 0.0)
         self._line = move.line
@@ -260,7 +260,7 @@ class _Sampler:
         self._retracted += n
         if t[-1] >= way.seconds:
             self._retraction = None
-        return np.where(t < way.seconds, way.length - way.way(t), 0.0)
+        return np.where(t < way.seconds, way.length - way.distance(t), 0.0)
 
     def _passing(self, acceleration: float) -> float:
         """Speed of z, mm/s, at which a lift passes from or into motion with that acceleration."""

@@ -28,7 +28,7 @@ class StandingProfile:
     samples: int
 
     @classmethod
-    def of(
+    def from_move(
         cls, move: Standing, limits: Limits, entry: float = 0.0, leaving: float = 0.0
     ) -> StandingProfile:
         """The fastest that the limits allow, between those speeds of z, or what z can have."""
@@ -44,10 +44,10 @@ class StandingProfile:
         trapezoid = Trapezoid(length, cruise, acceleration, *ends)
         samples = math.ceil(trapezoid.seconds / TS - ON_TIME)
         if any(ends):  # there is no standstill beside it to wait for the sample
-            trapezoid = trapezoid.lasting(samples * TS)
+            trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, trapezoid.seconds, samples)
 
     def share(self, samples: Integers) -> Array:
         """Share of the way, (n, 1), done after so many samples (n,)."""
-        done = self.trapezoid.way(samples.astype(float) * TS) / self.trapezoid.length
+        done = self.trapezoid.distance(samples.astype(float) * TS) / self.trapezoid.length
         return np.where(samples < self.samples, done, 1.0)[:, None]

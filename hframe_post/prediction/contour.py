@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
-from hframe_post.model.stop_judged import NEAREST
+from hframe_post.model.stop_cost import NEAREST
 from hframe_post.native.kernels import kernel
 
 COARSE = 3  # samples from one candidate to the next in the first search

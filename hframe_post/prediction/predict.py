@@ -14,7 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, Z
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.stop_judged import NEAREST
+from hframe_post.model.stop_cost import NEAREST
 from hframe_post.prediction.contour import contour_error
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples

@@ -1,7 +1,7 @@
-"""Figures that run along with a stream: for the whole of it, by layer and by feature.
+"""Running error statistics of a stream: overall, by layer and by feature.
 
-Nothing here grows with the length of the print: sums, peaks and histograms with fine
-logarithmic bins, one set a layer and feature.
+Memory does not grow with the length of the print: each layer and feature has sums, peaks and a
+histogram with fine logarithmic bins.
 """
 
 from __future__ import annotations
@@ -12,18 +12,62 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import Array, E, Flags, Integers
+from hframe_post.stream.features import Place
+from hframe_post.stream.types import Mark, Passthrough, Pause, Samples
 
-BINS_PER_E = 100  # bins of 1 % for the percentiles
+BINS_PER_E = 100  # 1 % each, the accuracy of the percentiles
 BINS = 22 * BINS_PER_E  # up to 0.3 m
-SMALLEST = 1e-7  # mm; errors below share the first bin
+SMALLEST = 1e-7  # mm; smaller errors share the first bin
 DECIMALS = 4
+BEFORE = "before the first"  # layer or feature that no comment precedes
+TRAVEL = "TRAVEL"  # motion without extrusion, whatever feature the comments name
 
 
-def _bins(errors: Array) -> Integers:
-    """The bin of each error (n,)."""
-    bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
-    return np.minimum(bins.astype(np.int64), BINS - 1)
+@dataclass
+class Labels:
+    """Layers and features by number, as the slicer's comments name them.
+
+    place: where in the print the first chunk begins. by_name: number layers by their names, so
+    that layers of one name are one; otherwise by their order in the print, from 1.
+    """
+
+    place: Place = field(default_factory=Place)
+    by_name: bool = True
+    layers: list[str] = field(default_factory=lambda: [BEFORE])
+    features: list[str] = field(default_factory=lambda: [TRAVEL, BEFORE])
+    _e: float = -np.inf  # filament at the last sample
+
+    def number(self, chunk: Samples) -> tuple[Integers, Integers]:
+        """Return the numbers of layer and feature of each sample of the next chunk, (n,) each."""
+        n = len(chunk)
+        layer, feature = (np.full(n, number) for number in self._current())
+        for event in chunk.events:
+            if isinstance(event, Mark):
+                text = event.text
+            elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
+                text = event.action.text
+            else:
+                continue
+            if self.place.mark(text):
+                at = max(event.index - chunk.first, 0)
+                layer[at:], feature[at:] = self._current()
+        if n:
+            e = chunk.xyze[:, E]
+            feature[np.diff(e, prepend=self._e) <= 0.0] = self.features.index(TRAVEL)
+            self._e = float(e[-1])
+        return layer, feature
+
+    def _current(self) -> tuple[int, int]:
+        named = _index(self.layers, self.place.name or BEFORE)
+        layer = named if self.by_name else self.place.layer
+        return layer, _index(self.features, self.place.feature or BEFORE)
+
+
+def _index(names: list[str], name: str) -> int:
+    if name not in names:
+        names.append(name)
+    return names.index(name)
 
 
 @dataclass
@@ -36,7 +80,7 @@ class ErrorStatistics:
     histogram: NDArray[np.int32] = field(default_factory=lambda: np.zeros(BINS, np.int32))
 
     def add(self, errors: Array) -> None:
-        """Takes the next errors, (n,), none negative."""
+        """Add the next errors, (n,), none negative."""
         self._add(errors, _bins(errors))
 
     def _add(self, errors: Array, bins: Integers) -> None:
@@ -47,7 +91,7 @@ class ErrorStatistics:
             self.histogram += np.bincount(bins, minlength=BINS).astype(np.int32)
 
     def join(self, other: ErrorStatistics) -> None:
-        """Takes what another part of the stream has counted."""
+        """Add the errors that another part of the stream has counted."""
         self.count += other.count
         self.squares += other.squares
         self.peak = max(self.peak, other.peak)
@@ -55,63 +99,68 @@ class ErrorStatistics:
 
     @property
     def rms(self) -> float:
-        """Root mean square, mm."""
+        """Return the root mean square, mm."""
         return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
 
     def percentile(self, share: float) -> float:
-        """The error (mm) that ``share`` of all stay below, to 1 %."""
+        """Return the error in mm that a given share of samples stays below, accurate to 1 %."""
         if not self.count:
             return 0.0
         k = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
         return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
 
     def micrometres(self) -> dict[str, float]:
-        """RMS, 95th percentile and peak in µm."""
+        """Return RMS, 95th percentile and peak in µm."""
         values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
+
+
+def _bins(errors: Array) -> Integers:
+    bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
+    return np.minimum(bins.astype(np.int64), BINS - 1)
 
 
 @dataclass
 class ContourErrors:
     """Contour errors (mm) while extruding, which a part shows, and of all motion.
 
-    rms, micrometres and the like tell of the former, unless nothing is ever extruded.
+    rms and micrometres are those while extruding, unless nothing is ever extruded.
     """
 
     extruding: ErrorStatistics = field(default_factory=ErrorStatistics)
     all: ErrorStatistics = field(default_factory=ErrorStatistics)
 
     def add(self, errors: Array, extruding: Flags) -> None:
-        """Takes the next errors of motion, (n,), of which some count as extruding, (n,)."""
+        """Add the next errors of motion, (n,), and whether each was made while extruding, (n,)."""
         bins = _bins(errors)
         self.extruding._add(errors[extruding], bins[extruding])
         self.all._add(errors, bins)
 
     def join(self, other: ContourErrors) -> None:
-        """Takes what another part of the stream has counted."""
+        """Add the errors that another part of the stream has counted."""
         self.extruding.join(other.extruding)
         self.all.join(other.all)
 
     @property
     def shown(self) -> ErrorStatistics:
-        """What is judged."""
+        """Return the statistics while extruding, or of all motion if nothing was extruded."""
         return self.extruding if self.extruding.count else self.all
 
     @property
     def rms(self) -> float:
-        """Root mean square of what is judged, mm."""
+        """Return the root mean square of the errors that are shown, mm."""
         return self.shown.rms
 
     def micrometres(self) -> dict[str, Any]:
-        """RMS, 95th percentile and peak in µm of what is judged; ``all``: of all motion."""
+        """Return RMS, 95th percentile and peak in µm; those of all motion under ``all``."""
         return {**self.shown.micrometres(), "all": self.all.micrometres()}
 
 
 @dataclass
 class Figures:
-    """One strategy in one part of the print.
+    """Results of one strategy in one part of the print.
 
-    tracking: sum of squares of x and y off the desired place at the same time, mm².
+    tracking: sums of squared deviations in x and y from the desired place at the same time, mm².
     velocity, acceleration: greatest of any belt, mm/s, mm/s².
     """
 
@@ -121,21 +170,21 @@ class Figures:
     acceleration: float = 0.0
 
     def add_errors(self, contour: Array, tracking: Array, extruding: Flags) -> None:
-        """Takes contour errors (n,), tracking errors (n, 2), and which extrude, (n,)."""
+        """Add contour errors (n,), tracking errors (n, 2), and which are while extruding, (n,)."""
         self.contour.add(contour, extruding)
         self.tracking += np.square(tracking).sum(axis=0)
 
     def add_rates(self, velocity: Array, acceleration: Array) -> None:
-        """Takes speeds and accelerations of the faster belt, (n,) each."""
+        """Add speeds and accelerations of the faster belt, (n,) each."""
         self.velocity = max(self.velocity, float(velocity.max(initial=0.0)))
         self.acceleration = max(self.acceleration, float(acceleration.max(initial=0.0)))
 
     def tracking_rms(self) -> Array:
-        """Root mean square of the tracking error in x and y, (2,), mm."""
+        """Return the root mean square of the tracking error in x and y, (2,), mm."""
         return np.sqrt(self.tracking / max(self.contour.all.count, 1))
 
     def as_json(self) -> dict[str, Any]:
-        """Lengths in µm, belts in mm/s and mm/s²."""
+        """Return the figures for a JSON report: lengths in µm, belts in mm/s and mm/s²."""
         x, y = (self.tracking_rms() * 1e3).tolist()
         return {
             "contour_error_um": self.contour.micrometres(),

@@ -15,7 +15,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.steps import reader as step_reader

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.compensate import compensate, settling
+from hframe_post.compensation.compensate import compensate, settling_samples
 from hframe_post.model.plant import Response
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
@@ -86,7 +86,7 @@ def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int
 def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
     reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm
-    r = settling(compensator, limits, reached)
+    r = settling_samples(compensator, limits, reached)
     x = stroke(75, 150, 1000)
     samples = block(280.0 - x.max() + x, x)
     done = join(list(compensate([samples], compensator, ("racking",))))

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation import guard
-from hframe_post.compensation.guard import REACH, Clamp, Guard
+from hframe_post.compensation.guard import AROUND, REACH, Clamp, Guard
 from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Motors, Travel
@@ -167,7 +166,7 @@ def test_belts_that_cannot_follow_the_taking_back_are_given_more_time(height: fl
     result, clamp = clamped(chunk(path, command), LIMITS)
     checked([chunk(path, result)], LIMITS)
     assert clamp.clamped.most == pytest.approx(np.abs(result - command).max())
-    untouched = np.abs(np.arange(1200) - 600) > 20 + guard.SEEN
+    untouched = np.abs(np.arange(1200) - 600) > 20 + AROUND
     np.testing.assert_array_equal(result[untouched], command[untouched])
 
 

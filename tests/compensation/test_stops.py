@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import LONGEST, rests, solvers, stand
+from hframe_post.compensation.stops import LONGEST, hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
@@ -61,7 +61,7 @@ def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -
 def stood(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     compensator = prepared(printer)
     commands = compensate(chunks, compensator, NAMES)
-    return list(stand(commands, solvers(compensator, NAMES, printer)))
+    return list(hold_at_stops(commands, stop_solvers(compensator, NAMES, printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -157,7 +157,7 @@ def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
     assert not any(isinstance(e, Rest) for chunk in chunks for e in chunk.events)
     compensator = prepared(paper)
     commands = compensate(chunks, compensator, ("none",))
-    for chunk in stand(commands, solvers(compensator, ("none",), paper)):
+    for chunk in hold_at_stops(commands, stop_solvers(compensator, ("none",), paper)):
         np.testing.assert_array_equal(chunk.commands["none"], chunk.xyze[:, :2])
 
 
@@ -223,9 +223,9 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
     compensator = prepared(paper)
     commanded = list(compensate(planned(lines, paper), compensator, NAMES))
-    at_stops = solvers(compensator, NAMES, paper)
-    whole = whole_stretches(stand(commanded, at_stops))
-    pieces = list(stand(cut(commanded, n), at_stops))
+    at_stops = stop_solvers(compensator, NAMES, paper)
+    whole = whole_stretches(hold_at_stops(commanded, at_stops))
+    pieces = list(hold_at_stops(cut(commanded, n), at_stops))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
     for one, other in zip(whole_stretches(pieces), whole, strict=True):
         assert one.events == other.events
@@ -248,8 +248,9 @@ def test_a_wait_of_hours_is_not_held(paper: Printer) -> None:
             yield chunk
 
     given_back = 0
-    for chunk in stand(
-        compensate(counted(), compensator, ("racking",)), solvers(compensator, NAMES[1:], paper)
+    for chunk in hold_at_stops(
+        compensate(counted(), compensator, ("racking",)),
+        stop_solvers(compensator, NAMES[1:], paper),
     ):
         given_back += len(chunk)
         held_back = max(held_back, taken - given_back)

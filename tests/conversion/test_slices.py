@@ -10,7 +10,7 @@ import pytest
 
 from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
-from hframe_post.prediction.labels import BEFORE
+from hframe_post.prediction.statistics import BEFORE
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DeferredLine
 from tests.prediction.test_labels import block, names, printing

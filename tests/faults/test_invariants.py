@@ -87,7 +87,7 @@ def test_a_stream_that_is_not_sound(
         for chunk in chunks:
             yield fault(chunk) if len(chunk) > MOVING else chunk
 
-    monkeypatch.setattr(stages, "within_reach", faulty)
+    monkeypatch.setattr(stages, "check_deviation", faulty)
     nothing_appears(tmp_path, cause)
 
 

@@ -14,7 +14,7 @@ from hframe_post.model import cornering
 SQUARE = 100.0  # mm/s
 A = 2.5e5  # mm/s²
 EXTRUDER = 1.0  # mm/s
-DEVIATION = cornering.deviation(SQUARE, A)
+DEVIATION = cornering.junction_deviation(SQUARE, A)
 
 
 def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:

@@ -54,14 +54,16 @@ def test_matrix_is_that_of_the_belts_and_can_be_undone(kinematics: Kinematics) -
 def test_reach_is_the_fastest_direction_that_both_belts_allow(kinematics: Kinematics) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 721)
     belts = np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)
-    assert kinematics.reach == pytest.approx((1.0 / belts).max(), rel=5e-3)  # of whole angles
+    assert kinematics.max_speed_ratio == pytest.approx(
+        (1.0 / belts).max(), rel=5e-3
+    )  # of whole angles
 
 
 @pytest.mark.parametrize("kinematics", ALL)
 def test_what_is_reached_everywhere_is_the_slowest_direction(kinematics: Kinematics) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 721)
     belts = np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)
-    assert kinematics.reach_everywhere == pytest.approx((1.0 / belts).min(), rel=5e-3)
+    assert kinematics.min_speed_ratio == pytest.approx((1.0 / belts).min(), rel=5e-3)
 
 
 def test_stream_of_a_cartesian_printer_may_be_faster_than_its_belts() -> None:
@@ -151,7 +153,7 @@ def test_rates_are_differences_however_the_command_was_cut(kind: str, cut: int) 
     rng = np.random.default_rng(5)
     command = 100 + np.cumsum(rng.normal(size=(50, 2)), axis=0) * 0.1
     differences = Differences(Kinematics(kind))
-    pieces = [differences.of(command[k : k + cut]) for k in range(0, 50, cut)]
+    pieces = [differences.rates(command[k : k + cut]) for k in range(0, 50, cut)]
     velocity = np.concatenate([rates.belt_velocity for rates in pieces], axis=1)
     acceleration = np.concatenate([rates.belt_acceleration for rates in pieces], axis=1)
     axes = np.concatenate([rates.axis_acceleration for rates in pieces], axis=1)
@@ -167,7 +169,7 @@ def test_rates_of_a_known_motion() -> None:
     """x at 3 mm/s² from rest: on an H-bot both belts alike, y stands."""
     t = np.arange(102) * TS
     command = np.column_stack([1.5 * t**2, np.full(102, 7.0)])
-    rates = Differences(Kinematics("hbot")).of(command)
+    rates = Differences(Kinematics("hbot")).rates(command)
     np.testing.assert_allclose(rates.belt_acceleration[:, 2:], 3.0, rtol=1e-6)
     np.testing.assert_allclose(rates.belt_velocity[0, 2:], 3.0 * (t[2:] - TS / 2), rtol=1e-9)
     assert rates.axis_acceleration[1].max() == 0.0

@@ -10,8 +10,7 @@ from scipy import signal
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.model.plant import LiftedFilter
-from hframe_post.model.recursion import Recursion
-from hframe_post.model.transfer_function import BLOCK_SAMPLES, TransferFunction
+from hframe_post.model.transfer_function import BLOCK_SAMPLES, Recursion, TransferFunction
 from hframe_post.printer import profile
 
 

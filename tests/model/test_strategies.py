@@ -11,8 +11,7 @@ from click.testing import CliRunner
 from hframe_post.arrays import Array
 from hframe_post.cli.main import main
 from hframe_post.errors import HframeError
-from hframe_post.model.strategies import STRATEGIES, strategy
-from hframe_post.model.strategy import Compensator, Strategy
+from hframe_post.model.strategies import STRATEGIES, Compensator, Strategy, strategy
 from hframe_post.printer.profile import load, parse
 from tests.conftest import SAMPLES
 
@@ -56,7 +55,7 @@ def _help() -> str:
 
 
 def test_names_that_no_strategy_has_are_errors_everywhere() -> None:
-    with pytest.raises(HframeError, match="no strategy is named 'late'; there are none, fbs"):
+    with pytest.raises(HframeError, match="unknown strategy 'late': choose one of none, fbs"):
         strategy("late")
     with pytest.raises(HframeError, match=r"compensation\.strategy"):
         parse('extends = "paper"\n[compensation]\nstrategy = "late"\n', "mine")

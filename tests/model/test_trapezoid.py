@@ -25,9 +25,9 @@ def trapezoids(draw: st.DrawFn) -> Trapezoid:
 
 @given(trapezoids(), st.floats(1.0, 3.0))
 def test_a_way_is_whole_and_within_its_limits(way: Trapezoid, longer: float) -> None:
-    for one in (way, way.lasting(longer * way.seconds)):
+    for one in (way, way.slowed_to(longer * way.seconds)):
         t = np.linspace(0.0, one.seconds, 4001)
-        s = one.way(t)
+        s = one.distance(t)
         assert s[0] == 0.0
         assert s[-1] == pytest.approx(one.length, rel=1e-9)
         v = np.diff(s) / np.diff(t)
@@ -39,11 +39,11 @@ def test_a_way_is_whole_and_within_its_limits(way: Trapezoid, longer: float) -> 
 
 @given(trapezoids(), st.floats(1.0, 1.5))
 def test_it_takes_as_long_as_it_shall(way: Trapezoid, longer: float) -> None:
-    slower = way.lasting(longer * way.seconds)
+    slower = way.slowed_to(longer * way.seconds)
     assume(slower.cruise > max(way.v_s, way.v_e))
     assert slower.seconds == pytest.approx(longer * way.seconds, rel=1e-9)
 
 
 def test_it_is_never_hurried() -> None:
     way = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
-    assert way.lasting(0.5 * way.seconds) is way
+    assert way.slowed_to(0.5 * way.seconds) is way

@@ -12,7 +12,7 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.errors import GcodeError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper import printed, results
 from hframe_post.paper.appendix_c import windowed

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E, Z
 from hframe_post.planner import lookahead
-from hframe_post.planner.lookahead import plan, reach
+from hframe_post.planner.lookahead import plan, reachable_speed
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -134,7 +134,7 @@ def distance(v0: float, v1: float, a: float, j: float) -> float:
 
 
 def reached(v0: float, length: float, a: float, j: float) -> float:
-    return float(reach(np.array([v0]), np.array([length]), np.array([a]), j)[0])
+    return float(reachable_speed(np.array([v0]), np.array([length]), np.array([a]), j)[0])
 
 
 speeds = st.floats(0.0, 500.0)
@@ -378,8 +378,8 @@ def test_plan_can_be_driven(seed: int, n: int, jerk: float) -> None:
     assert (v <= caps(whole)[ends] * (1 + 1e-6)).all()
     assert (v[:-1] <= planned.cruise).all()
     assert (v[1:] <= planned.cruise).all()
-    ahead = reach(v[:-1], length, planned.acceleration, limits.jerk)
-    back = reach(v[1:], length, planned.acceleration, limits.jerk)
+    ahead = reachable_speed(v[:-1], length, planned.acceleration, limits.jerk)
+    back = reachable_speed(v[1:], length, planned.acceleration, limits.jerk)
     assert (v[1:] <= ahead).all()
     assert (v[:-1] <= back).all()
 

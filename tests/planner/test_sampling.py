@@ -16,7 +16,7 @@ from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
 from hframe_post.planner import lookahead, sampling
 from hframe_post.planner.jerk_profile import Profiler, integrated, ramps
-from hframe_post.planner.lookahead import plan, reach
+from hframe_post.planner.lookahead import plan, reachable_speed
 from hframe_post.planner.sampling import SPARED, sample
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -690,7 +690,7 @@ def test_ramp_uses_the_whole_length_with_the_least_acceleration(
     low, high = min(v0, v1), max(v0, v1)
     # with a little less acceleration the change would need more than the length
     if high - low > 1e-3:
-        less = reach(np.array([low]), length, acceleration * (1 - 1e-4), 5e7)
+        less = reachable_speed(np.array([low]), length, acceleration * (1 - 1e-4), 5e7)
         assert less[0] <= high * (1 + 1e-9)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.travel import with_own_travel
+from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import FileLimits, Moves, Plan
 from tests.planner.test_lookahead import FREE, LIMITS, cut, moves
@@ -30,7 +30,7 @@ def job(limits: FileLimits = FREE) -> Moves:
 
 
 def changed(block: Moves, limits: Limits) -> Moves:
-    (one,) = with_own_travel([block], limits)
+    (one,) = with_travel_limits([block], limits)
     assert isinstance(one, Moves)
     return one
 
@@ -60,7 +60,7 @@ def test_what_the_file_asks_of_travel_alone_lowers_it() -> None:
 
 def test_however_it_is_cut() -> None:
     whole = changed(job(), OWN)
-    pieces = [p for p in with_own_travel(cut(job(), 1), OWN) if isinstance(p, Moves)]
+    pieces = [p for p in with_travel_limits(cut(job(), 1), OWN) if isinstance(p, Moves)]
     assert len(pieces) == 5
     for name in ("speed", "acceleration"):
         column: Array = np.concatenate([getattr(piece, name) for piece in pieces])

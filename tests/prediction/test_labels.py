@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.prediction.labels import BEFORE, TRAVEL, Labels
+from hframe_post.prediction.statistics import BEFORE, TRAVEL, Labels
 from hframe_post.stream.chunks import part
 from hframe_post.stream.types import (
     Handling,
@@ -47,7 +47,7 @@ def names(blocks: list[Samples], labels: Labels | None = None) -> Named:
     layers: list[str] = []
     features: list[str] = []
     for each in blocks:
-        layer, feature = labels.of(each)
+        layer, feature = labels.number(each)
         assert len(layer) == len(feature) == len(each)
         layers += [labels.layers[k] for k in layer]
         features += [labels.features[k] for k in feature]

@@ -15,7 +15,7 @@ from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner import sampling
-from hframe_post.prediction.labels import BEFORE, TRAVEL
+from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.printer import profile
 from hframe_post.studies.simulation.reference_path import rectangle
 from hframe_post.studies.simulation.report import Group, SimulationReport

@@ -14,9 +14,8 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
-from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
@@ -65,7 +64,7 @@ def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, fl
     commands = Commands(cube(), fast.printer, fast.options)
     labels, errors = Labels(), dict[str, ErrorStatistics]()
     for judgement in judge(commands, plant, every):
-        layer, feature = (numbers[judgement.at] for numbers in labels.of(judgement.chunk))
+        layer, feature = (numbers[judgement.at] for numbers in labels.number(judgement.chunk))
         for number in np.unique(feature).tolist():
             contour = judgement.contour["racking"][(feature == number) & (layer > FIRST)]
             errors.setdefault(kind(labels.features[number]), ErrorStatistics()).add(contour)

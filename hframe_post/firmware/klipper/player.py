@@ -203,7 +203,7 @@ class Klipper:
             cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration
             lift = Trapezoid(lifted, cruise, a, entry, leaving)
             if entry or leaving:
-                lift = lift.lasting(min(wanted, MOST_LONGER * lift.seconds))
+                lift = lift.slowed_to(min(wanted, MOST_LONGER * lift.seconds))
                 speed = lift.cruise
             seconds = lift.seconds
         return Stroke(speed, seconds, leaving)

@@ -45,8 +45,8 @@ class StreamLimits:
     def of(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
         """High enough never to shape the stream, and no higher: they may be left behind."""
         return cls(
-            VELOCITY_HEADROOM * kinematics.reach * motors.belt_velocity,
-            math.floor(kinematics.reach_everywhere * motors.belt_acceleration),
+            VELOCITY_HEADROOM * kinematics.max_speed_ratio * motors.belt_velocity,
+            math.floor(kinematics.min_speed_ratio * motors.belt_acceleration),
             limits.z_velocity,
             limits.z_acceleration,
             limits.extruder_velocity,
@@ -85,7 +85,7 @@ class Ramped:
         a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
         top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
         a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
-        square = cornering.deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
+        square = cornering.junction_deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
         inner = cornering.junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
         corners = np.concatenate([[math.inf], inner, [after]])
         return cls(d, a, top, np.where(rest, 0.0, corners))

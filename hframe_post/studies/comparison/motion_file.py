@@ -202,7 +202,7 @@ class _Reader:
         d = lengths(delta[:, :E])
         moves = (delta[:, :Z] != 0.0).any(axis=1)
         d = np.where(moves, d, 1.0)  # mm, of anything
-        deviation = cornering.deviation(self.limits["SQUARE_CORNER_VELOCITY"], a[0])
+        deviation = cornering.junction_deviation(self.limits["SQUARE_CORNER_VELOCITY"], a[0])
         inner = cornering.junction_speeds(delta, d, a, deviation, EXTRUDER_CORNER_VELOCITY)
         inside = np.where(moves[1:] & moves[:-1], inner, 0.0)
         caps = np.concatenate([[math.inf], inside, [math.inf]])

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, Z
-from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement
+from hframe_post.prediction.statistics import Labels
 
 FINEST = 1.0  # mm of a segment at most, as long as there are few; twice as much with each step
 NEAR = 0.01  # mm that an end may lie beside the segment that it is joined into; the same

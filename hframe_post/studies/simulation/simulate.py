@@ -12,15 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hframe_post.arrays import Integers
-from hframe_post.compensation.plausibility import check_prediction
+from hframe_post.compensation.guard import check_prediction
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
-from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.quantise import quantise
-from hframe_post.prediction.statistics import ContourErrors, Figures
+from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
@@ -80,7 +79,7 @@ def simulate(
             drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
     labels = Labels()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
-        layer, feature = labels.of(judgement.chunk)
+        layer, feature = labels.number(judgement.chunk)
         _add_errors(judgement, layer, feature, labels, parts)
         if view is not None:
             view.add(judgement, layer, feature, labels)
@@ -116,10 +115,10 @@ def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> I
     """The chunks as they are; how fast the belts go is noted."""
     labels, differences = Labels(), dict[str, Differences]()
     for chunk in chunks:
-        layer, feature = labels.of(chunk)
+        layer, feature = labels.number(chunk)
         for name, command in chunk.commands.items():
             if len(command):
-                rates = differences.setdefault(name, Differences(kinematics)).of(command)
+                rates = differences.setdefault(name, Differences(kinematics)).rates(command)
                 velocity = np.abs(rates.belt_velocity).max(axis=0)
                 acceleration = np.abs(rates.belt_acceleration).max(axis=0)
                 for group, which in _groups(layer, feature, labels, parts):

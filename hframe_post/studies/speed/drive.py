@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from hframe_post.compensation.stops import rests, solvers
+from hframe_post.compensation.stops import rests, stop_solvers
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.conversion.stages import Stages
 from hframe_post.errors import HframeError
@@ -19,9 +19,8 @@ from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Pace, Paces, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item
@@ -64,8 +63,8 @@ class Drive:
         self._asked = options
         self._reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
         self._compensator = prepared(printer)
-        self._at_stops = solvers(self._compensator, options.strategies, printer)
-        self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.reach
+        self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
+        self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
 
     def settings(self, driven: Driven) -> tuple[Printer, Options]:
         """A printer and options under which the print is driven so."""
@@ -143,7 +142,7 @@ class Drive:
         waits = rests(printer.compensation.stops, options.strategy, lifts)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sample(plan(items, printer.limits), printer.limits, waits):
-            count(layers, labels.of(chunk)[0])
+            count(layers, labels.number(chunk)[0])
         return layers
 
     def original(self) -> Original:
@@ -153,7 +152,7 @@ class Drive:
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
         for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
-            layer, feature = labels.of(judgement.chunk)
+            layer, feature = labels.number(judgement.chunk)
             count(layers, layer)
             for name, here in judged(judgement, layer, feature, labels):
                 of = statistics.setdefault(name, ErrorStatistics())

@@ -84,7 +84,7 @@ def hurry(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, fl
             if isinstance(item, Passthrough):
                 labeller.mark(item.text)
             elif isinstance(item, Moves):
-                kinds, _, _ = labeller.of(item, 0)
+                kinds, _, _ = labeller.classify(item, 0)
                 delta = np.diff(item.points, axis=0)
                 length = np.sqrt(np.square(delta[:, :E]).sum(axis=1))
                 with np.errstate(divide="ignore"):
@@ -122,7 +122,7 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
     for item in items:
         if isinstance(item, Moves):
             for part in _parts(item):
-                kinds, _, first = labeller.of(part, first_layers)
+                kinds, _, first = labeller.classify(part, first_layers)
                 if first.any():
                     yield from ended()
                     continue

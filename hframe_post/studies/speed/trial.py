@@ -11,10 +11,9 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
-from hframe_post.prediction.labels import TRAVEL as NOT_LAID
-from hframe_post.prediction.labels import Labels
 from hframe_post.prediction.predict import Judgement, judge
-from hframe_post.prediction.statistics import ErrorStatistics
+from hframe_post.prediction.statistics import TRAVEL as NOT_LAID
+from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.stream.chunks import branches, smaller
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
 from hframe_post.stream.types import Samples
@@ -113,7 +112,7 @@ class Seen:
         streams = branches(smaller(commands, AT_ONCE), len(plants))
         each = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
         for judgements in zip(*each, strict=True):
-            layer, feature = labels.of(judgements[0].chunk)
+            layer, feature = labels.number(judgements[0].chunk)
             self._samples += len(layer)
             count(self._layers, layer)
             self._held += self._causes(judgements[0].chunk, labels, layer, feature)

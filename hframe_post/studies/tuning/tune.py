@@ -15,8 +15,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, X, Y, Z
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.plausibility import check_model, reach
-from hframe_post.compensation.stops import rests, solvers, stand
+from hframe_post.compensation.guard import check_model, max_deviation
+from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import JUDGED_EVERY, Clock
 from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.registry import passing
@@ -25,7 +25,7 @@ from hframe_post.gcode.reader import read
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.strategy import Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
@@ -156,7 +156,7 @@ def tried(
     ]
     for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
         pass
-    furthest = reach(printer.plant, printer.limits)
+    furthest = max_deviation(printer.plant, printer.limits)
     for trial in trials:
         if trial.furthest > furthest:
             trial.refused = (
@@ -185,7 +185,7 @@ def _tried(
 ) -> Iterator[None]:
     """Fills the trial, a chunk at a time."""
     commands = compensate(samples, compensator, ("racking",))
-    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    commands = hold_at_stops(commands, stop_solvers(compensator, ["racking"], printer))
     standing = _rated(commands, trial, printer.kinematics)
     trial.drawn = [ContourErrors() for _ in drawn]
     plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
@@ -204,7 +204,7 @@ def _stopped(
     """Fills the trial, a chunk at a time."""
     waits = rests(trial.name, "racking", passing(printer, TOLERANCE))
     commands = compensate(sample(planned, printer.limits, waits), compensator, ("racking",))
-    commands = stand(commands, solvers(compensator, ["racking"], printer))
+    commands = hold_at_stops(commands, stop_solvers(compensator, ["racking"], printer))
     clock = Clock()
     for judgement in judge(clock.samples(commands), printer.plant, JUDGED_EVERY):
         for contour in judgement.contour.values():
@@ -219,7 +219,7 @@ def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> I
     for chunk in chunks:
         trial.seconds += TS * len(chunk)
         if len(chunk):
-            rates = differences.of(chunk.commands["racking"])
+            rates = differences.rates(chunk.commands["racking"])
             trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))
             acceleration = float(np.abs(rates.belt_acceleration).max())
             trial.acceleration = max(trial.acceleration, acceleration)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
-from hframe_post.model.stop_filters import judged
 
 BESIDE = 100  # samples before and after a stop in which its command may change
 BEYOND = 100  # samples after these that are still judged: what rings, shows there
@@ -23,6 +22,8 @@ ALONG = 0.01  # weight of a deviation along the path; of one across: 1
 FAR = 0.05  # mm off the path, from which on a sample that extrudes weighs more
 EMPHASIS, MOST_EMPHASIS = 1.5, 10.0  # times, for one that is FAR, growing with the square; at most
 SOON = 25  # samples after a hold in which an extrusion begins there
+
+STRIDE, SWING = 4, 64  # samples between those of a hold, and how far into it
 
 
 def _spread(n: int) -> tuple[Integers, Array]:
@@ -189,3 +190,8 @@ def _unit(vector: Array, otherwise: Array) -> Array:
     """Directions (m, 2); where there is none, another's."""
     length = np.hypot(vector[:, X], vector[:, Y])[:, None]
     return np.asarray(np.where(length > 1e-7, vector / np.maximum(length, 1e-7), otherwise))
+
+
+def judged(n: int) -> list[int]:
+    """Samples of a hold of n that count: how far the nozzle swings, and where it is at last."""
+    return [*range(STRIDE - 1, min(n, SWING) - 1, STRIDE), n - 1] if n else []
