@@ -18,7 +18,7 @@ from hframe_post.compensation.guard import (
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, PrintTime
 from hframe_post.conversion.options import Options
-from hframe_post.firmware.registry import passing
+from hframe_post.firmware.registry import player
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.sampling import sample
@@ -94,7 +94,7 @@ class Stages:
     def computed(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """The commands as they are computed, the first sample being 0; neither judged nor timed."""
         options, limits, times = self._options, self._printer.limits, self.times
-        lifts = passing(self._printer, options.tolerance, options.retract == "moving")
+        lifts = player(self._printer, options.tolerance, options.retract == "moving").rests
         waits = rests(self._printer.compensation.stops, options.strategy, lifts)
         samples = times.timed("sample", sample(items, limits, waits))
         commands = compensate(samples, self._compensator, self._strategies)

@@ -48,15 +48,17 @@ def smooth(seed: int, period: float, n: int = 200) -> tuple[Array, Array, Flags]
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 8e-3]))
 def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
     delta, T, rest = smooth(seed, period)
-    v = Ramped.of(delta, rest, STREAM).speeds(T, 0.0)
-    np.testing.assert_allclose(Ramped.of(delta, rest, STREAM).durations(v, 0.0), T, rtol=1e-6)
+    v = Ramped.from_moves(delta, rest, STREAM).speeds(T, 0.0)
+    np.testing.assert_allclose(
+        Ramped.from_moves(delta, rest, STREAM).durations(v, 0.0), T, rtol=1e-6
+    )
 
 
 def test_naive_speeds_would_lose_time() -> None:
     """What the inversion is for; it also shows that the test above can fail."""
     delta, T, rest = smooth(1, 1e-3)
     naive = np.linalg.norm(delta[:, :3], axis=1) / T
-    lost = Ramped.of(delta, rest, STREAM).durations(naive, 0.0) - T
+    lost = Ramped.from_moves(delta, rest, STREAM).durations(naive, 0.0) - T
     assert lost.min() >= -1e-12
     assert lost.max() > 1e-6
 
@@ -66,14 +68,18 @@ def test_segments_of_mixed_length_get_the_time_asked() -> None:
     cuts = np.concatenate([[0], np.cumsum(np.tile([1, 2, 4, 8], 16))])
     delta = np.stack([delta[a:b].sum(axis=0) for a, b in pairwise(cuts)])
     T, rest = np.diff(cuts) * 1e-3, np.zeros(len(cuts), dtype=bool)
-    v = Ramped.of(delta, rest, STREAM).speeds(T, 60.0)
-    np.testing.assert_allclose(Ramped.of(delta, rest, STREAM).durations(v, 60.0), T, rtol=1e-6)
+    v = Ramped.from_moves(delta, rest, STREAM).speeds(T, 60.0)
+    np.testing.assert_allclose(
+        Ramped.from_moves(delta, rest, STREAM).durations(v, 60.0), T, rtol=1e-6
+    )
 
 
 def alone(delta: tuple[float, float, float, float], v: float) -> float:
     """Duration of one segment from rest to rest."""
     rest = np.ones(2, dtype=bool)
-    return float(Ramped.of(np.array([delta]), rest, STREAM).durations(np.array([v]), 0.0)[0])
+    return float(
+        Ramped.from_moves(np.array([delta]), rest, STREAM).durations(np.array([v]), 0.0)[0]
+    )
 
 
 def test_single_segment_is_a_trapezoid() -> None:
@@ -112,20 +118,20 @@ def test_limited_segments_get_the_time_asked() -> None:
         delta[:, 2:] = 0.0
         delta[:, column] = value * d
         before = float(d[0] / T[0])
-        v = Ramped.of(delta, rest, STREAM).speeds(T, before)
+        v = Ramped.from_moves(delta, rest, STREAM).speeds(T, before)
         np.testing.assert_allclose(
-            Ramped.of(delta, rest, STREAM).durations(v, before), T, rtol=1e-6
+            Ramped.from_moves(delta, rest, STREAM).durations(v, before), T, rtol=1e-6
         )
 
 
 def test_neighbour_before_the_first_segment_counts() -> None:
     delta, T = np.array([[0.1, 0.0, 0.0, 0.0]]), np.array([1e-3])
     rest = np.zeros(2, dtype=bool)
-    rolling = Ramped.of(delta, rest, STREAM).durations(np.array([100.0]), 100.0)
-    slower = Ramped.of(delta, rest, STREAM).durations(np.array([100.0]), 80.0)
+    rolling = Ramped.from_moves(delta, rest, STREAM).durations(np.array([100.0]), 100.0)
+    slower = Ramped.from_moves(delta, rest, STREAM).durations(np.array([100.0]), 80.0)
     assert rolling[0] == pytest.approx(1e-3)
     assert slower[0] == pytest.approx(1e-3 + 20.0**2 / (2 * STREAM.acceleration) / 100.0)
-    assert Ramped.of(delta, rest, STREAM).speeds(T, 80.0)[0] > 100.0
+    assert Ramped.from_moves(delta, rest, STREAM).speeds(T, 80.0)[0] > 100.0
 
 
 def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
@@ -158,7 +164,7 @@ def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[byte
 
 def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -> None:
     limits = Limits(300.0, 1e4, 5e7, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
-    stream = StreamLimits.of(limits, Motors(700.0, 5e4), Kinematics())
+    stream = StreamLimits.from_limits(limits, Motors(700.0, 5e4), Kinematics())
     assert stream.velocity == pytest.approx(770.0)
     assert stream.acceleration == math.floor(5e4 / math.sqrt(2.0))  # 5e4 along a diagonal's belt
     assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)

@@ -18,7 +18,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
 def test_the_beginning_sets_what_the_stream_would_set() -> None:
     paper = load("paper")
     begin = macros(paper).split("[gcode_macro HFRAME_BEGIN]")[1].split("\n\n")[0]
-    for line in Klipper.of(paper).limits_of_stream:
+    for line in Klipper.from_printer(paper).limits_of_stream:
         assert f"    {line}\n" in f"{begin}\n"
 
 
@@ -33,5 +33,5 @@ def test_the_docs_show_them() -> None:
 
 
 def test_no_other_firmware_has_them() -> None:
-    with pytest.raises(PrinterError, match="Klipper's"):
+    with pytest.raises(PrinterError, match=r"printer\.cfg of Klipper"):
         macros(load("paper-marlin"))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
-from hframe_post.firmware.marlin.planner import PLANNERS
+from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import player
 from hframe_post.gcode import batching
@@ -108,7 +108,7 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
     assert first.startswith(b"G1 X120.")
 
 
-@pytest.mark.parametrize("planner", sorted(PLANNERS))
+@pytest.mark.parametrize("planner", GENERATIONS)
 def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: str) -> None:
     """The speeds of the user's corners would make them faster than from rest to rest."""
     mine = mode(with_own(marlin, planner=planner))
@@ -319,7 +319,7 @@ def test_golden_rectangle(
 
 
 def test_generations_of_planners_are_those_of_the_profile() -> None:
-    assert tuple(PLANNERS) == MARLIN_PLANNERS
+    assert GENERATIONS == MARLIN_PLANNERS
 
 
 def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:

@@ -58,7 +58,7 @@ def test_profile_that_knows_no_marlin_is_refused() -> None:
 
 def test_bed_without_room_is_refused() -> None:
     printer = load("paper-marlin")
-    with pytest.raises(PrinterError, match="too short"):
+    with pytest.raises(PrinterError, match="at least 40 mm long"):
         calibration(replace(printer, travel=replace(printer.travel, x=(0.0, 25.0))))
 
 

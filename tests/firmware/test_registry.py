@@ -10,7 +10,7 @@ from hframe_post.cli.convert import convert
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.marlin.player import Marlin
-from hframe_post.firmware.registry import FIRMWARES, passing, player
+from hframe_post.firmware.registry import FIRMWARES, player
 from hframe_post.printer.firmware_tables import TABLES, Firmware
 from hframe_post.printer.profile import load, parse, played_by
 from hframe_post.printer.settings import Printer
@@ -32,15 +32,21 @@ def test_player_is_that_of_the_profile() -> None:
     assert isinstance(player(load("paper-marlin"), None), Marlin)
 
 
-def test_lifts_pass_and_filament_is_retracted_on_the_way_only_where_that_is_known() -> None:
+def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:
     paper, marlin = load("paper"), load("paper-marlin")
-    assert 2.0 < passing(paper, 0.014).corner < paper.limits.square_corner_velocity
+    corner = player(paper, 0.014).rests.corner
+    assert 2.0 < corner < paper.limits.square_corner_velocity
     gentle = replace(paper, limits=replace(paper.limits, square_corner_velocity=1.0))
-    assert passing(gentle, 0.014).corner == 0.0  # no faster than a corner of the user's
-    assert passing(paper, None).corner == passing(marlin, 0.014).corner == 0.0
-    assert passing(paper, 0.014, moving=True).moving == pytest.approx(300.0)
+    assert player(gentle, 0.014).rests.corner == 0.0
+    assert player(paper, None).rests.corner == player(marlin, 0.014).rests.corner == 0.0
+
+
+def test_only_klipper_retracts_in_motion() -> None:
+    moving = player(load("paper"), 0.014, retract_moving=True)
+    assert moving.rests.moving == pytest.approx(300.0)
+    assert player(load("paper"), 0.014).rests.moving == 0.0
     with pytest.raises(HframeError, match="Marlin does not retract in motion"):
-        passing(marlin, 0.014, moving=True)
+        player(load("paper-marlin"), 0.014, retract_moving=True)
 
 
 def with_dialect(name: str) -> Printer:

@@ -68,9 +68,9 @@ def test_what_is_reached_everywhere_is_the_slowest_direction(kinematics: Kinemat
 
 def test_stream_of_a_cartesian_printer_may_be_faster_than_its_belts() -> None:
     profile = load("example-cartesian")
-    stream = StreamLimits.of(profile.limits, profile.motors, profile.kinematics)
+    stream = StreamLimits.from_limits(profile.limits, profile.motors, profile.kinematics)
     assert stream.velocity > np.sqrt(2.0) * profile.motors.belt_velocity
-    square = StreamLimits.of(profile.limits, profile.motors, Kinematics("corexy"))
+    square = StreamLimits.from_limits(profile.limits, profile.motors, Kinematics("corexy"))
     whole = 1.0  # mm/s², to which both are rounded down
     assert stream.acceleration == pytest.approx(np.sqrt(2.0) * square.acceleration, abs=2 * whole)
 

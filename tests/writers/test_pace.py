@@ -20,7 +20,7 @@ def test_a_batch_ends_as_slowly_as_the_next_begins(paper: Printer) -> None:
     t = np.arange(N + 1) * TS
     at = np.zeros((N + 1, 4))
     at[:, 0] = SPEED * t + MORE / (2.0 * np.pi * HZ) * np.sin(2.0 * np.pi * HZ * t)
-    T, rest, player = np.full(N, TS), np.zeros(N + 1, dtype=bool), Klipper.of(paper)
+    T, rest, player = np.full(N, TS), np.zeros(N + 1, dtype=bool), Klipper.from_printer(paper)
     for cut in range(N // 2, N // 2 + 17):  # wherever in a period a batch may end
         pace = Pace(player, PER_FEED, STEADY)
         first = pace.feeds(at[: cut + 1], T[:cut], rest[: cut + 1], np.inf)

@@ -1,1 +1,1 @@
-"""How Klipper plays a stream."""
+"""Klipper as a player of the stream."""

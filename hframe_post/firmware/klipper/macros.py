@@ -1,7 +1,7 @@
-"""What printer.cfg needs beside a stream: macros that end, pause and resume a print in it.
+"""Macros for printer.cfg that end, pause and resume a print inside a stream.
 
-A print that stops in the stream leaves Klipper with the stream's limits. These macros read the
-printer's own from its configuration, which G-code cannot, and are what a profile may name as
+A print that stops inside the stream leaves Klipper with the stream's limits. These macros read
+the printer's own limits from its configuration, which G-code cannot. A profile may name them as
 ``begin_macro`` and ``end_macro``.
 """
 
@@ -84,12 +84,12 @@ gcode:
 
 
 def macros(printer: Printer) -> str:
-    """Sections for printer.cfg, with the limits that a stream for this printer needs.
+    """Return sections for printer.cfg, with the limits of a stream for this printer.
 
-    Raises PrinterError where the printer's firmware is another.
+    Raises PrinterError where the printer's firmware is not Klipper.
     """
     if printer.firmware.dialect != "klipper":
-        cause = f"{printer.firmware.dialect} has no such macros; they are Klipper's"
+        cause = f"{printer.firmware.dialect} has no macros: they are for printer.cfg of Klipper"
         raise PrinterError(cause, "firmware.dialect", printer.name)
-    shaper_off, limits = Klipper.of(printer).limits_of_stream
+    shaper_off, limits = Klipper.from_printer(printer).limits_of_stream
     return _MACROS.replace("@shaper_off", shaper_off).replace("@limits", limits)

@@ -1,4 +1,4 @@
-"""Klipper as a player of the stream: what it is told, and how it makes moves at rest."""
+"""Klipper as a player of the stream: its commands, and how it makes moves at rest."""
 
 from __future__ import annotations
 
@@ -31,33 +31,16 @@ from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Rests
 
-STAND = "G4 P0"  # comes to rest, but keeps what is queued for the motors, as M400 does not
-LABELS = re.compile(  # of objects, by Klipper's commands and those that hosts put them for
+STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
+LABELS = re.compile(  # of objects: Klipper's commands, and lines that hosts replace by them
     rb"EXCLUDE_OBJECT_(START|END)\b|M486\b|;\s*(stop )?printing object\b|;MESH:", re.IGNORECASE
 )
 NUDGE = 0.001  # mm
-SHARE_OF_CORNER = 0.3  # that filament in motion changes its speed by in a sample
-MOST_LONGER = 1.1  # times the duration of a lift that is made to be in time
-
-
-def passing(printer: Printer) -> Rests:
-    """How a lift passes from and into motion: no faster than a square corner of the user's."""
-    corner = StreamLimits.of(printer.limits, printer.motors, printer.kinematics).lift_corner
-    allowed = corner <= printer.limits.square_corner_velocity
-    return Rests(corner=corner if allowed else 0.0, labels=labels_object)
-
-
-def retracts_moving(printer: Printer) -> float:
-    """Acceleration (mm/s²) of filament that is retracted in motion.
-
-    At a junction Klipper lets extrusion change by the extruder's corner velocity, of which the
-    change of x's and y's speed needs the most.
-    """
-    return SHARE_OF_CORNER * printer.limits.extruder_corner_velocity / TS
+MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
 
 
 def labels_object(text: bytes) -> bool:
-    """Whether a line is an object's start or end: a cancelled one's moves are left out."""
+    """Return whether a line starts or ends an object, whose moves Klipper may leave out."""
     return LABELS.match(text.lstrip()) is not None
 
 
@@ -65,34 +48,60 @@ def labels_object(text: bytes) -> bool:
 class Klipper:
     """Klipper as a ``Player``.
 
-    tolerance: mm by which the decimated command may miss a sample; None keeps them all.
-    travel: mm/s at which a machine may catch up that comes from elsewhere. retracts_moving: whether
-    filament is retracted in motion, which takes every sample there.
+    tolerance: mm by which the decimated command may miss a sample; None keeps every sample.
+    travel: mm/s at which the machine may come back from where it left out moves. users_corner: the
+    user's square corner velocity, mm/s. retract_moving: whether filament is retracted in motion,
+    where every sample is written.
     """
 
-    own: KlipperTable
+    table: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
     travel: float = math.inf
-    retracts_moving: bool = False
+    users_corner: float = 0.0
+    retract_moving: bool = False
 
     @classmethod
-    def of(cls, printer: Printer, tolerance: float | None = None) -> Klipper:
-        """As that printer has it. Raises PrinterError where its profile does not know Klipper."""
+    def from_printer(
+        cls, printer: Printer, tolerance: float | None = None, retract_moving: bool = False
+    ) -> Klipper:
+        """Return Klipper as on this printer. Raises PrinterError without its table."""
         if printer.firmware.klipper is None:
             cause = "the table is missing: Klipper's own limits"
             raise PrinterError(cause, "firmware.klipper", printer.name)
-        limits = StreamLimits.of(printer.limits, printer.motors, printer.kinematics)
-        return cls(printer.firmware.klipper, limits, tolerance, printer.limits.velocity)
+        own = printer.limits
+        limits = StreamLimits.from_limits(own, printer.motors, printer.kinematics)
+        return cls(
+            printer.firmware.klipper, limits, tolerance, own.velocity,
+            own.square_corner_velocity, retract_moving,
+        )  # fmt: skip
 
     @property
     def lines_per_second(self) -> float:
-        """See ``Player``, as all of these. A host computer is never the bound."""
-        return math.inf
+        return math.inf  # a host computer is never the bound
+
+    @property
+    def rests(self) -> Rests:
+        """Return how lifts and retractions pass into motion.
+
+        A lift passes no faster than a square corner of the user's, and comes to rest where every
+        sample is written. Filament in motion changes its speed by a share of what Klipper allows
+        the extruder at a junction, of which x and y need the most.
+        """
+        share = 0.3
+        moving = share * self.limits.extruder_corner_velocity / TS if self.retract_moving else 0.0
+        if self.tolerance is None:
+            return Rests(moving=moving)
+        corner = self.limits.lift_corner
+        return Rests(
+            corner=corner if corner <= self.users_corner else 0.0,
+            labels=labels_object,
+            moving=moving,
+        )
 
     @property
     def limits_of_stream(self) -> list[str]:
-        """Commands that set them, with shaping off."""
+        """Return the commands that set the stream's limits, with input shaping off."""
         limits = self.limits
         return [
             "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
@@ -100,16 +109,14 @@ class Klipper:
         ]
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """Macros, where the profile names them, stand for the limits."""
-        macro = self.own.begin_macro
+        macro = self.table.begin_macro
         start = [macro] if macro else self.limits_of_stream
         return [line.encode() for line in [STAND, *start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        """As ``begin``."""
-        own, names = self.own, coordinates(state.offset, at[:E] - state.offset)
-        if self.own.end_macro:
-            stop = [self.own.end_macro]
+        own, names = self.table, coordinates(state.offset, at[:E] - state.offset)
+        if own.end_macro:
+            stop = [own.end_macro]
         else:
             stop = [
                 _limit(
@@ -125,19 +132,18 @@ class Klipper:
         return [line.encode() for line in [STAND, *stop, *names, *_modes(state)]]
 
     def modes_after(self, name: str) -> bytes:
-        """G90 means nothing to E."""
+        # G90 leaves E as it is
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")
 
     def labels_object(self, text: bytes) -> bool:
-        """At an object's start and end: the moves of one that was cancelled are left out."""
         return labels_object(text)
 
     def rejoin(self, at: Array, way: Array, T: float) -> Rejoined:
-        """Klipper catches up in the first move that changes x or y, with all that it asks for.
+        """Return a nudge with the user's acceleration, in which Klipper catches up.
 
-        So that is one with the user's acceleration, and not at the speed of a segment.
+        It does so in the first move that changes x or y, at the speed and acceleration of that.
         """
-        own, to, axis = self.own, at.copy(), int(np.abs(way).argmax())
+        own, to, axis = self.table, at.copy(), int(np.abs(way).argmax())
         to[axis] += math.copysign(NUDGE, way[axis])
         place = " ".join(f"{name}{plain(p, 6)}" for name, p in zip("XYZ", to, strict=False))
         speed, a = min(self.travel, own.velocity), own.acceleration
@@ -151,14 +157,12 @@ class Klipper:
         return Rejoined(text.encode(), to, end, (2.0 * peak - end) / a)
 
     def reset_extruder(self) -> bytes:
-        """Klipper counts in doubles."""
-        return b""
+        return b""  # Klipper counts in doubles
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
-        """Decimated to the tolerance."""
         if self.tolerance is None:
             return np.arange(1, len(points)), points[1:]
-        if self.retracts_moving:
+        if self.retract_moving:
             back = np.flatnonzero(np.diff(points[:, E]) < 0.0)
             forced = forced.copy()
             forced[back] = forced[back + 1] = True
@@ -166,14 +170,13 @@ class Klipper:
         return ends, fitted(points, ends)
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
-        """All of it."""
         return T
 
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """Ramps in mind. What is late in spite of them is made up for by those after it."""
-        ramped = Ramped.of(np.diff(at, axis=0), rest, self.limits, after)
+        """Return speeds that allow for ramps; segments make up for late ones before them."""
+        ramped = Ramped.from_moves(np.diff(at, axis=0), rest, self.limits, after)
         v = ramped.speeds(T, before)
         late = ramped.durations(v, before) - T
         if late.max() > LATE:
@@ -183,13 +186,12 @@ class Klipper:
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """Ramps and limits in mind."""
-        ramped = Ramped.of(np.diff(at, axis=0), rest, self.limits, after)
+        ramped = Ramped.from_moves(np.diff(at, axis=0), rest, self.limits, after)
         return ramped.durations(v, before)
 
     def lift_corner(self, at: Array, speed: float) -> float:
-        """At a right angle, of which a short lift can use only half of its way."""
         lift = abs(float(at[1, Z] - at[0, Z]))
+        # a short lift needs the other half of its way to brake
         fits = math.sqrt(lift * self.limits.z_acceleration / 2.0)
         return min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
 
@@ -197,7 +199,7 @@ class Klipper:
         self, at: Array, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
-        """As asked; a lift that passes from or into motion is slower, to be in time for it."""
+        """Return the user's speed; a lift from or into motion is slowed down to be in time."""
         _, _, lifted, extruded = np.abs(at[1] - at[0]).tolist()
         if lifted and not extruded:
             cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration
@@ -209,10 +211,9 @@ class Klipper:
         return Stroke(speed, seconds, leaving)
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
-        """G4, beside a lift even of no time.
+        """Return G4, next to a lift even for no time.
 
-        Without it Klipper would round the corner between a lift and the motion next to it,
-        and be early.
+        Without it Klipper would round the corner between lift and motion, and be early.
         """
         if not beside.lifts and seconds < TS / 2.0:
             return None
@@ -221,7 +222,7 @@ class Klipper:
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
-    """SET_VELOCITY_LIMIT with everything that it can set."""
+    """Return SET_VELOCITY_LIMIT with all of its values."""
     values = {
         "VELOCITY": velocity,
         "ACCEL": acceleration,
@@ -233,7 +234,7 @@ def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: fl
 
 
 def _modes(state: ModalState) -> list[str]:
-    """Commands that bring the firmware to the modes and the E that a file believes in."""
+    """Return the commands that restore the modes and the E that the file expects."""
     lines = [f"G1 F{plain(state.feed * 60.0, 1)}"]
     if state.absolute_e:
         lines += ["M82", f"G92 E{plain(state.e, 5)}"]

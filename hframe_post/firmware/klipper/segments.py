@@ -1,4 +1,4 @@
-"""Segments as Klipper plays them: its limits in the stream, its ramps, what it would refuse."""
+"""Segments as Klipper plays them: limits of the stream, ramps, and what it would refuse."""
 
 from __future__ import annotations
 
@@ -14,23 +14,17 @@ from hframe_post.model import cornering
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Limits, Motors
 
-SQUARE_CORNER_VELOCITY = 20.0  # mm/s; corners are the stream's business
-LATE = 2e-5  # s; what a segment is late by in spite of its feed rate, if more, is made up for
-CATCH_UP = 0.04  # share of its time by which a segment makes up for late ones before it
+SQUARE_CORNER_VELOCITY = 20.0  # mm/s; the stream makes its own corners
+LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
-USUAL_NOZZLE = 0.4  # mm
-ALLOWED = 0.95 * 4.0 * USUAL_NOZZLE**2 / FILAMENT  # mm of filament per mm, nearly all that it may
-THICK = 3.0  # times the usual filament for its length: a segment that may have to be cut;
-THICKER = 1.5  # the same where that is more than Klipper allows of a usual nozzle
-SAFELY = 0.5  # share of the filament that Klipper takes for however short a segment
 
 
 @dataclass(frozen=True, slots=True)
 class StreamLimits:
     """Klipper's limits while the stream runs; mm, s.
 
-    acceleration: what the motors hold in any direction, and so the most with which a pause or a
-    cancelled print brakes.
+    acceleration: what the motors hold in any direction. A pause or a cancelled print brakes with
+    no more than that.
     """
 
     velocity: float
@@ -42,8 +36,8 @@ class StreamLimits:
     extruder_corner_velocity: float
 
     @classmethod
-    def of(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
-        """High enough never to shape the stream, and no higher: they may be left behind."""
+    def from_limits(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
+        # no higher than the stream needs: an aborted print leaves them in force
         return cls(
             VELOCITY_HEADROOM * kinematics.max_speed_ratio * motors.belt_velocity,
             math.floor(kinematics.min_speed_ratio * motors.belt_acceleration),
@@ -56,13 +50,13 @@ class StreamLimits:
 
     @property
     def lift_corner(self) -> float:
-        """At which Klipper takes the corner between a lift and motion in x and y, mm/s."""
+        """Return the speed, mm/s, of Klipper in the corner between a lift and motion in x, y."""
         return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)
 
 
 @dataclass(frozen=True, slots=True)
 class Ramped:
-    """k segments as Klipper ramps in them: length, acceleration and greatest speed of each (k,).
+    """Segments with Klipper's ramps: length, acceleration and greatest speed of each (k,).
 
     caps (k + 1,): greatest speeds at their ends.
     """
@@ -73,10 +67,13 @@ class Ramped:
     caps: Array
 
     @classmethod
-    def of(cls, delta: Array, rest: Flags, limits: StreamLimits, after: float = math.inf) -> Ramped:
-        """From x, y, z, e of each, delta (k, 4): z and retraction lower acceleration and speed.
+    def from_moves(
+        cls, delta: Array, rest: Flags, limits: StreamLimits, after: float = math.inf
+    ) -> Ramped:
+        """Return the segments of moves delta (k, 4) in x, y, z, e.
 
-        rest (k + 1,): whether Klipper stands at each end; after: greatest speed at the last.
+        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper stands at
+        each end; after: greatest speed at the last.
         """
         d = lengths(delta[:, :E])
         with np.errstate(divide="ignore"):
@@ -91,26 +88,28 @@ class Ramped:
         return cls(d, a, top, np.where(rest, 0.0, corners))
 
     def speeds(self, T: Array, before: float) -> Array:
-        """Cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
+        """Return the cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
 
         before: speed of the segment that precedes.
         """
         return ramps.speeds(self.d, T, self.a, self.caps, before)
 
     def durations(self, v: Array, before: float) -> Array:
-        """Time (k,) that Klipper takes at cruise speeds v (k,); see ``speeds``."""
+        """Return the time (k,) that Klipper takes at cruise speeds v (k,); see ``speeds``."""
         return ramps.durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
 
 
 def thinned(points: Array, ends: Integers) -> Integers:
-    """More ends (k,), so that no segment is one that Klipper refuses as too thick an extrusion.
+    """Return ends (k,), and more, so that Klipper refuses no segment as too thick an extrusion.
 
-    Beside a stop a command may crawl where the path does not. Klipper allows a width of 4 nozzles
-    squared (``max_extrude_cross_section``), and more than that in pieces of no more filament than
-    it would take for a line as long as the nozzle is wide. That is told by how thick the
-    other segments are, of a line as wide and half as high; but it is taken to be no
-    wider than USUAL_NOZZLE, since a flow may be high.
+    Next to a stop the command may crawl where the path does not. Klipper allows a cross section
+    of 4 nozzle widths squared (``max_extrude_cross_section``), and more than that in pieces with no
+    more filament than such a line as long as the nozzle is wide. The nozzle is estimated from
+    the other segments, as lines half as high as wide, at no more than 0.4 mm, since the flow
+    may be high.
     """
+    usual_nozzle = 0.4  # mm
+    allowed = 0.95 * 4.0 * usual_nozzle**2 / FILAMENT  # mm of filament per mm, with a margin
     start = np.append(0, ends[:-1])
     delta = points[ends] - points[start]
     d, e = lengths(delta[:, :E]), delta[:, E]
@@ -118,9 +117,9 @@ def thinned(points: Array, ends: Integers) -> Integers:
     if not lays.any():
         return ends
     usual = float(e[lays].sum() / d[lays].sum())
-    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE)
-    most = SAFELY * nozzle * 4.0 * nozzle**2 / FILAMENT
-    thick = (e > most) & (e > min(THICK * usual, max(ALLOWED, THICKER * usual)) * d)
+    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), usual_nozzle)
+    most = 0.5 * nozzle * 4.0 * nozzle**2 / FILAMENT
+    thick = (e > most) & (e > min(3.0 * usual, max(allowed, 1.5 * usual)) * d)
     if not thick.any():
         return ends
     pieces = [ends]
@@ -131,11 +130,11 @@ def thinned(points: Array, ends: Integers) -> Integers:
 
 
 def made_up(T: Array, late: Array) -> Array:
-    """T (k,), shortened after segments that are late (k,), s, whatever is asked of them.
+    """Return T (k,), shortened after segments that are late by (k,) s at any feed rate.
 
-    A queue: what is late waits, and each segment in time takes CATCH_UP of its T away.
+    Lateness waits in a queue, from which each segment in time takes 4 % of its T.
     """
-    taken = np.where(late > 0.0, 0.0, CATCH_UP * T)
+    taken = np.where(late > 0.0, 0.0, 0.04 * T)
     total = np.cumsum(late - taken)
     waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
     return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))

@@ -1,1 +1,1 @@
-"""How Marlin plays a stream."""
+"""Marlin as a player of the stream."""

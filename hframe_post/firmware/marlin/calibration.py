@@ -1,4 +1,4 @@
-"""Motions whose duration tells which planner and which timer a Marlin board has.
+"""Motions whose duration shows which planner and which timer a Marlin board has.
 
 ``steady`` is strokes of a single block at full speed: all planners take the same time, a timer
 that counts a tick more takes longer, one that smooths steps is faster. ``uneven`` is strokes of
@@ -15,24 +15,27 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.marlin.planner import PLANNERS, Blocks, Planner, Timer
+from hframe_post.firmware.marlin.planner import (
+    GENERATIONS,
+    Blocks,
+    Planner,
+    Timer,
+    make_planner,
+)
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import plain
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
-SECONDS = 120.0  # that each part lasts, about
-EDGE = 10.0  # mm of travel that are left alone on either side
+SECONDS = 120.0  # of each part, about
+EDGE = 10.0  # mm of travel that stay unused on either side
 STEPS = 24  # of x in a block of ``uneven``
-SLOW = 0.2  # times the speed of its fast blocks
-DRAWN = 0.5  # times the acceleration at which a fast block would just be reached
-CORNERS = "J0.3", "X1 Y1 E1"  # of M205: a reversal is a stop with either
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Strokes, there and back, over blocks: x at their ends (k + 1,), speeds asked for (k,)."""
+    """Strokes there and back over blocks: x at their ends (k + 1,), speeds asked for (k,)."""
 
     name: str
     x: Array
@@ -42,7 +45,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The file, and for each board that is told apart how long (s) each part takes there."""
+    """The lines of the file, and for each kind of board the seconds of each part."""
 
     lines: list[bytes]
     parts: tuple[str, ...]
@@ -50,23 +53,25 @@ class Calibration:
 
 
 def calibration(printer: Printer) -> Calibration:
-    """For a printer whose profile knows Marlin. Raises PrinterError."""
-    marlin = Marlin.of(printer)
+    """Return the calibration for a printer. Raises PrinterError if its profile lacks Marlin."""
+    marlin = Marlin.from_printer(printer)
     parts = _steady(printer, marlin), _uneven(printer, marlin)
     durations = {
-        name: tuple(_duration(part, printer, marlin, planner, timer) for part in parts)
-        for name, planner, timer in _boards(marlin)
+        name: tuple(_duration(part, printer, marlin, planner) for part in parts)
+        for name, planner in _boards(marlin)
     }
     return Calibration(_lines(printer, marlin, parts), tuple(p.name for p in parts), durations)
 
 
-def _boards(marlin: Marlin) -> list[tuple[str, Planner, Timer]]:
-    hz = marlin.own.timer_hz
-    found = []
-    for name, planner in PLANNERS.items():
-        found.append((f'planner = "{name}"', planner, Timer(hz)))
-        if planner.whole_rates:
-            found.append((f'planner = "{name}", timer_extra_tick = true', planner, Timer(hz, True)))
+def _boards(marlin: Marlin) -> list[tuple[str, Planner]]:
+    """Return the keys of the profile that stand for each kind of board, and its planner."""
+    hz, found = marlin.table.timer_hz, []
+    for name in GENERATIONS:
+        planner = make_planner(name, Timer(hz))
+        found.append((f'planner = "{name}"', planner))
+        if not planner.fixed_time:
+            slower = make_planner(name, Timer(hz, extra_tick=True))
+            found.append((f'planner = "{name}", timer_extra_tick = true', slower))
     return found
 
 
@@ -78,12 +83,13 @@ def _steady(printer: Printer, marlin: Marlin) -> Part:
 
 
 def _uneven(printer: Printer, marlin: Marlin) -> Part:
-    """Blocks so short that their fast speed is not reached, on whole steps."""
+    """Return blocks on whole steps, so short that they do not reach their fast speed."""
     left, right = _room(printer, marlin)
     d = STEPS * marlin.steps.belt
     x = left + d * np.arange(int((right - left) / d) // 2 * 2 + 1)
-    fast = min(math.sqrt(DRAWN * 2.0 * printer.limits.acceleration * d), printer.limits.velocity)
-    v = np.where(np.arange(len(x) - 1) % 2, fast, SLOW * fast)
+    # at half the acceleration a fast block would just be reached
+    fast = min(math.sqrt(0.5 * 2.0 * printer.limits.acceleration * d), printer.limits.velocity)
+    v = np.where(np.arange(len(x) - 1) % 2, fast, 0.2 * fast)
     return Part("uneven", np.asarray(x), np.asarray(v), _even(SECONDS / float((d / v).sum())))
 
 
@@ -92,18 +98,17 @@ def _even(strokes: float) -> int:
 
 
 def _room(printer: Printer, marlin: Marlin) -> tuple[float, float]:
-    """x of both ends of the strokes, on whole steps."""
+    """Return x of both ends of the strokes, on whole steps."""
     belt = marlin.steps.belt
     left, right = printer.travel.x[0] + EDGE, printer.travel.x[1] - EDGE
     if right - left < 2.0 * EDGE:
-        raise PrinterError("too short for a calibration", "travel.x", printer.name)
+        cause = f"must be at least {4.0 * EDGE:g} mm long for a calibration"
+        raise PrinterError(cause, "travel.x", printer.name)
     return math.ceil(left / belt) * belt, math.floor(right / belt) * belt
 
 
-def _duration(
-    part: Part, printer: Printer, marlin: Marlin, planner: Planner, timer: Timer
-) -> float:
-    """Seconds that a board takes for all strokes, without the wait before the first."""
+def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) -> float:
+    """Return the seconds of all strokes, without the wait before the first."""
     belt = marlin.steps.belt
     cells = np.rint(np.column_stack([part.x, np.zeros_like(part.x)]) / belt).astype(np.int64)
     n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
@@ -113,19 +118,20 @@ def _duration(
         blocks = Blocks(n_, d_, np.floor(printer.limits.acceleration * n_ / d_))
         v = np.ceil(60.0 * v) / 60.0  # F is whole
         joint = np.concatenate([[0.0], np.minimum(v[:-1], v[1:]), [0.0]])
-        total += planner.stroke(blocks, joint, v, timer)
+        total += planner.stroke(blocks, joint, v)
     return total * part.strokes / 2.0
 
 
 def _lines(printer: Printer, marlin: Marlin, parts: tuple[Part, ...]) -> list[bytes]:
-    limits, own = printer.limits, marlin.own
+    limits, own = printer.limits, marlin.table
     a, v = plain(limits.acceleration, 0), plain(limits.velocity + 1.0, 0)
     y = plain(sum(printer.travel.y) / 2.0, 3)
+    corners = "X1 Y1 E1" if own.classic_jerk else "J0.3"  # a reversal is a stop with either
     motion = "M493 S1 X0 Y0 C0 P0" if own.planner == "ft-motion" else "M493 S0"
     text = [
-        "; home first; how long each part takes tells the planner and the timer", "M400",
+        "; home first; the duration of each part shows the planner and the timer", "M400",
         "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
-        f"M205 B0 S0 T0 {CORNERS[own.classic_jerk]}", "G90",
+        f"M205 B0 S0 T0 {corners}", "G90",
     ]  # fmt: skip
     for part in parts:
         x = [plain(place, 3) for place in part.x.tolist()]

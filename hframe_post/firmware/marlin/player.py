@@ -1,76 +1,79 @@
-"""What Marlin does with a stream: whole steps, its limits, its commands.
+"""Marlin as a player of the stream: whole steps, its limits, its commands.
 
-1. Coordinates are rounded to whole steps of x and of y; belt motors then make x ± y of them.
+1. Marlin rounds coordinates to whole steps of x and of y; belt motors then make x ± y of them.
 2. A block in which no motor makes MIN_STEPS_PER_SEGMENT steps joins the next and moves at
    its speed. Segments are therefore long enough, and end on whole steps.
-3. The motor with the most steps sets the pace, see ``marlin_planner``.
-4. When the queue has run empty, Marlin waits for three blocks before it goes on. So nothing
-   waits: what the command spends standing still, if no line of the file asks for it, is left
-   out.
+3. The motor with the most steps sets the pace, see ``planner``.
+4. When the queue has run empty, Marlin waits for three blocks before it goes on. So the stream
+   has no dwells of its own: standstill that no line of the file asks for is left out.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
-from hframe_post.errors import PrinterError
-from hframe_post.firmware.marlin.planner import PLANNERS, Blocks, Planner, Timer
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware.marlin.planner import Blocks, Planner, Timer, make_planner
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps, segment_ends
 from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, Stroke, coordinates, plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
-from hframe_post.stream.types import ModalState
+from hframe_post.stream.types import ModalState, Rests
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
-JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; corners are the stream's business
-RIGHT_ANGLE = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))  # junction deviation: v² = this·J·a
-TURNED = 2.0**0.25  # times the speed into a stroke is that out of it: both axes are at the limit
-STRAIGHT = 0.999999  # cosine of the angle between two blocks
-FIRST = 11.0  # mm/s, of the first segment from rest: 10 to 14 in the samples
-ROUNDS = 3  # of a stroke's speed
-SLOWEST = 0.5  # of the user's speed, that a retraction or lift is given
+JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 SPARED = 0.9  # of the lines that a board can take in a second; at all of them it stutters
-FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # unshaped, in either's words; off
+FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 
 
 @dataclass(frozen=True, slots=True)
 class Marlin:
     """Marlin as a ``Player``. Lengths mm; rates are steps per second of the leading motor."""
 
-    own: MarlinTable
+    table: MarlinTable
     limits: Limits
     motors: Motors
     steps: Steps
     kinematics: Kinematics
 
     @classmethod
-    def of(cls, printer: Printer, tolerance: float | None = None) -> Marlin:
-        """As that printer has it. Raises PrinterError where its profile does not know Marlin.
+    def from_printer(
+        cls, printer: Printer, tolerance: float | None = None, retract_moving: bool = False
+    ) -> Marlin:
+        """Return Marlin as on this printer. Raises PrinterError without its tables.
 
-        tolerance: of no meaning, segments are as long as whole steps make them.
+        tolerance: not used, segments are as long as whole steps make them. retract_moving: must
+        be false, else HframeError.
         """
-        own, steps = printer.firmware.marlin, printer.steps
-        if own is None or steps is None:
-            key = "steps" if own else "firmware.marlin"
+        if retract_moving:
+            raise HframeError(
+                "Marlin does not retract in motion: leave out --retract moving, or write for "
+                "Klipper with --firmware klipper"
+            )
+        table, steps = printer.firmware.marlin, printer.steps
+        if table is None or steps is None:
+            key = "steps" if table else "firmware.marlin"
             raise PrinterError("the table is missing: Marlin needs it", key, printer.name)
-        return cls(own, printer.limits, printer.motors, steps, printer.kinematics)
+        return cls(table, printer.limits, printer.motors, steps, printer.kinematics)
 
     @property
     def lines_per_second(self) -> float:
-        """See ``Player``, as all of these."""
-        return self.own.lines_per_second
+        return self.table.lines_per_second
+
+    @property
+    def rests(self) -> Rests:
+        return Rests()  # lifts and retractions begin and end at rest
 
     # ------------------------------------------------------------------ commands
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """Shaping and linear advance go off, limits up; fixed-time motion off, or on if chosen."""
-        motion = FIXED_TIME if self._fixed_time else RAMPED
+        motion = FIXED_TIME if self._planner.fixed_time else RAMPED
         a, v = plain(self._acceleration, 0), plain(self._velocity, 0)
         start = [
             "M400", "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
@@ -79,8 +82,7 @@ class Marlin:
         return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        """Shaping, linear advance and fixed-time motion only if the profile knows of them."""
-        own = self.own
+        own = self.table
         velocity, acceleration = (
             f"X{plain(x, 3)} Y{plain(y, 3)}" for x, y in (own.max_velocity, own.max_acceleration)
         )
@@ -96,7 +98,7 @@ class Marlin:
         for axis, frequency in (("X", own.shaper_freq_x), ("Y", own.shaper_freq_y)):
             if frequency:
                 lines.append(f"M593 {axis} F{plain(frequency, 3)}")
-        if own.fixed_time_motion or self._fixed_time:
+        if own.fixed_time_motion or self._planner.fixed_time:
             lines.append(f"M493 S{own.fixed_time_motion}")
         for axis, shaper in zip("XY", own.fixed_time_shaper, strict=True):
             if shaper:  # the mode is a word of the axis, or of C in later builds
@@ -106,90 +108,95 @@ class Marlin:
             f"G1 F{plain(state.feed * 60, 1)}",
         ]
         if not state.absolute:
-            lines.append("G91")  # before M82: it is for E, too
+            lines.append("G91")  # before M82: it makes E relative, too
         if state.absolute_e:
             lines.append("M82")
-        lines.append(f"G92 E{plain(state.e, 5)}")  # relative, too: it counts on, and G90 ends that
+        # also for a relative E, which Marlin counts on: a later G90 makes it absolute
+        lines.append(f"G92 E{plain(state.e, 5)}")
         return [line.encode() for line in lines]
 
     def modes_after(self, name: str) -> bytes:
-        """G90 and G91 are for E, too; linear advance stays off."""
+        # G90 and G91 set E, too; linear advance stays off
         modes = {"G90": b"M83\n", "G91": b"G90\nM83\n", "M82": b"M83\n", "M900": b"M900 K0\n"}
         return modes.get(name, b"")
 
     def labels_object(self, text: bytes) -> bool:
-        """It leaves nothing out that it has been sent."""
-        return False
+        return False  # it leaves no move out
 
     def rejoin(self, at: Array, way: Array, T: float) -> None:
-        """It is where its commands are."""
+        return None
 
     def reset_extruder(self) -> bytes:
-        """Marlin counts in floats, which forget the smallest moves when they have grown."""
-        return b"G92 E0\n"
+        return b"G92 E0\n"  # Marlin counts in floats: large ones lose the smallest moves
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
-        """None is made: what a stroke leaves, motion makes up for, and standstill is left out."""
+        # standstill is left out, and motion makes up for the time that a stroke was late
         return None if beside is not Dwelling.MOTION else (b"", seconds)
 
     def lift_corner(self, at: Array, speed: float) -> float:
-        """z comes to rest."""
         return 0.0
 
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
-        """Between the speeds of the user's corners, and slower by as much as that saves.
+        """Return a stroke between the speeds of the user's corners, slower by the time this saves.
 
         With the stream's corners it would begin and end at full speed. z keeps its own jerk.
         """
+        slowest = 0.5 * speed
+        right_angle = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))  # junction deviation: v² = this·J·a
         blocks, lifts = self._blocks(at), bool(at[0, Z] != at[1, Z])
         n, d, a = (float(each[0]) for each in blocks[:3])
         a *= d / n
-        if self.own.classic_jerk:
-            corner = 0.0 if lifts else self.own.jerk_e
+        if self.table.classic_jerk:
+            corner = 0.0 if lifts else self.table.jerk_e
         else:
-            corner = math.sqrt(RIGHT_ANGLE * self.own.junction_deviation * a)
+            corner = math.sqrt(right_angle * self.table.junction_deviation * a)
         v = speed
-        for _ in range(ROUNDS):
+        for _ in range(3):
             v_s, v_e = self._stroke_ends(corner, v)
             S = a * wanted + v_s + v_e
             root = S * S - 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
             v = (S - math.sqrt(root)) / 2.0 if root > 0.0 else speed
-            v = min(max(v, SLOWEST * speed), speed)
+            v = min(max(v, slowest), speed)
         v_s, v_e = self._stroke_ends(corner, v)
         ramped = ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)
         taken = (d + ramped) / v
-        if not self._fixed_time:  # what rounding to whole ticks adds, where speed is constant
+        if (
+            not self._planner.fixed_time
+        ):  # what rounding to whole ticks adds, where speed is constant
             cruise = max(d - (2.0 * v * v - v_s * v_s - v_e * v_e) / (2.0 * a), 0.0)
             step = self._timer.step(np.ceil(v * blocks.n / blocks.d))
             taken += cruise * (float(step[0]) * n / d - 1.0 / v)
         words = self._stroke_corners(True, lifts), self._stroke_corners(False, lifts)
         lines = (f"M205 {word}\n".encode() if word else b"" for word in words)
-        return Stroke(v, taken, TURNED * corner, *lines)
+        turned = 2.0**0.25  # both axes are at their limit where motion goes on
+        return Stroke(v, taken, turned * corner, *lines)
 
     def _stroke_ends(self, corner: float, v: float) -> tuple[float, float]:
-        """Speeds at which a retraction or a lift at speed v begins and ends.
+        """Return the speeds at which a retraction or a lift at speed v begins and ends.
 
-        In fixed-time motion it ends at the speed of what follows, even of a faster segment.
+        In fixed-time motion it ends at the speed of the next segment, even if that is faster. The
+        first segment from rest has 10 to 14 mm/s in the samples.
         """
-        return min(corner, v), max(corner, FIRST) if self._fixed_time else min(corner, v)
+        begin = min(corner, v)
+        return begin, max(corner, 11.0) if self._planner.fixed_time else begin
 
     def _stroke_corners(self, users: bool, lifts: bool) -> str:
-        """Words of M205 by which a retraction or a lift differs from the stream."""
-        if not self.own.classic_jerk:
+        """Return the words of M205 that a retraction or a lift needs other than the stream's."""
+        if not self.table.classic_jerk:
             return self._corners(users)
-        return "" if lifts else f"E{plain(self.own.jerk_e if users else JERK, 3)}"
+        return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK, 3)}"
 
     def _retract(self, users: bool) -> str:
-        """Word of M204 by which retractions have the acceleration that they are planned with."""
-        own = self.own.retract_acceleration
+        """Return the word of M204 for the acceleration that retractions are planned with."""
+        own = self.table.retract_acceleration
         return f" R{plain(own if users else self.limits.extruder_acceleration, 3)}" if own else ""
 
     def _corners(self, users: bool) -> str:
-        """Words of M205 that set what corners may do."""
-        own = self.own
+        """Return the words of M205 that set the limits of corners."""
+        own = self.table
         if not own.classic_jerk:
             return f"J{plain(own.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
         x, y, e = (*own.jerk, own.jerk_e) if users else (JERK, JERK, JERK)
@@ -206,11 +213,11 @@ class Marlin:
     # ------------------------------------------------------------------ segments
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
-        """On whole steps. Lines of the file wait for the end of a segment: nothing is forced."""
+        """Return segments on whole steps. A line of the file waits for the end of its segment."""
         cells = np.rint(points[:, :Z] / self.steps.belt).astype(np.int64)
-        apart = 1.0 / (TS * SPARED * self.own.lines_per_second)
+        apart = 1.0 / (TS * SPARED * self.table.lines_per_second)
         ends = segment_ends(
-            motor_steps(cells, self.kinematics), self.own.min_steps_per_segment,
+            motor_steps(cells, self.kinematics), self.table.min_steps_per_segment,
             max(1, int(np.ceil(round(apart, 6)))), last,
         )  # fmt: skip
         at = points[ends]
@@ -220,40 +227,31 @@ class Marlin:
     # ------------------------------------------------------------------ feed rates
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
-        """No longer than the slowest steps take, no shorter than the first of them from rest."""
-        return self._planner.possible(self._blocks(at), T, before)
+        """Return times no longer than the slowest steps, no shorter than the first from rest."""
+        return self._planner.possible_times(self._blocks(at), T, before)
 
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """Ramps, whole rates and whole ticks in mind."""
-        return self._planner.feed_rates(self._blocks(at), T, before, self._timer)
+        return self._planner.feed_rates(self._blocks(at), T, before)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """The same."""
-        return self._planner.durations(self._blocks(at), v, before, self._timer)
-
-    @property
-    def _fixed_time(self) -> bool:
-        return not self._planner.whole_rates
+        return self._planner.durations(self._blocks(at), v, before)
 
     @property
     def _planner(self) -> Planner:
-        planner = PLANNERS[self.own.planner]
-        return replace(
-            planner, own_entry=self.own.classic_jerk and not planner.development,
-            s_curve=self.own.s_curve_acceleration,
-        )  # fmt: skip
+        own = self.table
+        return make_planner(own.planner, self._timer, own.classic_jerk, own.s_curve_acceleration)
 
     @property
     def _timer(self) -> Timer:
-        own = self.own
+        own = self.table
         return Timer(own.timer_hz, own.timer_extra_tick, own.adaptive_step_smoothing)
 
     def _blocks(self, at: Array) -> Blocks:
-        """What Marlin makes of segments between positions at (k + 1, 4)."""
+        """Return the blocks of segments between positions at (k + 1, 4)."""
         cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)
         motors = motor_steps(cells, self.kinematics)
         xy = most_steps(motors)
@@ -274,16 +272,18 @@ class Marlin:
         return Blocks(n, d, a, self._corner_speeds(way, a * d / n))
 
     def _corner_speeds(self, way: Array, a: Array) -> Array:
-        """At which blocks that go ``way`` (k, 4) may be passed, (k + 1,), mm/s: the ends are free.
+        """Return the speeds (k + 1,), mm/s, at which the ends of blocks may be passed.
 
-        way: mm of the motors, of z and of filament; a (k,): acceleration along the path. The
-        stream's junction deviation hinders nothing but going straight back, where Marlin stops.
+        way (k, 4): mm of the motors, of z and of filament; a (k,): acceleration along the path.
+        The outer ends are free. The stream's junction deviation limits nothing but a move
+        straight back, where Marlin stops.
         """
+        straight = 0.999999  # cosine of the angle between two blocks
         free = np.full(1, math.inf)
-        if self.own.classic_jerk or len(way) < 2:
+        if self.table.classic_jerk or len(way) < 2:
             return np.full(len(way) + 1, math.inf)
         unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
         cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
-        sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -STRAIGHT, STRAIGHT)))
+        sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -straight, straight)))
         v2 = JUNCTION_DEVIATION * a[1:] * sin_half / (1.0 - sin_half)
-        return np.concatenate([free, np.where(cosine > STRAIGHT, 0.0, np.sqrt(v2)), free])
+        return np.concatenate([free, np.where(cosine > straight, 0.0, np.sqrt(v2)), free])

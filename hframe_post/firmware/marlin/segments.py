@@ -7,22 +7,22 @@ import numpy as np
 from hframe_post.arrays import Integers
 from hframe_post.model.kinematics import Kinematics
 
-MARGIN = 6  # steps of a segment beyond the least, if the command does not stop there
-IDLE = 24  # samples without a step that are a standstill
+MARGIN = 6  # steps beyond the least, for segments in motion
+IDLE = 24  # samples without a step, more of which are a standstill
 
 
 def motor_steps(cells: Integers, kinematics: Kinematics) -> Integers:
-    """Steps of the two motors (n − 1, 2) between places (n, 2) in whole steps of x and y."""
+    """Return the motors' steps (n − 1, 2) between places (n, 2) in whole steps of x and y."""
     return np.asarray(np.diff(cells @ kinematics.matrix.astype(np.int64).T, axis=0))
 
 
 def most_steps(steps: Integers) -> Integers:
-    """Steps (n,) of the motor that makes most of them, of (n, 2)."""
+    """Return the steps (n,) of the motor that makes the most of them, from (n, 2)."""
     return np.asarray(np.abs(steps).max(axis=1))
 
 
 def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integers:
-    """Indices, ascending, of the samples at which segments end; 0 is where they begin.
+    """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
     steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
     the machine stands or a motor turns before, and their leading motor makes ``least`` steps or
@@ -43,7 +43,7 @@ def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integer
 
 
 def _edges_of_standstill(path: Integers) -> Integers:
-    """First and last samples of runs in which no motor steps for long, ascending."""
+    """Return the first and last samples of long runs without a step, ascending."""
     changes = np.flatnonzero(np.diff(path)) + 1
     first, after = np.append(0, changes), np.append(changes, len(path))
     idle = after - first > IDLE
@@ -51,9 +51,10 @@ def _edges_of_standstill(path: Integers) -> Integers:
 
 
 def _turns(place: Integers, least: int) -> Integers:
-    """Samples at which a motor, at ``place`` (n + 1,), turns after ``least`` steps, for as many.
+    """Return the samples at which a motor turns with ``least`` steps before and after it.
 
-    A segment across one would cut it off, or make so few steps that it had to be dropped.
+    place (n + 1,): of the motor, in steps. A segment across a turn would cut it off, or make so
+    few steps that it had to be dropped.
     """
     moving = np.flatnonzero(np.diff(place))
     onward = np.sign(np.diff(place)[moving])
@@ -70,9 +71,9 @@ def _turns(place: Integers, least: int) -> Integers:
 
 
 def _chain(following: Integers) -> Integers:
-    """The samples that 0 leads to when each leads to a later one, and the last to itself.
+    """Return the samples reached from 0, where ``following`` gives the next of each sample.
 
-    Steps of 1, 2, 4, … at once: all that are reached by one are reached, twice as far.
+    The last sample follows itself. Rounds of 1, 2, 4, … links reach all of them.
     """
     reached = np.zeros(len(following), dtype=bool)
     reached[0] = True
@@ -83,11 +84,11 @@ def _chain(following: Integers) -> Integers:
 
 
 def _superfluous(ends: Integers, places: Integers, least: int, last: bool) -> Integers:
-    """Which ends to drop so that segments of too few steps join a neighbour.
+    """Return which ends to drop so that segments of too few steps join a neighbour.
 
-    That is the segment before, by dropping where it ends; but the segment after, where the one
-    before is too short itself or stands still. The last end cannot be dropped if it is the
-    motion's. Of segments in a row every other one is dealt with: look again.
+    They join the segment before, or the one after if the one before is too short or stands
+    still. The last end stays if motion ends there. Of short segments in a row every
+    other one is handled, so call again.
     """
     steps = most_steps(np.diff(places[np.append(0, ends)], axis=0))
     short = (steps > 0) & (steps < least)

@@ -187,7 +187,7 @@ def gcode(
 
 def _writer(printer: Printer) -> GcodeWriter:
     """One that keeps time: what it is late by at one frequency would pass for the printer's lag."""
-    return GcodeWriter("none", Klipper.of(printer), FINER, steady=IN_TIME)
+    return GcodeWriter("none", Klipper.from_printer(printer), FINER, steady=IN_TIME)
 
 
 def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:

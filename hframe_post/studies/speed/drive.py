@@ -12,7 +12,7 @@ from hframe_post.compensation.stops import rests, stop_solvers
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.conversion.stages import Stages
 from hframe_post.errors import HframeError
-from hframe_post.firmware.registry import passing
+from hframe_post.firmware.registry import player
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant
@@ -138,7 +138,7 @@ class Drive:
         """Seconds of each layer, by place in the print: planned, not compensated."""
         printer, options = self.settings(driven)
         items = self._paced(read(self._lines(), self._reading), options, None)
-        lifts = passing(printer, options.tolerance)
+        lifts = player(printer, options.tolerance).rests
         waits = rests(printer.compensation.stops, options.strategy, lifts)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sample(plan(items, printer.limits), printer.limits, waits):

@@ -16,7 +16,7 @@ from itertools import chain
 
 from hframe_post.compensation.stops import rests
 from hframe_post.conversion.options import TOLERANCE
-from hframe_post.firmware.registry import passing
+from hframe_post.firmware.registry import player
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.lpfbs import Window
@@ -72,7 +72,7 @@ def pareto(
 ) -> Pareto:
     """Every window of the grid on every plan. Raises HframeError."""
     found = list[Point]()
-    waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
+    waits = rests(printer.compensation.stops, "racking", player(printer, TOLERANCE).rests)
     own = printer.limits
     for acceleration in dict.fromkeys(share * own.acceleration for share in ACCELERATIONS):
         for jerk in sorted({*JERKS, own.jerk}):

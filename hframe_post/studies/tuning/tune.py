@@ -19,7 +19,7 @@ from hframe_post.compensation.guard import check_model, max_deviation
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import JUDGED_EVERY, Clock
 from hframe_post.conversion.options import TOLERANCE
-from hframe_post.firmware.registry import passing
+from hframe_post.firmware.registry import player
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.model.kinematics import Differences, Kinematics
@@ -122,7 +122,7 @@ def tune(
         stops = []
     items = plan(read(lines, reading or ReadOptions.from_printer(printer)), printer.limits)
     planned, *others = branches(items, 1 + len(stops))
-    waits = rests(printer.compensation.stops, "racking", passing(printer, TOLERANCE))
+    waits = rests(printer.compensation.stops, "racking", player(printer, TOLERANCE).rests)
     beside = [
         _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
     ]
@@ -202,7 +202,7 @@ def _stopped(
     trial: StopsTrial, compensator: Compensator, planned: Iterable[Planned], printer: Printer
 ) -> Iterator[None]:
     """Fills the trial, a chunk at a time."""
-    waits = rests(trial.name, "racking", passing(printer, TOLERANCE))
+    waits = rests(trial.name, "racking", player(printer, TOLERANCE).rests)
     commands = compensate(sample(planned, printer.limits, waits), compensator, ("racking",))
     commands = hold_at_stops(commands, stop_solvers(compensator, ["racking"], printer))
     clock = Clock()
