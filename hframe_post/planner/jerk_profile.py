@@ -1,7 +1,8 @@
-"""Jerk-limited profiles of speed along the runs of a path: the one door to Ruckig."""
+"""Jerk-limited speed profiles along the runs of a path. Only this module uses Ruckig."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,14 +15,16 @@ from hframe_post.stream.types import Plan
 
 ALMOST = 0.999  # share of a limit that counts as all of it
 DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
-# Lengths, mm, in which Ruckig is asked, one after the other. It checks in absolute numbers, and at
-# great accelerations in mm rounding fails them. Powers of two change no digit.
-UNITS = (1.0, 16.0)
+
+
+def samples_until(seconds: float) -> int:
+    """Return the first whole sample at or after a time, forgiving a billionth of a sample."""
+    return math.ceil(seconds / TS - 1e-9)
 
 
 @dataclass(frozen=True, slots=True)
 class Phases:
-    """Constant jerk each.
+    """Phases of constant jerk.
 
     table (6, p): start time, duration, and path length, speed, acceleration, jerk at the start.
     """
@@ -29,9 +32,9 @@ class Phases:
     table: Array
 
     def path(self, first: int, n: int, end: float) -> Array:
-        """Path length (n,) at samples first, first + 1, …; between phases the last one's end holds.
+        """Return the path length (n,) at samples first, first + 1, …, within 0 … ``end``.
 
-        Rounding leads neither before 0 nor beyond ``end``.
+        Between two phases the path stands where the earlier one ended.
         """
         if (compiled := kernel("path_lengths")) is None:
             return self._path(TS * np.arange(first, first + n).astype(float), end)
@@ -49,7 +52,7 @@ class Phases:
 
 
 class Profiler:
-    """Profiles of runs: closed form where nothing is to choose, Ruckig elsewhere."""
+    """Profiles of runs: in closed form where the limits leave no choice, else from Ruckig."""
 
     def __init__(self) -> None:
         self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
@@ -57,12 +60,31 @@ class Profiler:
         self._input.current_acceleration = [0.0]
         self._input.target_acceleration = [0.0]
 
-    def profiles(self, plan: Plan, jerk: float) -> tuple[Array, Array]:
-        """Durations and jerks of the seven phases of every run, both (r, 7).
+    def phases(self, plan: Plan, jerk: float, clock: float) -> tuple[Phases, float]:
+        """Return the phases of a plan that begins at time ``clock``, s, and the time of its end.
 
-        Runs that leave no choice (one speed, or all of the length needed to change it) are
-        written down at once; close to that edge Ruckig's arithmetic fails or overshoots.
-        Raises HframeError where no profile fits.
+        Points of rest are put on whole samples. Raises HframeError as ``profiles`` does.
+        """
+        t, j = self.profiles(plan, jerk)
+        a, v, steps = integrate(t, j, plan.speed[:-1])
+        end = clock + np.cumsum(t.sum(axis=1))
+        wait = np.zeros(len(end))  # standstill after a run, to the next whole sample
+        for run in np.flatnonzero(plan.speed[1:] == 0.0):  # few: corners without speed
+            arrival = end[run] + wait[:run].sum()
+            wait[run] = max(samples_until(arrival) - arrival / TS, 0.0) * TS
+        start = np.concatenate([[clock], end + np.cumsum(wait)])
+        s = plan.s[plan.ends[:-1], None] + _exclusive(np.cumsum(steps, axis=1))
+        time = start[:-1, None] + _exclusive(np.cumsum(t, axis=1))
+        keep = t.ravel() > 0.0
+        table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
+        return Phases(table), float(start[-1])
+
+    def profiles(self, plan: Plan, jerk: float) -> tuple[Array, Array]:
+        """Return durations and jerks of the seven phases of every run, both (r, 7).
+
+        Runs that leave no choice (one speed, or all of the length needed to change it) have a
+        closed form; close to that edge Ruckig's arithmetic fails or overshoots. Raises HframeError
+        where no profile fits.
         """
         length = np.diff(plan.s[plan.ends])
         v0, v1 = plan.speed[:-1], plan.speed[1:]
@@ -72,7 +94,9 @@ class Profiler:
         columns = np.stack([v0, v1, length, plan.cruise, plan.acceleration], axis=1)
         chosen_t, chosen_j = t.copy(), j.copy()
         free = np.flatnonzero(~forced)
-        for unit in UNITS:
+        # Ruckig checks in absolute numbers, which rounding fails at great accelerations in mm: it
+        # is asked again in a longer unit. A power of two changes no digit.
+        for unit in (1.0, 16.0):
             self._input.max_jerk = [jerk / unit]
             solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
             if solved:
@@ -90,12 +114,12 @@ class Profiler:
     def _solve(
         self, v0: float, v1: float, length: float, cruise: float, acceleration: float
     ) -> tuple[list[float], list[float]]:
-        given = self._input
-        given.current_velocity, given.target_velocity = [v0], [v1]
-        given.target_position = [length]
-        given.max_velocity, given.max_acceleration = [cruise], [acceleration]
+        problem = self._input
+        problem.current_velocity, problem.target_velocity = [v0], [v1]
+        problem.target_position = [length]
+        problem.max_velocity, problem.max_acceleration = [cruise], [acceleration]
         try:
-            self._ruckig.calculate(given, self._trajectory)
+            self._ruckig.calculate(problem, self._trajectory)
         except RuckigError:
             return [0.0] * 7, [0.0] * 7
         profile = self._trajectory.profiles[0][0]
@@ -103,7 +127,7 @@ class Profiler:
 
 
 def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
-    """One change of speed along the whole of each length, with the least acceleration.
+    """Return one change of speed along the whole of each length, with the least acceleration.
 
     All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
     (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
@@ -123,23 +147,23 @@ def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Arra
     return t, j, a
 
 
-def integrated(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
-    """Acceleration and speed at the start of each phase, and path along it; all (r, 7)."""
+def integrate(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
+    """Return acceleration and speed at the start of each phase, and its path length; all (r, 7)."""
     da = j * t
-    a = before_each(np.cumsum(da, axis=1))
-    v = v0[:, None] + before_each(np.cumsum(t * (a + da / 2.0), axis=1))
+    a = _exclusive(np.cumsum(da, axis=1))
+    v = v0[:, None] + _exclusive(np.cumsum(t * (a + da / 2.0), axis=1))
     return a, v, t * (v + t * (a / 2.0 + da / 6.0))
 
 
 def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
-    """Runs whose profile goes backwards or does not end at their length, (r,)."""
-    _, v, steps = integrated(t, j, v0)
+    """Return which runs have a profile that goes backwards or misses their length, (r,)."""
+    _, v, steps = integrate(t, j, v0)
     misses = np.abs(steps.sum(axis=1) - length) > DRIFT
     return np.asarray(misses | (v.min(axis=1) < -DRIFT))
 
 
-def before_each(cumulative: Array) -> Array:
-    """A cumulative sum along the rows as it stands before each term."""
+def _exclusive(cumulative: Array) -> Array:
+    """Return cumulative sums along the rows as they are before each term."""
     shifted = np.zeros_like(cumulative)
     shifted[:, 1:] = cumulative[:, :-1]
     return shifted

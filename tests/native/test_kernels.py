@@ -84,7 +84,7 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
     lengths = np.sort(rng.uniform(0.0, s[-1], 300)) + rng.normal(0.0, 1e-9, 300)
     lengths = np.concatenate([np.clip(lengths, 0.0, s[-1]), s])  # back at the beginning, too
     xyze, move = sampling._follow(plan, lengths)
-    plain_xyze, plain_move = sampling._followed(plan, lengths)
+    plain_xyze, plain_move = sampling._follow_in_numpy(plan, lengths)
     same(xyze, plain_xyze)
     same(move, plain_move)
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
 from hframe_post.planner import lookahead, sampling
-from hframe_post.planner.jerk_profile import Profiler, integrated, ramps
+from hframe_post.planner.jerk_profile import Profiler, integrate, ramps
 from hframe_post.planner.lookahead import plan, reachable_speed
 from hframe_post.planner.sampling import SPARED, sample
 from hframe_post.printer.settings import Limits
@@ -128,7 +128,7 @@ def passing_speeds(item: Moves, limits: Limits) -> Array:
     found = []
     for planned in plans([item], limits):
         t, j = Profiler().profiles(planned, limits.jerk)
-        a, v, steps = integrated(t, j, planned.speed[:-1])
+        a, v, steps = integrate(t, j, planned.speed[:-1])
         start = planned.s[planned.ends[:-1], None] + np.cumsum(steps, axis=1) - steps
         tau = np.linspace(0.0, 1.0, 200) * t[..., None]
         path = start[..., None] + tau * (
@@ -629,7 +629,7 @@ def random_runs(seed: int, n: int, jerk: float) -> Plan:
 
 def assert_profiles_fit(planned: Plan, jerk: float) -> None:
     t, j = Profiler().profiles(planned, jerk)
-    a, v, steps = integrated(t, j, planned.speed[:-1])
+    a, v, steps = integrate(t, j, planned.speed[:-1])
     length = np.diff(planned.s[planned.ends])
     assert (t >= 0.0).all()
     np.testing.assert_allclose(steps.sum(axis=1), length, rtol=0.0, atol=DRIFT)
@@ -684,7 +684,7 @@ def test_ramp_uses_the_whole_length_with_the_least_acceleration(
     start, end = np.array([v0]), np.array([v1])
     length = shortest(start, end, np.array([1e4]), 5e7) * share + 1e-6
     t, j, acceleration = ramps(start, end, length, 5e7)
-    _, _, steps = integrated(t, j, start)
+    _, _, steps = integrate(t, j, start)
     assert steps.sum() == pytest.approx(float(length[0]), rel=1e-6)
     assert acceleration[0] <= 1e4 * (1 + 1e-6)
     low, high = min(v0, v1), max(v0, v1)
