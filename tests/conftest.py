@@ -1,11 +1,12 @@
-"""Shared by all tests: the shipped printer, its compensator, samples, golden files."""
+"""Fixtures and settings of all tests: the paper's printer, its compensator, golden files."""
 
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 
-# no choice of whoever runs the tests
+# The configuration of whoever runs the tests must not matter.
 os.environ["XDG_CONFIG_HOME"] = os.path.join(tempfile.gettempdir(), "hframe-post-tests")
 os.environ["HFRAME_PRINTER"] = ""
 
@@ -32,19 +33,31 @@ GOLDEN = Path(__file__).parent / "golden"
 
 
 def few(cases: Sequence[object], quick: int) -> list[object]:
-    """Cases of a test, of which all but the first ``quick`` are slow."""
+    """Return the cases of a test, with all but the first ``quick`` marked slow."""
     whole = [case if isinstance(case, tuple) else (case,) for case in cases]
     slow = [pytest.param(*case, marks=pytest.mark.slow) for case in whole[quick:]]
     return [*cases[:quick], *slow]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")
+    parser.addoption("--update-golden", action="store_true", help="rewrite tests/golden")
+
+
+def pytest_configure() -> None:
+    """Let the processes that tests start heed signals that this one was started to ignore.
+
+    A shell starts background jobs with SIGINT ignored, and nohup its command with SIGHUP ignored.
+    Child processes would inherit that. They get the default in place of any handler, even of one
+    that does nothing.
+    """
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def blas_in_one_thread() -> Iterator[None]:
-    """As wherever the package promises equal bytes."""
+    """Run BLAS in one thread, without which results may differ in their last bits."""
     with one_blas_thread():
         yield
 
@@ -61,7 +74,7 @@ def compensator(paper: Printer) -> Compensator:
 
 @pytest.fixture
 def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
-    """Reads a golden file; with --update-golden it is written from ``now`` first."""
+    """Return a reader of golden files; with --update-golden it first writes ``now`` to them."""
 
     def read(name: str, now: bytes) -> bytes:
         path = GOLDEN / name
@@ -75,7 +88,7 @@ def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
 
 @pytest.fixture(scope="session")
 def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Samples]:
-    """The commands of the sample rectangle under a strategy, as one block."""
+    """Return a function that compensates the sample rectangle with a strategy, in one chunk."""
 
     def whole(strategy: str) -> Samples:
         lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)

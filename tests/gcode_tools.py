@@ -1,16 +1,30 @@
-"""A plain reading of written streams, independent of the package."""
+"""Sample files, their conversion, and a reader of written streams independent of the package."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
 
+import numpy as np
+import pytest
+
+from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.report import Report
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.stream.deferred import DeferredLine
+from tests.conftest import SAMPLES
+
 WORD = re.compile(r"([XYZEFP])(-?\d*\.?\d+)")
+
+HEAD = ["G28", "G1 Z0.3 F600", "G0 X60 Y60 F9000", "M83"]
+SPANS = b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\n" + b"".join(
+    b"G1 X260 Y%d E4\nG4 P250000\nG1 E-1 F2400\nG1 X140 E1\n" % y for y in (100, 120, 140)
+)  # the pauses are long enough for a second process to start after each
 
 
 @dataclass
 class Reading:
-    """Where a stream leads: positions of every G1, filament at every layer, other lines."""
+    """What a stream does: the position after every G1, the filament at every layer, other lines."""
 
     points: list[tuple[float, float, float]] = field(default_factory=list)
     filament: float = 0.0
@@ -19,7 +33,7 @@ class Reading:
 
 
 def follow(text: bytes) -> Reading:
-    """Follows G0/G1 with G90/G91, M82/M83 and G92 E, as Klipper does."""
+    """Follow G0/G1 with G90/G91, M82/M83 and G92 E, as Klipper does."""
     reading = Reading()
     at = {"X": 0.0, "Y": 0.0, "Z": 0.0, "E": 0.0}
     absolute = absolute_e = True
@@ -47,3 +61,53 @@ def follow(text: bytes) -> Reading:
             reading.at_layer.append(reading.filament)
         reading.others.append(raw)
     return reading
+
+
+def converted(
+    lines: list[bytes], profile: Printer, options: Options | None = None
+) -> tuple[bytes, Report]:
+    conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
+    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion]
+    return b"".join(pieces), conversion.report()
+
+
+def sample(name: str) -> list[bytes]:
+    return (SAMPLES / name).read_bytes().splitlines(keepends=True)
+
+
+def layers(name: str, last: int) -> list[bytes]:
+    """Return the lines of a sample file up to the given layer."""
+    lines = sample(name)
+    return lines[: lines.index(b";LAYER:%d\n" % last)]
+
+
+def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 1e-3) -> None:
+    """Assert equality within 2 µm and 0.1 % of the feed rate: CPUs round differently."""
+    rows = list(zip(now.splitlines(), then.splitlines(), strict=True))
+    for a, b in rows:
+        if not a.startswith(b"G1"):
+            assert a == b
+            continue
+        words = [{w[:1]: float(w[1:]) for w in row.split()[1:]} for row in (a, b)]
+        assert words[0].keys() == words[1].keys()
+        for letter, value in words[0].items():
+            scale = feed * value if letter == b"F" else place
+            assert value == pytest.approx(words[1][letter], abs=scale), (a, b)
+
+
+def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> list[str]:
+    """Return strokes of 10 to 30 mm in random directions, with retraction and travel between."""
+    rng, lines, here = np.random.default_rng(seed), list(HEAD), np.array([100.0, 100.0])
+    for _ in range(count):
+        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(10.0, 30.0)
+        there = np.clip(here + length * np.array([np.cos(angle), np.sin(angle)]), 20, 250)
+        lines += [
+            f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.5f} F6000",
+            "G1 E-1.6 F2400",
+        ]
+        lines += [f"G1 Z{0.3 + lift:g} F1200"] if lift else []
+        here = np.clip(there + rng.uniform(-away, away, 2), 20, 250)
+        lines += [f"G0 X{here[0]:.3f} Y{here[1]:.3f} F12000"]
+        lines += ["G1 Z0.3 F1200"] if lift else []
+        lines += ["G1 E1.6 F2400"]
+    return lines

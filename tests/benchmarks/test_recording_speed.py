@@ -13,9 +13,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.identification.recordings.accelerometer import oriented, read
 from hframe_post.identification.recordings.alignment import acceleration, aligned
+from tests.benchmarks.timing import fastest
 from tests.recordings import Sensor, spline, sweep, write_klipper
-
-from .test_speed import fastest
 
 
 def written(folder: Path) -> Path:

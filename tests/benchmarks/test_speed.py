@@ -11,7 +11,6 @@ import shutil
 import struct
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,26 +22,11 @@ from hframe_post.conversion.pipeline import GcodeConversion, Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.resources import one_blas_thread
+from tests.benchmarks.timing import fastest, seconds
 from tests.conftest import SAMPLES
 
 OPTIONS = Options("racking", ("none", "racking"))
 CURA = Path("/usr/share/cura/resources/definitions")
-
-
-def seconds(*arguments: str, rounds: int = 3) -> float:
-    """The best of some runs of a whole process."""
-    times = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        subprocess.run(arguments, check=True, capture_output=True)
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def fastest(benchmark: BenchmarkFixture) -> float:
-    """Seconds of the best round."""
-    assert benchmark.stats is not None
-    return float(benchmark.stats["min"])
 
 
 def command(source: Path, out: Path, *options: str) -> list[str]:

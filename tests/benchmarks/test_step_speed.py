@@ -21,9 +21,8 @@ from hframe_post.stream.types import Samples
 from hframe_post.writers.steps import reader as step_reader
 from hframe_post.writers.steps.file import Header, StepFileWriter
 from hframe_post.writers.steps.stepper import Stepper
+from tests.benchmarks.timing import fastest
 from tests.conftest import SAMPLES
-
-from .test_speed import fastest
 
 GZIPPED = 10_000_000  # bytes, as many as the yardstick needs to be steady
 

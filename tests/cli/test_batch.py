@@ -9,16 +9,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.cli.test_main import RECTANGLE, run
+from tests.command_line import RECTANGLE, WAIT, run, until
 from tests.conftest import SAMPLES
-
-WAIT = 60.0  # s
 
 
 @pytest.fixture
@@ -31,13 +28,6 @@ def jobs(tmp_path: Path) -> list[Path]:
         shutil.copy(RECTANGLE, folder / name)
     (folder / "bad one.gcode").write_text("G28\nG1 X10 Y10\nG1 X9999\n")
     return [folder / name for name in names]
-
-
-def until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + WAIT
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(

@@ -14,8 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.cli.test_batch import WAIT, until
-from tests.cli.test_main import RECTANGLE, run
+from tests.command_line import RECTANGLE, WAIT, run, until
 from tests.conftest import SAMPLES
 
 distributed = pytest.importorskip("distributed")

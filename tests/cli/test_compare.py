@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_main import RECTANGLE, run
+from tests.command_line import RECTANGLE, run
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hframe_post.cli.cura import script
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 
 LAYERS = 3

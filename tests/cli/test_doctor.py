@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hframe_post.printer.profile import load
-from tests.cli.test_main import RECTANGLE, run
-from tests.printer.test_klipper_cfg import REAL
+from tests.command_line import RECTANGLE, run
+from tests.printers import REAL
 
 
 def test_a_new_profile_from_printer_cfg_is_found_well(tmp_path: Path) -> None:

@@ -14,18 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT, SAMPLES
-
-RECTANGLE = SAMPLES / "rectangle.gcode"
-
-
-def run(
-    *arguments: str | Path, stdin: bytes = b"", **more: str
-) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(
-        [sys.executable, "-m", "hframe_post", *map(str, arguments)],
-        input=stdin, capture_output=True, check=False, env={**os.environ, **more},
-    )  # fmt: skip
+from tests.command_line import RECTANGLE, run
+from tests.conftest import ROOT
 
 
 @pytest.fixture

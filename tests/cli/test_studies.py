@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from hframe_post.cli.main import main
 from hframe_post.cli.options import share, weight
 from hframe_post.printer.profile import load, shipped
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"

@@ -11,7 +11,7 @@ import pytest
 from hframe_post.cli.slicer import warnings
 from hframe_post.printer.choice import choose
 from hframe_post.printer.settings import Printer
-from tests.cli.test_main import RECTANGLE, run
+from tests.command_line import RECTANGLE, run
 
 
 @pytest.fixture

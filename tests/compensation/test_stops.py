@@ -23,32 +23,14 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Pause, Rest, Samples
+from tests.gcode_tools import HEAD, strokes
 
 NAMES = ("fbs", "racking")
-HEAD = ["G28", "G1 Z0.3 F600", "G0 X60 Y60 F9000", "M83"]
 
 
 @pytest.fixture(scope="module")
 def paper() -> Printer:
     return load("paper")
-
-
-def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> list[str]:
-    """Lines of 10 to 30 mm in any direction; between them retraction, lift, travel, priming."""
-    rng, lines, here = np.random.default_rng(seed), list(HEAD), np.array([100.0, 100.0])
-    for _ in range(count):
-        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(10.0, 30.0)
-        there = np.clip(here + length * np.array([np.cos(angle), np.sin(angle)]), 20, 250)
-        lines += [
-            f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.5f} F6000",
-            "G1 E-1.6 F2400",
-        ]
-        lines += [f"G1 Z{0.3 + lift:g} F1200"] if lift else []
-        here = np.clip(there + rng.uniform(-away, away, 2), 20, 250)
-        lines += [f"G0 X{here[0]:.3f} Y{here[1]:.3f} F12000"]
-        lines += ["G1 Z0.3 F1200"] if lift else []
-        lines += ["G1 E1.6 F2400"]
-    return lines
 
 
 def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:

@@ -21,7 +21,7 @@ from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.steps import reader as step_reader
 from hframe_post.writers.steps import stepper as steps
 from hframe_post.writers.steps.file import MOTORS, inlined
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"

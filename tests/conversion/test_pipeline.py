@@ -21,33 +21,14 @@ from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
-from hframe_post.writers.stream.deferred import DeferredLine
 from tests.conftest import SAMPLES
-from tests.gcode_tools import follow
+from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
 
 LIMIT_LINES = re.compile(r"M20[1345]\b|M220\b|SET_VELOCITY_LIMIT")
 OURS = re.compile(
     r"; processed by|; hframe-post|SET_VELOCITY_LIMIT"
     r"|SET_INPUT_SHAPER|M400$|G4 P|G90$|M8[23]$|G92 E"
 )
-
-
-def converted(
-    lines: list[bytes], profile: Printer, options: Options | None = None
-) -> tuple[bytes, Report]:
-    conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
-    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion]
-    return b"".join(pieces), conversion.report()
-
-
-def sample(name: str) -> list[bytes]:
-    return (SAMPLES / name).read_bytes().splitlines(keepends=True)
-
-
-def layers(name: str, last: int) -> list[bytes]:
-    """The head of a sample up to a layer."""
-    lines = sample(name)
-    return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
 @pytest.fixture(scope="module")
@@ -164,20 +145,6 @@ def test_golden_comparison_can_fail(paper: Printer) -> None:
     lines[row] = re.sub(rb"X([\d.]+)", lambda m: b"X%.3f" % (float(m[1]) + 0.005), lines[row])
     with pytest.raises(AssertionError):
         assert_same_stream(b"".join(lines), now)
-
-
-def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 1e-3) -> None:
-    """Equal but for 2 µm in a coordinate and 0.1 % in a feed rate: other machines round."""
-    rows = list(zip(now.splitlines(), then.splitlines(), strict=True))
-    for a, b in rows:
-        if not a.startswith(b"G1"):
-            assert a == b
-            continue
-        words = [{w[:1]: float(w[1:]) for w in row.split()[1:]} for row in (a, b)]
-        assert words[0].keys() == words[1].keys()
-        for letter, value in words[0].items():
-            scale = feed * value if letter == b"F" else place
-            assert value == pytest.approx(words[1][letter], abs=scale), (a, b)
 
 
 # ---------------------------------------------------------------------- faults

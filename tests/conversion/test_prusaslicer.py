@@ -13,7 +13,7 @@ import pytest
 
 from hframe_post.errors import GcodeError
 from hframe_post.printer.profile import load
-from tests.conversion.test_slices import carried, converted, filament
+from tests.conversion.slice_tools import carried, converted, filament
 from tests.slices import Slice
 
 SLICER = shutil.which("prusa-slicer")

@@ -16,7 +16,7 @@ import pytest
 
 from hframe_post.testing import assert_same_motion
 from tests.conftest import ROOT, SAMPLES
-from tests.faults.test_signals import SPANS
+from tests.gcode_tools import SPANS
 
 KERNELS = ("Prescott", "Nehalem", "Sandybridge", "Haswell")  # that any machine of ten years runs
 APART = 0.015  # mm between two paths that decimation may take for one

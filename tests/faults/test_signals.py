@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT, SAMPLES
+from tests.gcode_tools import SPANS
 
 RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
 TIDY = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -30,14 +31,8 @@ def started(*arguments: str | Path, folder: Path | None = None) -> subprocess.Po
     command = [sys.executable, "-m", "hframe_post", *map(str, arguments)]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
-        start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, preexec_fn=_heeding,
+        start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-
-
-def _heeding() -> None:
-    """In the process to be: what a shell's background work ignores, this heeds."""
-    for number in TIDY:
-        signal.signal(number, signal.SIG_DFL)
 
 
 def temporary(folder: Path) -> list[Path]:
@@ -84,9 +79,6 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
 
 # ---------------------------------------------------------------------- at random times
 
-SPANS = b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\n" + b"".join(
-    b"G1 X260 Y%d E4\nG4 P250000\nG1 E-1 F2400\nG1 X140 E1\n" % y for y in (100, 120, 140)
-)  # what two processes compute, since it stands for so long
 PARTS = {"part": RECTANGLE, "spans": SPANS}
 WAYS = {  # arguments, and what they make of which part
     "in place": (["part.gcode", "--jobs", "1"], {"part.gcode": "part"}),

@@ -20,7 +20,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
-from tests.conversion.test_pipeline import converted
+from tests.gcode_tools import converted
 
 STREAM = StreamLimits(
     velocity=770.0, acceleration=3.5355e4, z_velocity=20.0, z_acceleration=500.0,

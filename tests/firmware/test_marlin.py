@@ -25,11 +25,10 @@ from hframe_post.printer.firmware_tables import MARLIN_PLANNERS, MarlinTable
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import SAMPLES
-from tests.conversion.test_pipeline import assert_same_stream, converted, layers, sample
 from tests.fuzz.oracle import check_same_print
-from tests.gcode_tools import WORD
+from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 NOWHERE = (0.0, 0.0, 0.0)

@@ -11,7 +11,7 @@ import pytest
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin.calibration import Calibration, calibration
 from hframe_post.printer.profile import load
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import few
 from tests.marlin.planner import Build, Machine
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array
 from hframe_post.gcode import arcs
 from hframe_post.stream.types import Moves
-from tests.gcode.test_reader import ends, items, moves
+from tests.gcode.reading import ends, items, moves
 
 Point = tuple[float, float]
 

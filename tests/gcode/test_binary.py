@@ -12,7 +12,7 @@ from hframe_post.conversion import files
 from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode.binary import as_binary, as_text, is_binary
 from hframe_post.gcode.lines import lines_of
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.gcode_tools import follow
 from tests.slices import SLICES
 

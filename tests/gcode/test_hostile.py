@@ -15,7 +15,7 @@ from hframe_post.gcode.reader import read
 from hframe_post.native import kernels
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
-from tests.gcode.test_reader import HOME, carried, items, moves
+from tests.gcode.reading import HOME, carried, items, moves
 
 BED = ReadOptions(KLIPPER, travel=Travel((0.0, 200.0), (0.0, 100.0), (-1.0, 50.0)))
 

@@ -19,7 +19,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.edit import with_plant
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.klipper.host import play
 from tests.recordings import Sensor, moved, write_klipper
 

@@ -5,17 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import TS, Complex
 from hframe_post.identification.fitting.modal import Data, Modal, Structure, fit, structures
-from tests.simulator import Axis, Machine, Mode
-
-HZ = np.arange(3.0, 100.01, 0.25)
-BAND = (3.0, 100.0)
-TWO = Machine(
-    Axis((Mode(30.0, 0.05, 0.8), Mode(70.0, 0.04, 0.2)), delay=0.0013),
-    Axis((Mode(38.0, 0.1),)),
-    racking=2e-8,
-)
+from tests.identification.modal_tools import BAND, HZ, TWO, continuous
 
 
 def data(H: Complex, noise: float = 0.003) -> Data:
@@ -23,13 +15,6 @@ def data(H: Complex, noise: float = 0.003) -> Data:
     heard = H * (1.0 + noise * (real + 1j * imaginary))
     weight = 1.0 / np.hypot(0.003 * np.abs(H), 0.002 * np.abs(H).max())
     return Data(HZ, heard, weight, BAND, (-1.6e-4, 5e-3))
-
-
-def continuous(axis: Axis, hz: Array) -> Complex:
-    s = 2j * np.pi * hz
-    G = axis.response()
-    played = np.polyval(G.num, s) / np.polyval(G.den, s)
-    return np.asarray(played * np.exp(-s * axis.delay) * np.sinc(hz * TS) ** 2)
 
 
 @pytest.mark.parametrize("gain", [0.95, 1.0, 1.04])

@@ -15,7 +15,7 @@ from hframe_post.identification.recordings.sweep import Run, gcode, positions, r
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DeferredLine
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.klipper.host import play
 
 SHORT = """

@@ -14,7 +14,7 @@ from hframe_post.identification.diagnosis.uncertainty import (
 )
 from hframe_post.identification.fitting.fit import Fit, fit
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
-from tests.identification.test_modal import BAND, HZ, TWO, continuous
+from tests.identification.modal_tools import BAND, HZ, TWO, continuous
 
 RUNS = 4
 

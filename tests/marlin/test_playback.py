@@ -20,7 +20,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from tests.conftest import few
-from tests.conversion.test_pipeline import converted, sample
+from tests.gcode_tools import converted, sample
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
 

@@ -21,7 +21,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
 from hframe_post.writers.stream import digits
 from tests.conftest import SAMPLES
-from tests.firmware.test_decimate import wander
+from tests.random_paths import wander
 
 seeds = st.integers(0, 2**32 - 1)
 thorough = settings(

@@ -9,7 +9,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
 from tests.chromium import Browser
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import SAMPLES
 from tests.page.pages import data_of
 

@@ -32,7 +32,7 @@ from hframe_post.stream.types import (
     Samples,
     Standing,
 )
-from tests.planner.test_lookahead import (
+from tests.planner.planning import (
     LIMITS,
     STATE,
     bits,

@@ -13,7 +13,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import FileLimits, Moves, Plan
-from tests.planner.test_lookahead import FREE, LIMITS, cut, moves
+from tests.planner.planning import FREE, LIMITS, cut, moves
 
 OWN = replace(LIMITS, travel_velocity=350.0, travel_acceleration=4.0 * LIMITS.acceleration)
 

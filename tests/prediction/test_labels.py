@@ -9,54 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import BEFORE, TRAVEL, Labels
 from hframe_post.stream.chunks import part
 from hframe_post.stream.types import (
-    Handling,
-    Mark,
-    ModalState,
-    Passthrough,
     Pause,
     Samples,
     Standing,
 )
-
-STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
-Named = tuple[list[str], list[str]]
-
-
-def block(
-    e: list[float] | Array, *comments: tuple[int, bytes], first: int = 0, paused: bool = False
-) -> Samples:
-    """Samples whose filament is e, with comments before samples: marks, or lines at rest."""
-    xyze = np.zeros((len(e), 4))
-    xyze[:, 3] = e
-    events = tuple(
-        Pause(first + k, 0, Passthrough(1, text, Handling.REST, STATE))
-        if paused
-        else Mark(first + k, text)
-        for k, text in comments
-    )
-    return Samples(first, xyze, np.zeros(len(e), np.int64), events)
-
-
-def names(blocks: list[Samples], labels: Labels | None = None) -> Named:
-    """Layer and feature of each sample, by name."""
-    labels = labels or Labels()
-    layers: list[str] = []
-    features: list[str] = []
-    for each in blocks:
-        layer, feature = labels.number(each)
-        assert len(layer) == len(feature) == len(each)
-        layers += [labels.layers[k] for k in layer]
-        features += [labels.features[k] for k in feature]
-    return layers, features
-
-
-def printing(n: int) -> Array:
-    """Filament of n samples that all extrude."""
-    return np.arange(1.0, n + 1)
+from tests.prediction.label_tools import block, names, printing
 
 
 def test_comments_hold_from_their_sample_on() -> None:

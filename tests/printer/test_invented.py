@@ -12,7 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.new_profile import BASES, Known, text
 from hframe_post.printer.profile import load, parse, shipped
-from tests.cli.test_main import RECTANGLE, run
+from tests.command_line import RECTANGLE, run
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
 

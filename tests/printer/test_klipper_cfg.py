@@ -12,9 +12,7 @@ from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.new_profile import from_klipper, text
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from tests.conftest import ROOT
-
-REAL = ROOT / "tests" / "klipper" / "printer.cfg"  # which Klipper itself runs with in other tests
+from tests.printers import REAL
 
 
 @pytest.fixture(scope="module")

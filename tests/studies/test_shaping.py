@@ -26,7 +26,7 @@ from hframe_post.studies.shapers.shapers import (
     shape,
 )
 from hframe_post.studies.simulation.reference_path import rectangle
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import SAMPLES
 
 

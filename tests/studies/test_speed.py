@@ -23,7 +23,7 @@ from hframe_post.studies.speed.bound import Bound
 from hframe_post.studies.speed.report import speed_as_text
 from hframe_post.studies.speed.search import Fastest, fastest
 from hframe_post.studies.speed.trial import FIRST, JUDGED_EVERY, KEPT, Freedom
-from tests.cli.test_main import run
+from tests.command_line import run
 from tests.conftest import SAMPLES
 
 MODEL_ERROR = 0.05

@@ -32,7 +32,7 @@ from hframe_post.studies.tuning.tune import (
     recommended,
     tune,
 )
-from tests.compensation.test_stops import strokes
+from tests.gcode_tools import strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order
