@@ -22,7 +22,7 @@ from hframe_post.conversion.pipeline import TOLERANCE, Options, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.gcode.lines import lines_of, reread
-from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
+from hframe_post.gcode.options import Extrusion, LimitSource
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
@@ -218,9 +218,9 @@ def tune(
     share = known_to(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
     with _lines_of(source) as lines:
-        reading = ReadOptions.from_printer(printer, limits, extrusion)
+        options = Options("racking", limits=limits, extrusion=extrusion)
         stops = tuple(tuning.StopsTrial(name) for name in STOPS)
-        trials = tuning.tune(lines, printer, grid, plants, reading, stops)
+        trials = tuning.tune(lines, printer, grid, plants, options, stops)
     tried = tuple(trial for trial in stops if trial.samples)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
 

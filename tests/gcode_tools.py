@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DeferredLine

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.pipeline import Options, StepConversion
+from hframe_post.conversion.conversions import StepConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps

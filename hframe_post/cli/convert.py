@@ -31,7 +31,7 @@ from hframe_post.cli.speed import asked, speed_options, told, told_as_json
 from hframe_post.cli.verbose import log, log_stages, verbose_option
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.options import Options, Retract
+    from hframe_post.conversion.pipeline import Options, Retract
     from hframe_post.gcode.options import Extrusion, LimitSource
     from hframe_post.printer.settings import Printer
 
@@ -115,7 +115,7 @@ def convert(
     from hframe_post.cli import slicer
     from hframe_post.conversion.files import Target
     from hframe_post.conversion.files import convert as converted
-    from hframe_post.conversion.options import TOLERANCE
+    from hframe_post.conversion.pipeline import TOLERANCE
     from hframe_post.printer.choice import proof
     from hframe_post.process import processor_count
     from hframe_post.writers.files.atomic_file import Outputs
@@ -227,7 +227,7 @@ def _options(
     extrusion: Extrusion | None, on_limit: str, tolerance: float | None,
 ) -> Options:  # fmt: skip
     from hframe_post.conversion.files import GCODE
-    from hframe_post.conversion.options import Options
+    from hframe_post.conversion.pipeline import Options
     from hframe_post.model.strategies import STRATEGIES
 
     strategy = compensation or profile.compensation.strategy

@@ -23,7 +23,8 @@ from hframe_post.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
+    from hframe_post.conversion.pipeline import Options
+    from hframe_post.gcode.options import Extrusion, LimitSource
     from hframe_post.library import Tuning
     from hframe_post.printer.settings import Printer
     from hframe_post.studies.tuning.pareto import Pareto
@@ -86,8 +87,8 @@ def tune(
       hframe-post tune in.gcode -p my.toml -o my.toml
     """
     from hframe_post import library, plotting
+    from hframe_post.conversion.pipeline import Options
     from hframe_post.errors import HframeError
-    from hframe_post.gcode.options import ReadOptions
     from hframe_post.studies.tuning.plots import trade_off
     from hframe_post.studies.tuning.report import (
         pace_as_json,
@@ -104,9 +105,9 @@ def tune(
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither figure nor profile")
-        reading = ReadOptions.from_printer(profile, limits, extrusion)
+        options = Options("none", limits=limits, extrusion=extrusion)
         with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
-            _tell_shaper(lines, profile, reading, open_json(findings, json_file), json_file)
+            _tell_shaper(lines, profile, options, open_json(findings, json_file), json_file)
         return
     check_figure(figure)
     asked = _Asked(knots, effort, model_error, draws, seed, limits, extrusion)
@@ -187,14 +188,14 @@ class _Asked:
 
 
 def _tell_shaper(
-    lines: Iterable[bytes], profile: Printer, reading: ReadOptions,
+    lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
     """The best input shaper there is, and what leaving it to Klipper would give."""
     from hframe_post.studies.shapers.report import shapings_as_json, shapings_as_text
     from hframe_post.studies.shapers.shapers import calibrated, error, paths, search
 
-    pieces = paths(lines, profile, reading)
+    pieces = paths(lines, profile, options)
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))

@@ -11,14 +11,13 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from hframe_post.conversion.pipeline import (
+from hframe_post.conversion.conversions import (
     Conversion,
     GcodeConversion,
-    Options,
     SampleConversion,
     StepConversion,
-    stamp,
 )
+from hframe_post.conversion.pipeline import Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
 from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary

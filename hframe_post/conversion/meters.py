@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from hframe_post.arrays import E
+from hframe_post.arrays import TS, E
+from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.stream.chunks import stretches
+from hframe_post.stream.timing import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
 
 RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
@@ -118,3 +120,42 @@ class ErrorMeter:
                 contour = self.contour.setdefault(name, ContourErrors())
                 contour.add(errors, judgement.extruding)
             yield judgement.chunk
+
+
+@dataclass(slots=True)
+class MotionSummary:
+    """What the stages saw of one span or of several.
+
+    samples: all; resting: those where the path waits for the command. seconds: processor time by
+    stage.
+    """
+
+    samples: int = 0
+    resting: int = 0
+    peaks: Peaks = field(default_factory=Peaks)
+    clamped: Clamped = field(default_factory=Clamped)
+    contour: dict[str, ContourErrors] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def time(self) -> PrintTime:
+        """Return the print time."""
+        return PrintTime((self.samples - self.resting) * TS, self.samples * TS)
+
+    def join(self, later: MotionSummary) -> None:
+        """Add what was seen of a later span."""
+        self.samples += later.samples
+        self.resting += later.resting
+        one, other = self.peaks, later.peaks
+        self.peaks = Peaks(
+            max(one.belt_velocity, other.belt_velocity),
+            max(one.belt_acceleration, other.belt_acceleration),
+            (
+                max(one.axis_acceleration[0], other.axis_acceleration[0]),
+                max(one.axis_acceleration[1], other.axis_acceleration[1]),
+            ),
+        )
+        self.clamped = self.clamped.joined(later.clamped)
+        for name, errors in later.contour.items():
+            self.contour.setdefault(name, ContourErrors()).join(errors)
+        self.seconds = joined(self.seconds, later.seconds)

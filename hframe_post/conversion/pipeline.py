@@ -1,49 +1,177 @@
-"""The whole river: lines → moves → plan → samples → commands → stops → safe → predicted.
+"""The whole tool from top to bottom: each stage consumes what the one above it yields.
 
-``Commands`` joins the stages and sums up what each of them has seen. A conversion takes
-commands to one kind of output, and its ``report`` is complete once the output is used up.
+    lines of a file
+      → parsed        read the G-code; set the pace, if a speed was asked for
+      → planned       look-ahead: speeds along the path
+      → sampled       the path, one sample a millisecond
+      → compensated   commands for the motors, which stand where the machine stops
+      → checked       within the model's reach, the bed and the motors' limits (or clamped)
+      → predicted     contour error; print time
+
+Conversions and studies all use these stages. ``Commands`` joins them for a whole file.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
-from hframe_post.arrays import Array
-from hframe_post.compensation.guard import check_model, check_prediction
-from hframe_post.conversion.meters import FilamentMeter, InputMeter
-from hframe_post.conversion.options import TOLERANCE as TOLERANCE
-from hframe_post.conversion.options import Options as Options
+from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.guard import (
+    Clamp,
+    Guard,
+    check_deviation,
+    check_model,
+    check_prediction,
+    max_deviation,
+)
+from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
+from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary
 from hframe_post.conversion.path_meter import PathMeter
-from hframe_post.conversion.report import Report, StepReport
-from hframe_post.conversion.span_writer import SpanWriter
+from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Spans
-from hframe_post.conversion.stages import SpanSummary, Stages
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import pace
-from hframe_post.printer.settings import Printer
+from hframe_post.planner.pacing import Paces, pace
+from hframe_post.planner.sampling import sample
+from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.chunks import shifted
+from hframe_post.stream.prefetch import prefetch
 from hframe_post.stream.timing import StageTimes, joined
-from hframe_post.stream.types import Samples
+from hframe_post.stream.types import Item, Planned, Samples
 from hframe_post.version import __version__
-from hframe_post.writers.samples import tabulate
-from hframe_post.writers.steps.file import MOTORS, Header, Note, StepFileWriter
-from hframe_post.writers.steps.stepper import Stepper
-from hframe_post.writers.stream.deferred import SUMMARY, Output, later
-from hframe_post.writers.stream.gcode import GcodeSummary
 
-FILAMENT_TOLERANCE = 1e-3  # mm over a whole print; more is an error, not a rounding
+TOLERANCE = 0.014  # mm; moves the nozzle by 1 µm RMS, because the printer smooths what it misses
+
+Retract = Literal["standing", "moving"]
 
 
-class _Source:
-    """The file as spans of planned items, and what was seen of it."""
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a user chooses in addition to the printer.
+
+    strategy: whose commands are written. predict: strategies whose contour error is reported.
+    limits, extrusion: as in ``ReadOptions``. clamp: compensate less where a command would exceed
+    a limit, instead of raising LimitError. tolerance: how far, in mm, a written segment may be
+    off the samples; None writes every sample. retract: before a travel (``standing``) or on it
+    (``moving``). speed: trade accuracy for speed; paces: the result of that search.
+    """
+
+    strategy: str
+    predict: tuple[str, ...] = ()
+    limits: LimitSource = "file"
+    clamp: bool = False
+    tolerance: float | None = TOLERANCE
+    extrusion: Extrusion | None = None
+    retract: Retract = "standing"
+    speed: Speed | None = None
+    paces: Paces | None = None
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        """Return every strategy that must be computed, once."""
+        return tuple(dict.fromkeys((self.strategy, *self.predict)))
+
+
+# ---------------------------------------------------------------------- the stages
+
+
+def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
+    """Read G-code and set the pace of its moves. Raises HframeError."""
+    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
+    items = read(lines, reading)
+    return items if options.paces is None else pace(items, options.paces)
+
+
+def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Planned]:
+    """Read G-code and plan the speeds along its path. Raises HframeError."""
+    return plan(parsed(lines, printer, options), printer.limits)
+
+
+def sampled(items: Iterable[Planned], printer: Printer, options: Options) -> Iterator[Samples]:
+    """Sample planned motion, with the standstill that the strategy needs at stops."""
+    lifts = player(printer, options.tolerance, options.retract == "moving").rests
+    waits = rests(printer.compensation.stops, options.strategy, lifts)
+    return sample(items, printer.limits, waits)
+
+
+class Stages:
+    """The stages from planned motion to checked commands, and a summary of what they did.
+
+    strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
+    the same printer and compensator, because solvers cache their solutions.
+    """
+
+    def __init__(
+        self,
+        printer: Printer,
+        options: Options,
+        compensator: Compensator,
+        strategies: tuple[str, ...] = (),
+        at_stops: dict[str, StopSolver] | None = None,
+    ) -> None:
+        self._printer, self._options, self._compensator = printer, options, compensator
+        self._strategies = strategies or options.strategies
+        self._at_stops = at_stops or stop_solvers(compensator, self._strategies, printer)
+        checked = (printer.travel, printer.motors, printer.kinematics)
+        self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
+        self._clock, self._errors = Clock(), ErrorMeter(printer.plant)
+        self.times = StageTimes()
+
+    def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
+        """Yield checked commands for planned motion; the first sample is number 0.
+
+        Raises HframeError.
+        """
+        samples = self.times.timed("sample", sampled(items, self._printer, self._options))
+        return self.checked(self.compensated(samples))
+
+    def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the samples with each strategy's commands, which stand at stops."""
+        commands = compensate(samples, self._compensator, self._strategies)
+        commands = hold_at_stops(self.times.timed("compensate", commands), self._at_stops)
+        return self.times.timed("stand", commands)
+
+    def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield commands that are safe for the machine. Raises HframeError for others."""
+        strategy = self._options.strategy
+        farthest = max_deviation(self._printer.plant, self._printer.limits)
+        commands = check_deviation(commands, strategy, farthest)
+        if self._options.clamp:
+            commands = self._clamp.limit(commands, strategy)
+        return self.times.timed("guard", self._guard.check(commands, strategy))
+
+    def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
+        """Measure contour error and print time of the commands on their way to the output.
+
+        threads: compute the commands in one thread and the prediction in another, both ahead of
+        the caller.
+        """
+        if threads:
+            commands = prefetch(commands)
+        if self._options.predict:
+            commands = self.times.timed("predict", self._errors.samples(commands))
+            commands = prefetch(commands) if threads else commands
+        return self._clock.samples(commands)
+
+    @property
+    def summary(self) -> MotionSummary:
+        """Return the summary of all samples that were taken so far."""
+        return MotionSummary(
+            self._clock.end, self._clock.resting, self._guard.peaks, self._clamp.clamped,
+            self._errors.contour, self.times.seconds,
+        )  # fmt: skip
+
+
+class Source:
+    """A file as spans of planned motion, and a summary of what it asks for."""
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._lines, self._printer, self._options = lines, printer, options
@@ -52,38 +180,40 @@ class _Source:
         self._times = StageTimes()
 
     def spans(self) -> Spans:
-        """To be computed one after the other. Raises HframeError."""
-        reading = ReadOptions.from_printer(
-            self._printer, self._options.limits, self._options.extrusion
-        )
-        items = self._input.items(read(self._input.lines(self._lines), reading))
-        items = self._times.timed("read", items)
-        if self._options.paces is not None:
-            items = pace(items, self._options.paces)
-        planned = plan(self._path.items(items), self._printer.limits)
-        return Spans(self._times.timed("plan", planned))
+        """Yield the spans; use up each before taking the next. Raises HframeError."""
+        items = parsed(self._input.lines(self._lines), self._printer, self._options)
+        items = self._times.timed("read", self._input.items(items))
+        plans = plan(self._path.items(items), self._printer.limits)
+        return Spans(self._times.timed("plan", plans))
 
-    def report(self, seen: SpanSummary) -> Report:
-        """What the stages saw. Raises HframeError where the prediction cannot be right."""
-        if "none" in seen.contour:
-            check_prediction(seen.contour["none"].rms)
+    def report(self, motion: MotionSummary) -> Report:
+        """Return the report of a conversion that saw this motion.
+
+        Raises HframeError if the model predicts an error that no working printer has.
+        """
+        if "none" in motion.contour:
+            check_prediction(motion.contour["none"].rms)
         return Report(
-            self._options.strategy, self._input.summary, self._path.summary, seen.time, seen.peaks,
-            seen.clamped, seen.contour, seconds=joined(self._times.seconds, seen.seconds),
+            self._options.strategy, self._input.summary, self._path.summary, motion.time,
+            motion.peaks, motion.clamped, motion.contour,
+            seconds=joined(self._times.seconds, motion.seconds),
         )  # fmt: skip
 
-    def conserved(self, filament: float, tolerance: float = FILAMENT_TOLERANCE) -> None:
-        """Raises HframeError unless as much filament was written as was read, mm."""
-        lost = self._input.summary.filament - filament
-        if abs(lost) > tolerance:
+    def check_filament(self, written: float, late: float = 0.0) -> None:
+        """Raise HframeError unless all filament read was written, both in mm.
+
+        late: mm of filament that may still be missing or too much.
+        """
+        lost = self._input.summary.filament - written
+        if abs(lost) > 1e-3 + late:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
 class Commands:
-    """Safe commands for the motors, one sample a millisecond, streaming in constant memory.
+    """Safe commands for the motors of a whole file, streamed in constant memory.
 
-    strategies: whose commands are computed, where these are not just the options'. Iterating
-    raises HframeError. ``report`` holds once everything has been taken.
+    strategies: to compute; the options' by default. Iterating raises HframeError. The report is
+    complete once all commands were taken.
     """
 
     def __init__(
@@ -94,150 +224,33 @@ class Commands:
         strategies: tuple[str, ...] = (),
         compensator: Compensator | None = None,
     ) -> None:
-        self._source = _Source(lines, printer, options)
-        compensator = compensator or prepared(printer)
-        self._stages = Stages(printer, options, compensator, strategies or options.strategies)
-        self.conserved = self._source.conserved
+        self._source = Source(lines, printer, options)
+        self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
+        self.check_filament = self._source.check_filament
 
     def __iter__(self) -> Iterator[Samples]:
-        """Computed ahead in threads of their own: one up to the guard, one for the prediction."""
-        return self._stages.judged(self.computed(), threads=True)
+        """Yield commands with prediction, computed ahead in threads."""
+        return self._stages.predicted(self.computed(), threads=True)
 
     def computed(self) -> Iterator[Samples]:
-        """The commands as they are computed: no thread, no prediction, no clock."""
+        """Yield the commands alone: no threads, no prediction, no print time."""
         first = end = 0
         for span in self._source.spans():
-            for chunk in self._stages.computed(span.items):
+            for chunk in self._stages.commands(span.items):
                 yield shifted(chunk, first)
                 end = first + chunk.end
             first = end
 
-    @property
-    def duration(self) -> float:
-        """Of what has been taken, s."""
-        return self._stages.summary.time.after
-
     def report(self) -> Report:
-        """What the stages saw."""
+        """Return what is known of the commands taken so far."""
         return self._source.report(self._stages.summary)
 
 
-class GcodeConversion:
-    """A print as G-code for the printer's firmware.
-
-    jobs: processes that compute it; the output does not depend on them.
-    """
-
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options, jobs: int = 1
-    ) -> None:
-        self._printer, self._options, self._jobs = printer, options, jobs
-        self._player = player(printer, options.tolerance)
-        self._source = _Source(lines, printer, options)
-        self._seen, self._written = SpanSummary(), GcodeSummary(0, 0, 0.0)
-
-    def __iter__(self) -> Iterator[Output]:
-        yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
-        yield SUMMARY
-        writer = SpanWriter(self._printer, self._options, prepared(self._printer))
-        for span in writer.in_order(self._source.spans(), self._jobs):
-            begun = self.duration
-            for piece in span.output:
-                yield later(piece, begun)
-            self._seen.join(span.seen)
-            self._written = self._written.joined(span.written)
-        self._source.conserved(self._written.filament)
-
-    @property
-    def duration(self) -> float:
-        """Of what has been written, s."""
-        return self._seen.time.after
-
-    def report(self) -> Report:
-        """Complete once the output has been used up."""
-        written = self._written
-        report = replace(
-            self._source.report(self._seen), lines_written=written.lines + 1,  # and the stamp
-            filament_after=written.filament, busiest_second=written.busiest_second,
-            lines_per_second=self._player.lines_per_second,
-        )  # fmt: skip
-        told = len(report.as_text().splitlines())  # the summary's own lines
-        return replace(report, lines_written=written.lines + 1 + told)
-
-
-class StepConversion:
-    """A print as the steps of its motors: text of a step file, and notes for its events.
-
-    kind: ``steps`` or ``step-bits``. Raises PrinterError where the profile does not say how the
-    motors step.
-    """
-
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options, kind: str = "steps"
-    ) -> None:
-        table, kinematics = printer.steps, printer.kinematics
-        if table is None:
-            raise PrinterError("the table is missing: step timing needs it", "steps", printer.name)
-        if not kinematics.z_is_separate:
-            cause = f"the motor of z moves with x on a {kinematics.type}: its steps are not written"
-            raise PrinterError(cause, "kinematics.type", printer.name)
-        self._table = table
-        self.commands = Commands(lines, printer, options)
-        self._stepper = Stepper(options.strategy, kinematics, table)
-        header = Header(
-            kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz,
-            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
-        )  # fmt: skip
-        self._writer = StepFileWriter(header)
-
-    def __iter__(self) -> Iterator[bytes | Note]:
-        yield from self._writer.write(self._stepper.step(self.commands))
-        # a step that is not due yet at the end of a stretch is made in the next one
-        late = self._stepper.counts.starts * self._table.e
-        self.commands.conserved(self._filament, FILAMENT_TOLERANCE + late)
-
-    @property
-    def _filament(self) -> float:
-        counts = self._stepper.counts
-        return float(counts.net[MOTORS.index("E")] * self._table.e + counts.passed)
-
-    def report(self) -> Report:
-        """Complete once the output has been used up."""
-        counts = self._stepper.counts
-        motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
-        steps = StepReport(self._writer.rows, counts.ticks, self._table.clock_hz, motors)
-        return replace(
-            self.commands.report(), lines_written=self._writer.lines,
-            filament_after=self._filament, steps=steps,
-        )  # fmt: skip
-
-
-class SampleConversion:
-    """A print as tables of path, command and predicted motion, one row a millisecond."""
-
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
-        self._plant, self._strategy = printer.plant, options.strategy
-        self.commands = Commands(lines, printer, options)
-        self._filament, self._rows = FilamentMeter(), 0
-
-    def __iter__(self) -> Iterator[Array]:
-        for table in tabulate(self._filament.samples(self.commands), self._strategy, self._plant):
-            self._rows += len(table)
-            yield table
-        self.commands.conserved(self._filament.total)
-
-    def report(self) -> Report:
-        """Complete once the output has been used up."""
-        return replace(
-            self.commands.report(), lines_written=self._rows, filament_after=self._filament.total
-        )
-
-
-Conversion = GcodeConversion | StepConversion | SampleConversion
+# ---------------------------------------------------------------------- what identifies a result
 
 
 def prepared(printer: Printer) -> Compensator:
-    """The printer's compensator, certified. Raises PrinterError."""
+    """Return the compensator for a printer, its windows certified. Raises PrinterError."""
     check_model(printer)
     try:
         return Compensator(printer.plant, printer.compensation.windows)
@@ -246,14 +259,14 @@ def prepared(printer: Printer) -> Compensator:
 
 
 def stamp(printer: Printer, options: Options) -> str:
-    """Version, printer and settings: what made the output."""
+    """Return what made an output: version, printer and a hash of all settings."""
     return f"{__version__}, printer {printer.name}, settings {settings_hash(printer, options)}"
 
 
 def settings_hash(printer: Printer, options: Options) -> str:
-    """Identifies all that decides the output beside the input.
+    """Return a hash of all that decides the output in addition to the input.
 
-    Paces follow from the input and from the speed that is asked for.
+    Predictions do not change the output, and paces follow from the input and the speed asked for.
     """
     deciding = (printer.digest, replace(options, predict=(), paces=None))
     return hashlib.sha256(repr(deciding).encode()).hexdigest()[:12]

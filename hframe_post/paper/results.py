@@ -13,17 +13,14 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, X, Z
 from hframe_post.compensation.compensate import compensate
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.reader import read
+from hframe_post.conversion.pipeline import Options, planned, sampled
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory
-from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sampling import sample
 from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Rests, Samples
+from hframe_post.stream.types import Samples
 from hframe_post.studies.simulation.reference_path import rectangle
 
 N_FIG_9 = 125  # control points, counted as the paper's n
@@ -94,9 +91,9 @@ def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
 
 def path(printer: Printer) -> Array:
     """The rectangle of Fig. 7, planned, (E + 1, 2); it begins and ends at rest."""
-    items = read(rectangle(printer), ReadOptions.from_printer(printer))
-    blocks = sample(plan(items, printer.limits), printer.limits, Rests())
-    xy = np.concatenate([block.xyze[:, :Z] for block in blocks])
+    options = Options("none", tolerance=None)  # the path alone, without rests for a command
+    chunks = sampled(planned(rectangle(printer), printer, options), printer, options)
+    xy = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     corners = xy[0] + np.array([[120, 0], [120, 20], [0, 20], [0, 0]])
     repeats = np.ones(len(xy), dtype=np.int64)
     repeats[0] = 2

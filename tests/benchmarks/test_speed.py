@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.resources import one_blas_thread

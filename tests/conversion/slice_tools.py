@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DeferredLine

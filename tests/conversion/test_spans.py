@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hframe_post.conversion import span_writer, spans
-from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
+from hframe_post.conversion import conversions, spans
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.options import ReadOptions
@@ -129,9 +130,9 @@ def test_the_first_mistake_of_a_file_is_told_whoever_finds_it(paper: Printer, jo
 def test_a_process_that_is_killed_is_told_of(
     paper: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def killed(self: span_writer.SpanWriter, span: Span) -> None:
+    def killed(self: conversions.SpanWriter, span: Span, threads: bool) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(span_writer.SpanWriter, "whole", killed)
+    monkeypatch.setattr(conversions.SpanWriter, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
         converted(cube(), paper, 2)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Z
-from hframe_post.conversion import stages
+from hframe_post.conversion import pipeline
 from hframe_post.conversion.files import Target, convert
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
@@ -87,7 +87,7 @@ def test_a_stream_that_is_not_sound(
         for chunk in chunks:
             yield fault(chunk) if len(chunk) > MOVING else chunk
 
-    monkeypatch.setattr(stages, "check_deviation", faulty)
+    monkeypatch.setattr(pipeline, "check_deviation", faulty)
     nothing_appears(tmp_path, cause)
 
 
@@ -115,6 +115,6 @@ def test_steps_and_samples_count_their_filament_too() -> None:
     commands = Commands(iter(LINES), PRINTER, Options("racking"))
     assert sum(len(chunk) for chunk in commands)
     filament = 2.0 + 2.0 + 0.7 + 4.0
-    commands.conserved(filament)
+    commands.check_filament(filament)
     with pytest.raises(HframeError, match=r"0\.0020 mm of filament would be lost"):
-        commands.conserved(filament - 0.002)
+        commands.check_filament(filament - 0.002)

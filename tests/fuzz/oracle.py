@@ -16,7 +16,8 @@ from random import Random
 import numpy as np
 
 from hframe_post.arrays import Z
-from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.options import Extrusion
 from hframe_post.identification.recordings import accelerometer, command_file

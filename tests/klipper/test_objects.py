@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction

@@ -10,7 +10,8 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
-from hframe_post.conversion.pipeline import Commands, GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.gcode.options import LimitSource
 from hframe_post.printer import profile

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.pipeline import GcodeConversion, Options
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware import decimate
 from hframe_post.native import kernels
 from hframe_post.native.kernels import Kernel

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hframe_post as hp
-from hframe_post.conversion.options import TOLERANCE
+from hframe_post.conversion.pipeline import TOLERANCE
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.printer.settings import Printer

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.model.shapers import shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
@@ -32,7 +32,7 @@ from tests.conftest import SAMPLES
 
 @pytest.fixture(scope="module")
 def corner(paper: Printer) -> Paths:
-    return paths(rectangle(paper), paper, ReadOptions.from_printer(paper))
+    return paths(rectangle(paper), paper, Options("none"))
 
 
 def test_a_short_path_is_taken_whole(corner: Paths) -> None:
@@ -46,14 +46,14 @@ def test_of_a_slice_it_is_what_rings(paper: Printer) -> None:
     """The cube's first layer is laid at 20 mm/s, and any shaper would do."""
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     with (SAMPLES / "cube.gcode").open("rb") as cube:
-        pieces = paths(cube, paper, ReadOptions.from_printer(paper))
+        pieces = paths(cube, paper, Options("none"))
     assert len(pieces) == PIECES
     assert error(paper.plant, none, pieces).rms > 0.05
 
 
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="nothing is extruded"):
-        paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, ReadOptions.from_printer(paper))
+        paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, Options("none"))
 
 
 def test_the_best_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from hframe_post.arrays import TS
 from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
@@ -51,8 +50,7 @@ def rivals(lines: Callable[[], Iterable[bytes]], printer: Printer, options: Opti
 
     lines: gives the print anew at each call.
     """
-    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
-    searched = search(printer.plant, paths(lines(), printer, reading))
+    searched = search(printer.plant, paths(lines(), printer, options))
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_as(printer.plant, name) for name in KLIPPER}
     source = Commands(lines(), printer, options, tuple(STRATEGIES))

@@ -13,18 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
+from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.errors import HframeError
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.shapers import SHAPERS, Shaper, shaper
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sampling import sample
 from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches, with_neighbours
-from hframe_post.stream.types import Rests, Samples, frozen
+from hframe_post.stream.types import Samples, frozen
 from hframe_post.studies.speed.excerpt import excerpt
 
 PIECES = 5  # of a print, of some seconds, for which shapers are chosen
@@ -96,18 +94,19 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
             yield replace(chunk, commands={**chunk.commands, **commands})
 
 
-def paths(lines: Iterable[bytes], printer: Printer, reading: ReadOptions) -> Paths:
+def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
     """Motion from all over a print, above its first layer where there is more. Raises HframeError.
 
     What is laid slowly, as first layers are, tells shapers little apart.
     """
-    limits = printer.limits
-    pieces = excerpt(read(lines, reading), first_layers=0)
+    pieces = excerpt(parsed(lines, printer, options), first_layers=0)
     pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
     if not pieces:
         raise HframeError("nothing is extruded at a known place: there is no path to shape")
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
-    return [_path(sample(plan(pieces[k].items, limits), limits, Rests())) for k in chosen]
+    options = Options("none", tolerance=None)  # the path alone, without rests for a command
+    plans = (plan(pieces[k].items, printer.limits) for k in chosen)
+    return [_path(sampled(items, printer, options)) for items in plans]
 
 
 def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:

@@ -5,25 +5,27 @@ print, or pieces of it ──► paces ──► plan ──► commands ──�
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from hframe_post.compensation.stops import rests, stop_solvers
-from hframe_post.conversion.pipeline import Commands, Options, prepared
-from hframe_post.conversion.stages import Stages
+from hframe_post.compensation.stops import stop_solvers
+from hframe_post.conversion.pipeline import (
+    Commands,
+    Options,
+    Stages,
+    parsed,
+    planned,
+    prepared,
+    sampled,
+)
 from hframe_post.errors import HframeError
-from hframe_post.firmware.registry import player
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.reader import read
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Pace, Paces, pace
-from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Item
 from hframe_post.studies.speed.excerpt import Piece, excerpt, hurry
 from hframe_post.studies.speed.trial import (
     FIRST,
@@ -61,7 +63,6 @@ class Drive:
         self._lines, self._printer, self._measure, self._free = lines, printer, measure, free
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._asked = options
-        self._reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
         self._compensator = prepared(printer)
         self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
         self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
@@ -97,7 +98,7 @@ class Drive:
 
     def excerpt(self) -> list[Piece]:
         """Pieces that stand for the print."""
-        return excerpt(read(self._lines(), self._reading), FIRST)
+        return excerpt(parsed(self._lines(), self._printer, self._options), FIRST)
 
     def hurry(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Times its feed, the fastest that each kind can be."""
@@ -115,8 +116,9 @@ class Drive:
         refused = ""
         try:
             for piece in pieces:
-                items = self._paced(piece.items, options, piece)
-                commands = stages.computed(plan(items, printer.limits))
+                assert options.paces is not None
+                items = pace(piece.items, options.paces, piece.start)
+                commands = stages.commands(plan(items, printer.limits))
                 seen.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
         except HframeError as error:
             refused = str(error)
@@ -137,11 +139,10 @@ class Drive:
     def layers(self, driven: Driven) -> dict[int, float]:
         """Seconds of each layer, by place in the print: planned, not compensated."""
         printer, options = self.settings(driven)
-        items = self._paced(read(self._lines(), self._reading), options, None)
-        lifts = player(printer, options.tolerance).rests
-        waits = rests(printer.compensation.stops, options.strategy, lifts)
+        options = replace(options, retract="standing")
+        items = planned(self._lines(), printer, options)
         labels, layers = Labels(by_name=False), dict[int, float]()
-        for chunk in sample(plan(items, printer.limits), printer.limits, waits):
+        for chunk in sampled(items, printer, options):
             count(layers, labels.number(chunk)[0])
         return layers
 
@@ -159,8 +160,3 @@ class Drive:
                 of.add(judgement.contour["none"][here])
         told = {name: measured(of, self._measure) for name, of in statistics.items()}
         return Original(commands.report().time.before, layers, told)
-
-    @staticmethod
-    def _paced(items: Iterable[Item], options: Options, piece: Piece | None) -> Iterator[Item]:
-        assert options.paces is not None
-        return pace(items, options.paces, piece.start if piece else None)

@@ -14,15 +14,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain
 
-from hframe_post.compensation.stops import rests
-from hframe_post.conversion.options import TOLERANCE
-from hframe_post.firmware.registry import player
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.reader import read
+from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sampling import sample
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.speed.excerpt import Piece, excerpt
 from hframe_post.studies.tuning.tune import Trial, tried
@@ -60,7 +55,7 @@ class Pareto:
 
 def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
     """A short part of a print, whatever limits the file asks for. Raises HframeError."""
-    items = read(lines, ReadOptions.from_printer(printer, "printer"))
+    items = parsed(lines, printer, Options("racking", limits="printer"))
     kept = excerpt(items, first_layers=0)
     while len(kept) > 1 and sum(sum(p.seconds.values()) for p in kept) > ENOUGH:
         kept = kept[::2]
@@ -72,7 +67,6 @@ def pareto(
 ) -> Pareto:
     """Every window of the grid on every plan. Raises HframeError."""
     found = list[Point]()
-    waits = rests(printer.compensation.stops, "racking", player(printer, TOLERANCE).rests)
     own = printer.limits
     for acceleration in dict.fromkeys(share * own.acceleration for share in ACCELERATIONS):
         for jerk in sorted({*JERKS, own.jerk}):
@@ -80,9 +74,10 @@ def pareto(
                 limits = replace(own, acceleration=acceleration, jerk=jerk)
             except ValueError:  # full speed would take minutes
                 continue
-            planned = (sample(plan(p.items, limits), limits, waits) for p in kept)
             driven = replace(printer, limits=limits)
-            trials = tried(chain.from_iterable(planned), driven, grid, drawn)
+            plans = (plan(piece.items, limits) for piece in kept)
+            samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
+            trials = tried(samples, driven, grid, drawn)
             found += [Point(acceleration, jerk, trial) for trial in trials]
     best = front(found, printer.motors)
     return Pareto(tuple(found), best, min(best, key=lambda point: point.cost, default=None))

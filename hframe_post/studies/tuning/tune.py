@@ -7,27 +7,20 @@ and on printers that are not quite it. λ is λ of x; that of y keeps the profil
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from statistics import median
 
 import numpy as np
 
 from hframe_post.arrays import TS, X, Y, Z
-from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import check_model, max_deviation
-from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import JUDGED_EVERY, Clock
-from hframe_post.conversion.options import TOLERANCE
-from hframe_post.firmware.registry import player
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.reader import read
+from hframe_post.conversion.pipeline import Options, Stages, planned, sampled
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
@@ -37,6 +30,7 @@ from hframe_post.stream.types import Planned, Samples
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
 PREVIEW = 440  # samples of a window, L_C: as long for every L
+RACKING = Options("racking")
 ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them is taken
 
 
@@ -107,7 +101,7 @@ def tune(
     printer: Printer,
     grid: list[tuple[Window, Window]],
     drawn: list[Plant],
-    reading: ReadOptions | None = None,
+    options: Options = RACKING,
     stops: Iterable[StopsTrial] = (),
 ) -> list[Trial]:
     """A trial of every candidate, in one pass over the print. Raises HframeError.
@@ -120,13 +114,11 @@ def tune(
         stops = list(stops)
     except ValueError:  # of the profile's window, which may be why it is tuned
         stops = []
-    items = plan(read(lines, reading or ReadOptions.from_printer(printer)), printer.limits)
-    planned, *others = branches(items, 1 + len(stops))
-    waits = rests(printer.compensation.stops, "racking", player(printer, TOLERANCE).rests)
+    items, *others = branches(planned(lines, printer, options), 1 + len(stops))
     beside = [
         _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
     ]
-    return tried(sample(planned, printer.limits, waits), printer, grid, drawn, beside)
+    return tried(sampled(items, printer, options), printer, grid, drawn, beside)
 
 
 def tried(
@@ -184,8 +176,7 @@ def _tried(
     drawn: list[Plant],
 ) -> Iterator[None]:
     """Fills the trial, a chunk at a time."""
-    commands = compensate(samples, compensator, ("racking",))
-    commands = hold_at_stops(commands, stop_solvers(compensator, ["racking"], printer))
+    commands = Stages(printer, RACKING, compensator).compensated(samples)
     standing = _rated(commands, trial, printer.kinematics)
     trial.drawn = [ContourErrors() for _ in drawn]
     plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
@@ -199,12 +190,12 @@ def _tried(
 
 
 def _stopped(
-    trial: StopsTrial, compensator: Compensator, planned: Iterable[Planned], printer: Printer
+    trial: StopsTrial, compensator: Compensator, items: Iterable[Planned], printer: Printer
 ) -> Iterator[None]:
     """Fills the trial, a chunk at a time."""
-    waits = rests(trial.name, "racking", player(printer, TOLERANCE).rests)
-    commands = compensate(sample(planned, printer.limits, waits), compensator, ("racking",))
-    commands = hold_at_stops(commands, stop_solvers(compensator, ["racking"], printer))
+    printer = replace(printer, compensation=replace(printer.compensation, stops=trial.name))
+    samples = sampled(items, printer, RACKING)
+    commands = Stages(printer, RACKING, compensator).compensated(samples)
     clock = Clock()
     for judgement in judge(clock.samples(commands), printer.plant, JUDGED_EVERY):
         for contour in judgement.contour.values():

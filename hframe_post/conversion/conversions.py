@@ -1,0 +1,282 @@
+"""A print as G-code, as steps of the motors, or as samples, each with its report.
+
+G-code is written span by span, in this process or in several, with the same bytes either way.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field, replace
+
+from hframe_post.arrays import Array
+from hframe_post.compensation.stops import stop_solvers
+from hframe_post.conversion.meters import FilamentMeter, MotionSummary
+from hframe_post.conversion.pipeline import (
+    Commands,
+    Options,
+    Source,
+    Stages,
+    prepared,
+    settings_hash,
+    stamp,
+)
+from hframe_post.conversion.report import Report, StepReport
+from hframe_post.conversion.spans import Span, Spans
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware.registry import player
+from hframe_post.gcode.commands import STAMP
+from hframe_post.model.strategies import Compensator
+from hframe_post.printer.settings import Printer
+from hframe_post.version import __version__
+from hframe_post.writers.samples import tabulate
+from hframe_post.writers.steps.file import MOTORS, Header, Note, StepFileWriter
+from hframe_post.writers.steps.stepper import Stepper
+from hframe_post.writers.stream.deferred import SUMMARY, Output, later
+from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
+
+# ---------------------------------------------------------------------- G-code
+
+
+class GcodeConversion:
+    """A print as G-code for the printer's firmware.
+
+    jobs: number of processes that compute it; the output does not depend on it.
+    """
+
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options, jobs: int = 1
+    ) -> None:
+        self._printer, self._options, self._jobs = printer, options, jobs
+        self._player = player(printer, options.tolerance)
+        self._source = Source(lines, printer, options)
+        self._motion, self._written = MotionSummary(), GcodeSummary(0, 0, 0.0)
+
+    def __iter__(self) -> Iterator[Output]:
+        yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
+        yield SUMMARY
+        writer = SpanWriter(self._printer, self._options, prepared(self._printer))
+        for span in writer.written(self._source.spans(), self._jobs):
+            begun = self.duration
+            for piece in span.output:
+                yield later(piece, begun)
+            self._motion.join(span.motion)
+            self._written = self._written.joined(span.written)
+        self._source.check_filament(self._written.filament)
+
+    @property
+    def duration(self) -> float:
+        """Return the print time of what was written so far, s."""
+        return self._motion.time.after
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        written = self._written
+        report = replace(
+            self._source.report(self._motion), lines_written=written.lines + 1,  # and the stamp
+            filament_after=written.filament, busiest_second=written.busiest_second,
+            lines_per_second=self._player.lines_per_second,
+        )  # fmt: skip
+        of_summary = len(report.as_text().splitlines())
+        return replace(report, lines_written=written.lines + 1 + of_summary)
+
+
+@dataclass(slots=True)
+class WrittenSpan:
+    """Output of a span; the summaries are complete once the output was used up."""
+
+    output: Iterable[Output]
+    motion: MotionSummary = field(default_factory=MotionSummary)
+    written: GcodeSummary = field(default_factory=lambda: GcodeSummary(0, 0, 0.0))
+
+
+class SpanWriter:
+    """Everything that is needed to write any span of a print."""
+
+    def __init__(self, printer: Printer, options: Options, compensator: Compensator) -> None:
+        self.made_of = printer, options, compensator
+        self._at_stops = stop_solvers(compensator, options.strategies, printer)
+
+    def streamed(self, span: Span, threads: bool = True) -> WrittenSpan:
+        """Return a span that is computed while its output is taken."""
+        printer, options, compensator = self.made_of
+        stages = Stages(printer, options, compensator, at_stops=self._at_stops)
+        start = span.beginning
+        firmware = player(printer, options.tolerance, options.retract == "moving")
+        writer = GcodeWriter(options.strategy, firmware, place=start.place, offset=start.offset)
+        result = WrittenSpan(())
+
+        def output() -> Iterator[Output]:
+            commands = stages.predicted(stages.commands(span.items), threads)
+            yield from stages.times.timed("write", writer.write(commands))
+            result.motion, result.written = stages.summary, writer.summary
+
+        result.output = output()
+        return result
+
+    def written(self, spans: Spans, jobs: int) -> Iterator[WrittenSpan]:
+        """Yield all spans in order, written by ``jobs`` processes; use up each before the next."""
+        if jobs == 1:
+            yield from map(self.streamed, spans)
+            return
+        pool = ProcessPoolExecutor(jobs, _context(), _start_worker, self.made_of)
+        try:
+            yield from self._written_by(pool, spans, most_pending=jobs + 2)
+        except BrokenProcessPool:
+            raise HframeError(
+                "a worker process of this conversion was killed, perhaps for lack of memory; "
+                "nothing was written. Try again with --jobs 1"
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def _written_by(
+        self, pool: ProcessPoolExecutor, spans: Spans, most_pending: int
+    ) -> Iterator[WrittenSpan]:
+        pending = deque[Future[WrittenSpan]]()
+        source, unreadable = iter(spans), None
+        while unreadable is None:
+            try:
+                span = next(source, None)
+            except HframeError as error:  # raised below, after the spans that precede it
+                span, unreadable = None, error
+            if span is not None and span.held:
+                pending.append(pool.submit(_write_in_worker, span))
+            while len(pending) > (most_pending if span is not None and span.held else 0):
+                yield pending.popleft().result()
+            if span is None:
+                break
+            if not span.held:
+                yield self.streamed(span)
+        if unreadable is not None:
+            raise unreadable
+
+
+# ---------------------------------------------------------------------- worker processes
+
+_writer: list[SpanWriter] = []  # the one of this worker
+
+
+def _context() -> multiprocessing.context.BaseContext:
+    """Return how workers start: as copies of this process where that is safe, which is faster."""
+    return multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+
+
+def _start_worker(printer: Printer, options: Options, compensator: Compensator) -> None:
+    """Leave interrupts to the parent, and end with it even if it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _writer[:] = [SpanWriter(printer, options, compensator)]
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _write_in_worker(span: Span) -> WrittenSpan:
+    result = _writer[0].streamed(span, threads=False)
+    result.output = list(_with_joined_text(result.output))
+    return result
+
+
+def _with_joined_text(output: Iterable[Output]) -> Iterator[Output]:
+    """Yield the output with neighbouring texts joined: fewer pieces to send."""
+    text = list[bytes]()
+    for piece in output:
+        if isinstance(piece, bytes):
+            text.append(piece)
+        else:
+            yield from (b"".join(text), piece)
+            text.clear()
+    yield b"".join(text)
+
+
+# ---------------------------------------------------------------------- steps
+
+
+class StepConversion:
+    """A print as text of a step file and notes for its events.
+
+    kind: ``steps`` or ``step-bits``. Raises PrinterError if the profile does not say how the
+    motors step.
+    """
+
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options, kind: str = "steps"
+    ) -> None:
+        table, kinematics = printer.steps, printer.kinematics
+        if table is None:
+            cause = "the table is missing; step timing needs it"
+            raise PrinterError(cause, "steps", printer.name)
+        if not kinematics.z_is_separate:
+            cause = (
+                f"the motor of z moves with x on a {kinematics.type}: its steps cannot be written"
+            )
+            raise PrinterError(cause, "kinematics.type", printer.name)
+        self._table = table
+        self._commands = Commands(lines, printer, options)
+        self._stepper = Stepper(options.strategy, kinematics, table)
+        header = Header(
+            kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz,
+            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+        )  # fmt: skip
+        self._writer = StepFileWriter(header)
+
+    def __iter__(self) -> Iterator[bytes | Note]:
+        yield from self._writer.write(self._stepper.step(self._commands))
+        # a step that is not due at the end of a stretch is made in the next one
+        late = self._stepper.counts.starts * self._table.e
+        self._commands.check_filament(self._filament, late)
+
+    @property
+    def _filament(self) -> float:
+        counts = self._stepper.counts
+        return float(counts.net[MOTORS.index("E")] * self._table.e + counts.passed)
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        counts = self._stepper.counts
+        motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
+        steps = StepReport(self._writer.rows, counts.ticks, self._table.clock_hz, motors)
+        return replace(
+            self._commands.report(), lines_written=self._writer.lines,
+            filament_after=self._filament, steps=steps,
+        )  # fmt: skip
+
+
+# ---------------------------------------------------------------------- samples
+
+
+class SampleConversion:
+    """A print as tables of path, command and predicted motion, one row a millisecond."""
+
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._plant, self._strategy = printer.plant, options.strategy
+        self._commands = Commands(lines, printer, options)
+        self._filament, self._rows = FilamentMeter(), 0
+
+    def __iter__(self) -> Iterator[Array]:
+        commands = self._filament.samples(self._commands)
+        for table in tabulate(commands, self._strategy, self._plant):
+            self._rows += len(table)
+            yield table
+        self._commands.check_filament(self._filament.total)
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        filament = self._filament.total
+        return replace(self._commands.report(), lines_written=self._rows, filament_after=filament)
+
+
+Conversion = GcodeConversion | StepConversion | SampleConversion
