@@ -1,4 +1,4 @@
-"""Moves that follow each other, gathered into one item with the lines between them."""
+"""Consecutive moves as one item with the lines between them, read many at once where possible."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers, lengths
+from hframe_post.arrays import Array, E, lengths
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.limits import RequestedLimits
+from hframe_post.gcode.curves import FARTHEST
+from hframe_post.gcode.lines import Lines
+from hframe_post.gcode.options import Bed
+from hframe_post.gcode.state import State
+from hframe_post.native.kernels import kernel
 from hframe_post.stream.types import (
     Handling,
     Item,
@@ -21,104 +25,145 @@ from hframe_post.stream.types import (
 )
 
 MOVES_PER_ITEM = 4096
-LONGEST_MOVE = 4 * 3600.0  # s; a move that takes longer is a mistake, and would never end
-CARRIED_AT_ONCE = 1 << 21  # bytes of lines between two moves that are carried without a stop
-ACCELERATION = 6  # column of gathered moves
-PER_LINE = 200  # bytes that a carried line takes beside its text
+MIN_FEED = 1.0 / 60.0  # mm/s, F1; a slower move would never end
+MAX_DURATION = 4 * 3600.0  # s of a move; a longer one is a mistake, and would never end
+MAX_MARK_BYTES = 1 << 21  # of lines between two moves that are carried without a stop
+BYTES_PER_MARK = 200  # in addition to the text
+MAX_FILAMENT = 2e3  # mm of one move; loading takes less
+MAX_FILAMENT_PER_PATH = 10.0  # Klipper refuses more than a quarter mm per mm
+MIN_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
 
 
-class Gathering:
-    """The moves gathered since the last item, and items that are ready in ``out``.
+class PlainMoves:
+    """Reader of many plain moves at once, by a compiled loop, if it is there.
+
+    To the bit, it does what ``Reader`` does line by line. It stops before the first line that is
+    not a plain G0 or G1 in which x or y changes, or that needs a closer look: too far, too slow,
+    off the bed, too much filament for its path, a number with many digits.
+    """
+
+    def __init__(self, source: Lines, state: State, bed: Bed) -> None:
+        self._source, self._state = source, state
+        self._edges = (*bed.smallest, *bed.largest)
+        self._run = kernel("plain_moves")
+        self._values, self._rules = np.empty(10), np.empty(16)
+        self._rows, self._taken = np.empty((MOVES_PER_ITEM, 8)), np.empty(2, dtype=np.int64)
+        arrays = (self._values, self._rules, self._rows, self._taken)
+        self._addresses = [array.ctypes.data for array in arrays]
+
+    def take(self, most: int) -> Array | None:
+        """Read moves and change the state; return a row for each of at most ``most`` moves (k, 8).
+
+        A row: source line; x, y, z, e at the end; speed, acceleration, corner velocity. The result
+        is None where the next line is not a plain move.
+        """
+        state, source = self._state, self._source
+        if self._run is None or not (state.absolute and state.e_mode_known and all(state.known)):
+            return None
+        text, offset = source.upcoming()
+        if not text.startswith((b"G1 ", b"G0 "), offset):
+            return None
+        self._values[:] = (*state.position, *state.offset, state.feed, state.speed)
+        self._rules[:] = (
+            state.scale, state.factor, MIN_FEED, FARTHEST, MAX_FILAMENT, *self._edges,
+            not state.absolute_e, state.acceleration, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
+            MIN_PATH,
+        )  # fmt: skip
+        values, rules, rows, taken = self._addresses
+        count = self._run(
+            text, len(text), offset, source.number + 1, most, values, rules, rows, taken
+        )
+        lines, size = self._taken.tolist()
+        source.skip(lines, size)
+        x, y, z, e, *_, state.feed, _ = self._values.tolist()
+        if count:
+            state.position = (x, y, z, e)
+        return self._rows[:count].copy() if lines else None
+
+
+class ItemBuilder:
+    """Collector of moves and the lines between them; finished items are in ``ready``.
 
     any_motion: whether there has been a move since the start of the file.
     """
 
-    def __init__(self, limits: RequestedLimits) -> None:
-        self._limits = limits
+    def __init__(self, state: State) -> None:
+        self._state = state
         self._start: Position = (0.0, 0.0, 0.0, 0.0)
         self._count = 0
-        self._rows: list[tuple[float, ...]] = []  # the last of them
+        self._rows: list[tuple[float, ...]] = []  # the latest moves
         self._tables: list[Array] = []  # those before
         self._marks: list[Mark] = []
-        self._carried = 0  # bytes since the last move or stop
+        self._mark_bytes = 0  # since the last move or stop
         self.any_motion = False
-        self.out: list[Item] = []
+        self.ready: list[Item] = []
 
     @property
-    def room(self) -> int:
-        """How many moves more make an item."""
+    def free(self) -> int:
+        """Return how many more moves complete an item."""
         return MOVES_PER_ITEM - self._count
 
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Acceleration and square-corner velocity that hold for the next moves."""
-        return self._limits.acceleration, self._limits.corner
-
-    def travel(self, number: int, start: Position, end: Position, speed: float) -> None:
-        """A move in which x or y travels joins the gathered ones, under the present limits."""
+    def add_move(self, number: int, start: Position, end: Position, speed: float) -> None:
+        """Add a move in which x or y changes, under the state's limits."""
         self._begin(start)
         self._count += 1
-        limits = self._limits
-        acceleration = limits.acceleration if end[E] != start[E] else limits.travel
-        self._rows.append((number, *end, speed, acceleration, limits.corner))
-        if not self.room:
+        state = self._state
+        extrudes = end[E] != start[E]
+        acceleration = state.acceleration if extrudes else state.travel_acceleration
+        self._rows.append((number, *end, speed, acceleration, state.corner))
+        if not self.free:
             self.flush()
 
-    def travels(self, start: Position, moves: Array) -> None:
-        """Such moves (k, 8), no more than there is room for.
-
-        Source line, x, y, z, e at the end, speed and ``limits`` of each.
-        """
+    def add_rows(self, start: Position, rows: Array) -> None:
+        """Add at most ``free`` rows of ``PlainMoves.take``."""
+        if not len(rows):
+            return
         self._begin(start)
         self._tabulate()
-        if (travel := self._limits.travel) != self._limits.acceleration:
-            moves[np.diff(moves[:, 1 + E], prepend=start[E]) == 0.0, ACCELERATION] = travel
-        self._count += len(moves)
-        self._tables.append(moves)
-        if not self.room:
+        if (travel := self._state.travel_acceleration) != self._state.acceleration:
+            rows[np.diff(rows[:, 1 + E], prepend=start[E]) == 0.0, 6] = travel
+        self._count += len(rows)
+        self._tables.append(rows)
+        if not self.free:
             self.flush()
 
     def _begin(self, start: Position) -> None:
         if not self._count:
             self._start = start
-        self._carried, self.any_motion = 0, True
+        self._mark_bytes, self.any_motion = 0, True
 
     def _tabulate(self) -> None:
         if self._rows:
             self._tables.append(np.array(self._rows))
             self._rows = []
 
-    def stand(self, move: Standing) -> None:
-        """A move in which x and y stand ends the gathered ones. Raises GcodeError."""
+    def add_standing(self, move: Standing) -> None:
+        """Add a move in which x and y stand still. Raises GcodeError if it takes too long."""
         self.flush()
         length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
-        if length > LONGEST_MOVE * move.speed:
-            raise _endless(length / move.speed, move.line)
-        self._carried, self.any_motion = 0, True
-        self.out.append(move)
+        _check_duration(length / move.speed, move.line)
+        self._mark_bytes, self.any_motion = 0, True
+        self.ready.append(move)
 
-    def pass_through(self, item: Passthrough) -> None:
-        """A carried line among gathered moves is a mark; all others end the gathered moves.
+    def add_line(self, item: Passthrough) -> None:
+        """Add a line: as a mark among moves if it is carried, otherwise as an item.
 
-        Where more lines follow each other than can be held, one of them has to stop the
-        machine: only then does everything before it leave the memory of later stages.
+        Where too many carried lines follow each other, one of them has to stop the machine: only
+        then can later stages release from memory what came before it.
         """
-        self._carried += len(item.text) + PER_LINE
-        if self._carried > CARRIED_AT_ONCE:
+        self._mark_bytes += len(item.text) + BYTES_PER_MARK
+        if self._mark_bytes > MAX_MARK_BYTES:
             item = replace(item, handling=Handling.RELEASE)
         if item.handling is Handling.CARRY and self._count:
             self._marks.append(Mark(self._count, item.text))
             return
         if item.handling is Handling.RELEASE:
-            self._carried = 0
+            self._mark_bytes = 0
         self.flush()
-        self.out.append(item)
+        self.ready.append(item)
 
     def flush(self) -> None:
-        """The gathered moves become one item; the axis limits are those of now.
-
-        Raises GcodeError where a move would take too long.
-        """
+        """Make one item of the collected moves, with the present axis limits. Raises GcodeError."""
         if not self._count:
             return
         self._tabulate()
@@ -126,23 +171,20 @@ class Gathering:
         points = np.vstack([self._start, table[:, 1:5]])
         speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
         line = table[:, 0].astype(np.int64)
-        _check_end(points, speed, line)
-        self.out.append(
+        seconds = lengths(np.diff(points[:, :E], axis=0)) / speed
+        _check_duration(float(seconds.max()), int(line[seconds.argmax()]))
+        self.ready.append(
             Moves(
-                line, frozen(points), speed, acceleration, corner, self._limits.axes,
+                line, frozen(points), speed, acceleration, corner, self._state.axes,
                 tuple(self._marks),
             )
         )  # fmt: skip
         self._count, self._tables, self._marks = 0, [], []
 
 
-def _check_end(points: Array, speed: Array, line: Integers) -> None:
-    seconds = lengths(np.diff(points[:, :E], axis=0)) / speed
-    worst = int(seconds.argmax())
-    if seconds[worst] > LONGEST_MOVE:
-        raise _endless(float(seconds[worst]), int(line[worst]))
-
-
-def _endless(seconds: float, number: int) -> GcodeError:
-    hours, most = seconds / 3600.0, LONGEST_MOVE / 3600.0
-    return GcodeError(f"this move would take {hours:.3g} h; at most {most:g} h can be", number)
+def _check_duration(seconds: float, line: int) -> None:
+    if seconds > MAX_DURATION:
+        hours, most = seconds / 3600.0, MAX_DURATION / 3600.0
+        raise GcodeError(
+            f"this move would take {hours:.3g} h; at most {most:g} h are possible", line
+        )

@@ -1,13 +1,13 @@
-"""Whether E is absolute, by the evidence of the moves that follow.
+"""Detection of absolute or relative E, for a file that sets neither (a macro does it).
 
-Of a file that never says so, since a macro of the printer does: extrusion is proportional to
-the path, so either the E of each move is (relative), or what each adds to the one before.
+Extrusion is proportional to the path. So either the E of each move is proportional to its length
+(relative), or the difference to the E before is (absolute).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -15,35 +15,33 @@ from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.lexer import Line, command, numbers_among
 
-FEWEST = 3  # moves that are evidence
-CLEARER = 0.5  # times as much spread as the other reading has, at most
-SHORTEST = 0.05  # mm of path; less is mostly rounding
-
 
 def is_absolute(lines: Iterable[Line]) -> bool | None:
-    """What the printing moves of these lines show; None where they show nothing.
+    """Return whether the printing moves of these lines show an absolute E; None if unclear.
 
     A single E in all of them is the same either way.
     """
-    table = np.array(list(_extruding(lines))).reshape(-1, 3)
+    table = np.array(list(_extruding_moves(lines))).reshape(-1, 3)
     if len(table) <= 1:
         return True
-    path, e, before = table[table[:, 0] > SHORTEST].T
+    path, e, before = table[table[:, 0] > 0.05].T  # mm; shorter moves are mostly rounding
     relative = e / path
     absolute = ((e - before) / path)[np.isfinite(before)]
-    if len(absolute) < FEWEST:
+    if len(absolute) < 3:
         return None
-    by_relative, by_absolute = _spread(relative), _spread(absolute)
-    if by_relative < math.inf and by_relative <= CLEARER * by_absolute:
+    relative_spread, absolute_spread = _spread(relative), _spread(absolute)
+    if relative_spread < math.inf and relative_spread <= 0.5 * absolute_spread:
         return False
-    return True if by_absolute < math.inf and by_absolute <= CLEARER * by_relative else None
+    if absolute_spread < math.inf and absolute_spread <= 0.5 * relative_spread:
+        return True
+    return None
 
 
 def _spread(ratio: Array) -> float:
-    """How unlike the extrusion per mm of printing moves is: about 0 if it is always the same.
+    """Return how much the extrusion per mm varies between moves: about 0 if it is constant.
 
-    The median deviation from the median, relative to it, and the share of moves that would
-    take filament back, as only a few wipes do.
+    This is the median deviation from the median, relative to it, plus the share of moves that
+    would take filament back, as only a few wipes do.
     """
     median = float(np.median(ratio))
     if median <= 0.0:
@@ -51,8 +49,8 @@ def _spread(ratio: Array) -> float:
     return float(np.median(np.abs(ratio - median))) / median + float((ratio <= 0.0).mean())
 
 
-def _extruding(lines: Iterable[Line]) -> Iterable[tuple[float, float, float]]:
-    """Path, E and the E before (nan: unknown) of moves with E, until M82 or M83."""
+def _extruding_moves(lines: Iterable[Line]) -> Iterator[tuple[float, float, float]]:
+    """Yield path length, E and the E before (nan: unknown) of moves with E, up to M82 or M83."""
     at = {"X": math.nan, "Y": math.nan}
     absolute, before = True, math.nan
     for line in lines:
@@ -60,7 +58,7 @@ def _extruding(lines: Iterable[Line]) -> Iterable[tuple[float, float, float]]:
             coded = command(line)
             words = numbers_among(line, coded.arguments, "XYE") if coded else {}
         except GcodeError:
-            return  # the reader will say so
+            return  # the reader reports it when it comes to this line
         if coded is None:
             continue
         if coded.name in ("M82", "M83"):

@@ -11,10 +11,8 @@ from typing import NamedTuple
 
 from hframe_post.errors import GcodeError
 
-_NUMBER = rb"([-+.\d]+)"
-PLAIN_MOVE = re.compile(  # as slicers write it, words in their order; all else is read slowly
-    rb"G([01])(?: F%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?\s*(?:;.*)?$" % ((_NUMBER,) * 6)
-)
+Words = dict[str, float]  # letter → number
+
 _BRACKET = re.compile(rb"[()]")
 _COMMAND = re.compile(rb"\s*([Nn]\s*\d+\s*)?([GMTgmt])\s*(\d{1,9})(?!\d)(?:\.(\d{1,9})(?!\d))?")
 _CHECKSUM = re.compile(rb"\*\s*(\d{1,9})\s*$")
@@ -23,16 +21,13 @@ _EXTENDED = re.compile(rb"\s*(?:[Nn]\d+\s*)?[A-Za-z_]\w+(?:\s+|$)([^#*;]*)")
 
 
 class Line(NamedTuple):
-    """A line of the file: its number, from 1, and its text without the line feed.
-
-    A tuple, since one is made for every line of files of a million.
-    """
+    """A line of the file: its number, from 1, and its text without the line feed."""
 
     number: int
     text: bytes
 
     def error(self, cause: str) -> GcodeError:
-        """The error that names this line."""
+        """Return an error that names this line; the caller raises it."""
         return GcodeError(cause, self.number, self.text)
 
 
@@ -44,7 +39,7 @@ class Command(NamedTuple):
 
 
 def uncommented(text: bytes) -> bytes:
-    """The line without comments of either form, nested ones included."""
+    """Return the line without comments of either form, nested ones included."""
     if b"(" not in text:
         return text.partition(b";")[0]
     opened: list[int] = []
@@ -69,9 +64,9 @@ def uncommented(text: bytes) -> bytes:
 
 
 def command(line: Line) -> Command | None:
-    """The coded command of a line, None where it has none.
+    """Return the coded command (G, M or T) of a line, or None if it has none.
 
-    Raises GcodeError where the checksum of a numbered line does not hold.
+    Raises GcodeError where the checksum of a numbered line is wrong.
     """
     body = uncommented(line.text)
     match = _COMMAND.match(body)
@@ -79,66 +74,65 @@ def command(line: Line) -> Command | None:
         return None
     numbered, letter, code, sub = match.groups()
     arguments = body[match.end() :]
-    if (checksum := _CHECKSUM.search(arguments)) is not None:
-        # without a number a line has no checksum: it may be a text, and firmware ignores it
+    if b"*" in arguments and (checksum := _CHECKSUM.search(arguments)) is not None:
+        # Without a line number there is no checksum: it may be text, and firmware ignores it.
         if numbered and reduce(xor, body[: body.rindex(b"*")]) != int(checksum[1]):
-            raise line.error("the checksum does not hold")
+            raise line.error("the checksum is wrong")
         arguments = arguments[: checksum.start()]
     name = f"{letter.decode().upper()}{int(code)}" + (f".{int(sub)}" if sub else "")
     return Command(name, arguments)
 
 
-def numbers(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
-    """Letter → number of a command's arguments; only ``letters`` may occur, each once."""
-    words = _words(arguments)
-    found = dict(words)
-    for key, _ in words:
-        if key not in letters:
-            raise line.error(f"the word {key} is not understood here")
-    if len(found) < len(words):
-        keys = [key for key, _ in words]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise line.error(f"the word {twice} occurs twice")
+def name_and_arguments(line: Line) -> tuple[str, bytes]:
+    """Return the name of a command or macro in upper case, and a coded command's arguments.
+
+    The name of a blank line or comment is empty. Raises GcodeError.
+    """
+    if (coded := command(line)) is not None:
+        return coded
+    words = uncommented(line.text).split(maxsplit=1)
+    return (words[0].decode("latin-1").upper() if words else ""), b""
+
+
+def numbers(line: Line, arguments: bytes, letters: str) -> Words:
+    """Return letter → number of a command's arguments.
+
+    Raises GcodeError if there is anything but ``letters`` with numbers, each at most once.
+    """
+    found: Words = {}
+    for word, digits in _WORD.findall(arguments):
+        letter = word.decode().upper()
+        if letter not in letters:
+            raise line.error(f"unexpected word {letter}")
+        if letter in found:
+            raise line.error(f"the word {letter} occurs twice")
+        found[letter] = float(digits)
     if _WORD.sub(b"", arguments).strip():
         raise line.error("a word or number cannot be read")
     return _finite(line, found)
 
 
-def numbers_among(line: Line, arguments: bytes, letters: str) -> dict[str, float]:
-    """Letter → number of those words that are asked for, whatever else there is."""
-    return _finite(line, {key: number for key, number in _words(arguments) if key in letters})
-
-
-def _words(arguments: bytes) -> list[tuple[str, float]]:
-    """Letters, upper case, and numbers in their order."""
-    found = _WORD.findall(arguments)
-    return [(letter.decode().upper(), float(digits)) for letter, digits in found]
-
-
-def plain_words(line: Line, groups: tuple[bytes | None, ...]) -> tuple[float | None, ...]:
-    """F, x, y, z and e of what PLAIN_MOVE has matched; None where there is none."""
-    _, f, *places, f_last = groups
-    try:
-        return tuple(float(word) if word else None for word in (f or f_last, *places))
-    except ValueError:
-        raise line.error("a number cannot be read") from None
+def numbers_among(line: Line, arguments: bytes, letters: str) -> Words:
+    """Return letter → number of those words that are asked for; ignore the others."""
+    found = ((word.decode().upper(), float(digits)) for word, digits in _WORD.findall(arguments))
+    return _finite(line, {letter: number for letter, number in found if letter in letters})
 
 
 def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:
-    """NAME → number of those parameters of a Klipper command that are asked for.
+    """Return NAME → number of those parameters of a Klipper command that are asked for.
 
-    As Klipper reads them: quotes as in a shell, any number that Python knows, names in
-    either case, the last of equals.
+    They are read as Klipper reads them: quotes as in a shell, any number that Python accepts, names
+    in either case, the last one of equals. Raises GcodeError.
     """
     match = _EXTENDED.match(line.text)
     found = {}
     try:
         text = match[1].decode("latin-1") if match else ""
-        quoted = any(mark in text for mark in "'\"\\")  # few are, and splitting those is slow
+        quoted = any(mark in text for mark in "'\"\\")  # rare, and slow to split
         for part in shlex.split(text) if quoted else text.split():
             name, equals, value = part.partition("=")
             if not equals:
-                raise line.error(f"{part!r} is no NAME=value")
+                raise line.error(f"expected NAME=value instead of {part!r}")
             if name.upper() in names:
                 found[name.upper()] = float(value)
     except ValueError:
@@ -148,5 +142,5 @@ def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:
 
 def _finite(line: Line, found: dict[str, float]) -> dict[str, float]:
     if not all(map(math.isfinite, found.values())):
-        raise line.error("a number is out of all bounds")
+        raise line.error("a number is too large")
     return found

@@ -1,4 +1,4 @@
-"""The lines of a file, numbered, of which some can be seen before their turn."""
+"""The numbered lines of a file, some of which can be seen before their turn."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode.binary import MAGIC, as_text
 from hframe_post.gcode.lexer import Line
 
-LONGEST = 1 << 20  # bytes of a line; no slicer writes nearly as much, no firmware reads it
-AHEAD = 4000  # lines to be seen before their turn
-AHEAD_BYTES = 1 << 20
-BLOCK_BYTES = 1 << 18  # that are read at once
+MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
+MAX_LINES_AHEAD = 4000  # that can be seen before their turn
+MAX_BYTES_AHEAD = 1 << 20
+BYTES_PER_READ = 1 << 18
 
 
 def lines_of(file: IO[bytes]) -> Iterator[bytes]:
-    """The lines of a file, text or binary; of one that is too long, only as much as shows it."""
-    first = file.readline(LONGEST + 2)
+    """Yield the lines of a text or binary G-code file; a line that is too long is cut."""
+    first = file.readline(MAX_LINE_BYTES + 2)
     if first.startswith(MAGIC):
         with as_text(first, file) as text:
             yield from lines_of(text)
     elif first:
         yield first
-        yield from iter(lambda: file.readline(LONGEST + 2), b"")
+        yield from iter(lambda: file.readline(MAX_LINE_BYTES + 2), b"")
 
 
 def reread(path: Path) -> Callable[[], Iterator[bytes]]:
-    """What gives the lines of a file, from the first, each time that it is called."""
+    """Return a function that yields the lines of a file from the first, each time it is called."""
 
     def lines() -> Iterator[bytes]:
         with path.open("rb") as file:
@@ -39,47 +39,48 @@ def reread(path: Path) -> Callable[[], Iterator[bytes]]:
 
 
 class Lines:
-    """Iterates over ``Line``s. Raises GcodeError where this cannot be G-code.
+    """Iterator over ``Line``s that can look ahead. Raises GcodeError where this cannot be G-code.
 
-    cr_ends_lines: whether a carriage return inside a line ends it: what follows is then a
-    line of the same number. ``number``: of the last line. The source is read some lines ahead;
-    an error of its own is raised where it would have been without that.
+    cr_ends_lines: whether a carriage return inside a line ends it; what follows it is then another
+    line of the same number. ``number``: that of the last line. The source is read in blocks; an
+    error of its own is raised where it would have been without them.
     """
 
     def __init__(self, source: Iterable[bytes], cr_ends_lines: bool = False) -> None:
         self._source = iter(source)
         self._cr_ends_lines = cr_ends_lines
-        self._block, self._next = list[bytes](), 0  # lines read, of which so many are taken
-        self._text: bytes | None = None  # of the block
-        self._offset = 0  # where the next of them begins there
-        self._read = 0  # lines
-        self._error: Exception | None = None  # of the source, behind the block
-        self._held: deque[Line] = deque()
+        self._block: list[bytes] = []
+        self._next = 0  # index of the next line in the block
+        self._text: bytes | None = None  # the block as one text, if it was asked for
+        self._offset = 0  # of the next line in the text
+        self._lines_read = 0
+        self._error: Exception | None = None  # of the source, after the block
+        self._queue: deque[Line] = deque()  # lines seen before their turn
         self.number = 0
 
     def __iter__(self) -> Iterator[Line]:
-        held = self._held
-        while held or self._hold():
-            line = held.popleft()
+        queue = self._queue
+        while queue or self._read_line():
+            line = queue.popleft()
             self.number = line.number
             yield line
 
     def ahead(self) -> Iterator[Line]:
-        """The lines that come next, without taking them: a bounded number of them."""
+        """Yield the next lines without taking them: a limited number of them."""
         size, k = 0, 0
-        while k < AHEAD and size < AHEAD_BYTES:
-            if k >= len(self._held) and not self._hold():
+        while k < MAX_LINES_AHEAD and size < MAX_BYTES_AHEAD:
+            if k >= len(self._queue) and not self._read_line():
                 return
-            yield self._held[k]
-            size += len(self._held[k].text)
+            yield self._queue[k]
+            size += len(self._queue[k].text)
             k += 1
 
-    def text(self) -> tuple[bytes, int]:
-        """Some of what comes next: a text that ends with a line feed, from an offset on.
+    def upcoming(self) -> tuple[bytes, int]:
+        """Return a text that ends with a line feed, and the offset of the next line in it.
 
-        Empty where there is none, or what comes next has been seen ``ahead``.
+        The text is empty at the end of the file, or if the next line has been seen ``ahead``.
         """
-        if self._held or not (self._next < len(self._block) or self._fill()):
+        if self._queue or not (self._next < len(self._block) or self._read_block()):
             return b"", 0
         if self._text is None:
             ended = self._block if self._block[-1].endswith(b"\n") else self._block[:-1]
@@ -88,23 +89,22 @@ class Lines:
         return (self._text, self._offset) if self._offset < len(self._text) else (b"", 0)
 
     def skip(self, lines: int, size: int) -> None:
-        """So many lines and bytes of ``text`` have been taken."""
+        """Take so many lines and bytes of the ``upcoming`` text."""
         self._next, self._offset = self._next + lines, self._offset + size
-        self._read += lines
-        self.number = self._read
+        self._lines_read += lines
+        self.number = self._lines_read
 
-    def _hold(self) -> bool:
-        """One more line of the source is held; False after the last."""
-        if not (self._next < len(self._block) or self._fill()):
+    def _read_line(self) -> bool:
+        """Put one more line of the source into the queue; return False after the last."""
+        if not (self._next < len(self._block) or self._read_block()):
             return False
         raw = self._block[self._next]
         self._next, self._offset = self._next + 1, self._offset + len(raw)
-        self._read += 1
-        self._held.extend(self._parts(self._read, raw))
+        self._lines_read += 1
+        self._queue.extend(self._split(self._lines_read, raw))
         return True
 
-    def _fill(self) -> bool:
-        """The next block; False after the last."""
+    def _read_block(self) -> bool:
         if self._error is not None:
             raise self._error
         self._block, self._next, self._text, self._offset, size = [], 0, None, 0, 0
@@ -112,7 +112,7 @@ class Lines:
             for raw in self._source:
                 self._block.append(raw)
                 size += len(raw)
-                if size > BLOCK_BYTES:
+                if size > BYTES_PER_READ:
                     break
         except Exception as error:
             self._error = error
@@ -120,19 +120,15 @@ class Lines:
             raise self._error
         return bool(self._block)
 
-    def _parts(self, number: int, raw: bytes) -> Iterable[Line]:
-        """A line of the file: one, but for carriage returns."""
+    def _split(self, number: int, raw: bytes) -> Iterable[Line]:
+        """Return the lines in a line of the file: one, except for carriage returns."""
         text = raw.removesuffix(b"\n")
-        if len(text) > LONGEST:
-            raise GcodeError(f"a line of more than {LONGEST} characters", number, text[:80])
+        if len(text) > MAX_LINE_BYTES:
+            raise GcodeError(f"a line of more than {MAX_LINE_BYTES} bytes", number, text[:80])
         if number == 1:
-            text = _first(text)
+            if text.startswith(MAGIC):
+                raise GcodeError("this is binary G-code, not its text")
+            text = text.removeprefix(b"\xef\xbb\xbf")
         if self._cr_ends_lines and b"\r" in text[:-1]:
             return [Line(number, part) for part in text.removesuffix(b"\r").split(b"\r")]
         return (Line(number, text),)
-
-
-def _first(text: bytes) -> bytes:
-    if text.startswith(MAGIC):
-        raise GcodeError("this is binary G-code, not its text")
-    return text.removeprefix(b"\xef\xbb\xbf")

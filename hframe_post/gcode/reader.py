@@ -1,230 +1,336 @@
-"""Reads G-code: text → moves, moves in which x and y stand, and lines that pass through.
+"""The reader of G-code: text → moves, moves in which x and y stand still, and other lines.
 
 Rules:
- 1. A line that is not motion passes byte for byte and in order.
- 2. A line that would be misread as motion is an error, never a guess.
+ 1. A line that is not motion passes through byte for byte and in order.
+ 2. A line that could be misread as motion is an error; nothing is guessed.
  3. After a line whose motion cannot be known (homing, a macro, a tool change) the position
-    is unknown, and the next move goes to the firmware as it stands.
- 4. Lines that only set limits or the feed-rate factor are obeyed here and do not pass:
-    inside a dense stream the firmware would obey them a second time.
- 5. Firmware retraction becomes a move of filament where the profile tells what it is.
+    is unknown, and the next move passes through to the firmware.
+ 4. Lines that only set limits or the feed-rate factor are applied here and do not pass through:
+    inside a dense stream the firmware would apply them a second time.
+ 5. Firmware retraction becomes a move of filament where the profile gives its settings.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import chain, islice
 
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
-from hframe_post.gcode.batching import Gathering
-from hframe_post.gcode.bed import Bed
-from hframe_post.gcode.commands import Effect, Words
-from hframe_post.gcode.coordinates import AXES, Coordinates
-from hframe_post.gcode.feed import Feed
+from hframe_post.gcode.batching import (
+    MAX_FILAMENT,
+    MAX_FILAMENT_PER_PATH,
+    MIN_FEED,
+    MIN_PATH,
+    ItemBuilder,
+    PlainMoves,
+)
+from hframe_post.gcode.commands import Effect
+from hframe_post.gcode.curves import FARTHEST, check_curve, curve
+from hframe_post.gcode.extrusion import is_absolute
 from hframe_post.gcode.lexer import (
-    PLAIN_MOVE,
     Command,
     Line,
+    Words,
     command,
+    name_and_arguments,
     numbers,
     numbers_among,
     parameters,
     uncommented,
 )
-from hframe_post.gcode.limits import RequestedLimits
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.motion import Motion
-from hframe_post.gcode.options import ReadOptions
-from hframe_post.gcode.passthrough import Passing
-from hframe_post.gcode.plain_moves import PlainMoves
-from hframe_post.gcode.retraction import MACRO, PAIRED, PARAMETERS, SETTINGS, FirmwareRetraction
-from hframe_post.stream.types import Handling, Item, Standing
+from hframe_post.gcode.options import Bed, ReadOptions
+from hframe_post.gcode.retraction import (
+    KLIPPER_COMMAND,
+    KLIPPER_PARAMETERS,
+    MARLIN_WORDS,
+    FirmwareRetraction,
+)
+from hframe_post.gcode.state import AXES, State
+from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
-LONGEST_DWELL = 24 * 3600.0  # s
+MAX_DWELL = 24 * 3600.0  # s
+MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
+IMPOSSIBLE_FILAMENT_PER_PATH = 1e3
+LINES_TO_G11 = 500  # lines within which a G10 has its G11
+START_OF_FILE = "the start"  # the cause of an unknown position before the first command
 
 
 def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
-    """Items of a G-code file, streaming. lines: with or without line ends.
+    """Yield the items of a G-code file, streaming. lines: with or without line ends.
 
     Raises GcodeError, LimitError.
     """
     source = Lines(lines, options.dialect.cr_ends_lines)
-    reader = _Reader(options, source)
-    out, plain = reader.items.out, reader.plain
+    reader = _Reader(source, options)
+    ready = reader.items.ready
     for line in source:
-        match = PLAIN_MOVE.match(line.text)
-        if match is None:
-            reader.line(line)
-        else:
-            reader.motion.plain(line, match.groups())
-        if out:
-            yield from out
-            out.clear()
-        while plain.take():
-            yield from out
-            out.clear()
-    reader.finish(source.number)
-    yield from out
+        reader.apply(line)
+        if ready:
+            yield from ready
+            ready.clear()
+        while reader.apply_plain_moves():
+            yield from ready
+            ready.clear()
+    reader.finish()
+    yield from ready
 
 
 class _Reader:
-    """Takes line after line; what it has read is in ``items``."""
+    """Interpreter of lines: each one changes ``state``, and what it asks for goes to ``items``."""
 
-    def __init__(self, options: ReadOptions, source: Lines) -> None:
-        self._options, self._source = options, source
-        self._dialect = options.dialect
-        self._place = Coordinates(options.dialect, options.extrusion)
-        self._limits = RequestedLimits(options.dialect)
-        self._feed = Feed(options.dialect)
+    def __init__(self, source: Lines, options: ReadOptions) -> None:
+        self._source, self._options, self._dialect = source, options, options.dialect
+        self._state = State(options.dialect, options.extrusion)
+        self._bed = Bed(options.travel)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
-        self.items = Gathering(self._limits)
-        self._passing = Passing(source, self._place, self._feed, self.items)
-        bed, splines = Bed(options.travel), options.dialect.splines
-        self.motion = Motion(
-            self._place, self._feed, bed, self._limits, self.items, self._passing, splines
-        )
-        self.plain = PlainMoves(source, self._place, self._feed, bed, self.items)
+        self._plain_moves = PlainMoves(source, self._state, self._bed)
+        self._any_motion = False  # requested so far, even from unknown positions
+        self._ran_macro = False  # which may have set modes
+        self._cause = START_OF_FILE  # of the unknown position
+        self.items = ItemBuilder(self._state)
 
-    def line(self, line: Line) -> None:
-        """A line that is not a plain move."""
-        coded = command(line)
-        if coded is None:
-            self._uncoded(line)
-        elif coded.name in commands.MOTION_WORDS:
-            self._motion(line, coded)
-        elif coded.name in commands.MISREAD:
-            raise line.error(f"{coded.name}: {commands.MISREAD[coded.name]}")
-        elif coded.name in commands.LIMIT_WORDS:
-            words = numbers_among(line, coded.arguments, commands.LIMIT_WORDS[coded.name])
-            if coded.name == "M220":
-                self._feed.factor(line, coded.arguments, words)
-            else:
-                self._limit(line, coded.name, words)
-        elif coded.name in commands.MODAL:
-            self._place.set_mode(coded.name)
-            if coded.name != "G20":  # the output is in mm, and Klipper has no inches
-                self._passing.line(line, Handling.CARRY)
-        elif coded.name == "G4":
-            self._dwell(line, coded)
-        else:
-            self._other(line, coded.name, coded.arguments)
-
-    def _motion(self, line: Line, coded: Command) -> None:
-        """G0, G1, G2, G3, G5 and G92, written in any way."""
-        words = numbers(line, coded.arguments, commands.MOTION_WORDS[coded.name])
-        if "F" in words:
-            self._feed.set(line, words.pop("F"), self._place.scale)
-        if coded.name == "G92":
-            if not self._place.redefine(words):
-                raise line.error("G92 names known and unknown positions at once")
-            # that of E alone is harmless in the stream, whose E is relative
-            only_e = words.keys() == {"E"}
-            self._passing.line(line, Handling.CARRY if only_e else Handling.RELEASE)
-        elif coded.name in ("G2", "G3"):
-            self.motion.arc(line, words, ccw=coded.name == "G3")
-        elif coded.name == "G5":
-            self.motion.spline(line, words)
-        elif words:
-            self.motion.straight(line, *(words.get(axis) for axis in AXES))
-
-    def _limit(self, line: Line, name: str, words: Words) -> None:
-        """M201, M203, M204, M205 or SET_VELOCITY_LIMIT."""
-        obeyed = self._options.limits
-        if obeyed == "file-all" or (obeyed == "file" and name in self._dialect.obeyed):
-            if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
-                self.items.flush()  # these limits hold for all moves of an item
-            self._limits.take(line, name, words)
-
-    def _dwell(self, line: Line, coded: Command) -> None:
-        seconds = self._dialect.dwell(numbers_among(line, coded.arguments, "PS"))
-        if not 0.0 <= seconds <= LONGEST_DWELL:
-            raise line.error(f"a dwell lasts from 0 to {LONGEST_DWELL / 3600.0:g} h")
-        self._passing.line(line, Handling.REST, seconds)
-
-    def _uncoded(self, line: Line) -> None:
-        """A comment, a Klipper macro or anything that is not G, M or T."""
-        if line.text.startswith(commands.STAMP):
-            raise line.error("this file has been through hframe-post already")
-        if b"\0" in line.text:
-            raise GcodeError("this is not a text file", line.number)
-        words = uncommented(line.text).split(maxsplit=1)
-        if not words or words == [b"%"]:
-            self._passing.line(line, Handling.CARRY)
-            return
-        name = words[0].decode("latin-1").upper()
-        if name == commands.LIMITS:
-            self._limit(line, name, parameters(line, commands.LIMIT_PARAMETERS))
-        else:
-            self._other(line, name)
-
-    def _other(self, line: Line, name: str, arguments: bytes = b"") -> None:
-        """A command or macro that is neither motion, mode nor limit."""
-        if self._retracts(line, name, arguments):
-            return
-        effect = self._options.vocabulary.effect(name, arguments)
-        if name == "M486" and self._dialect.rejoins:  # S goes to an object, which may be left out
-            effect = Effect.WAITS
-        waits = name in ("G10", "G11") and effect is Effect.WAITS
-        self._passing.line(line, effect.handling, self._retraction.seconds(name) if waits else 0.0)
-        if effect is not Effect.UNKNOWN:
-            return
-        self._passing.cause = name[:40]
-        self._retraction.lost()
-        if name == "G28":
-            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
-            self._place.forget(homed or range(3), homed=True)
-        else:
-            self._place.forget()
-            self._passing.ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
-
-    def _retracts(self, line: Line, name: str, arguments: bytes) -> bool:
-        """Whether it is a G10 or G11 that is made a move of filament here.
-
-        The file's own count of filament knows nothing of it.
-        """
-        if name == MACRO:
-            self._retraction.set(name, parameters(line, PARAMETERS))
-        elif name in SETTINGS:
-            self._retraction.set(name, numbers_among(line, arguments, SETTINGS[name]))
-        place = self._place
-        if name not in ("G10", "G11") or arguments.strip():
+    def apply_plain_moves(self) -> bool:
+        """Apply the plain moves that come next; return False if there are none."""
+        start = self._state.position
+        rows = self._plain_moves.take(self.items.free)
+        if rows is None:
             return False
-        paired = self._options.retraction is not None and all(place.known) and self._paired()
-        if (moved := self._retraction.of(name, paired)) is None:
-            return False
-        filament, speed = moved
-        if filament:
-            x, y, z, e = old = place.position
-            place.position = new = (x, y, z, e + filament)
-            ox, oy, oz, oe = place.offset
-            place.offset = (ox, oy, oz, oe + filament)
-            speed = min(speed * self._feed.multiplier, self._limits.axes.velocity[3])
-            self.items.stand(Standing(line.number, old, new, speed))
+        self.items.add_rows(start, rows)
         return True
 
-    def _paired(self) -> bool:
-        """Whether a G11 comes before anything that may move the machine or retract itself."""
-        known = commands.MOTION_WORDS.keys() | commands.LIMIT_WORDS.keys() | commands.MODAL
-        for line in islice(self._source.ahead(), PAIRED):
-            coded = command(line)
-            if coded is not None:
-                name, arguments = coded.name, coded.arguments
+    def apply(self, line: Line) -> None:
+        """Apply one line, whatever it is. Raises GcodeError, LimitError."""
+        coded = command(line)
+        if coded is None:
+            self._apply_uncoded(line)
+            return
+        name, arguments = coded
+        if name in commands.MOTION_WORDS:
+            words = numbers(line, arguments, commands.MOTION_WORDS[name])
+            self._apply_motion(line, name, words)
+        elif name in commands.UNSUPPORTED:
+            raise line.error(f"{name}: {commands.UNSUPPORTED[name]} are not supported")
+        elif name in commands.LIMIT_WORDS:
+            words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
+            if name == "M220":
+                self._state.set_factor(line, arguments, words)
             else:
-                words = uncommented(line.text).split(maxsplit=1)
-                name, arguments = words[0].decode("latin-1").upper() if words else "", b""
+                self._apply_limit(line, name, words)
+        elif name in commands.MODAL:
+            self._state.set_mode(name)
+            if name != "G20":  # the output is in mm, and Klipper has no inches
+                self._pass_through(line, Handling.CARRY)
+        elif name == "G4":
+            self._apply_dwell(line, coded)
+        else:
+            self._apply_other(line, name, arguments)
+
+    def finish(self) -> None:
+        """Apply the end of the file: complete the last item, and report the final modes."""
+        number = self._source.number
+        if not number:
+            raise GcodeError("the file is empty")
+        if not (self._any_motion or self.items.any_motion):
+            raise GcodeError("there is not a single move in this file", number)
+        self._pass_through(Line(number, b""), Handling.RELEASE)
+
+    # ------------------------------------------------------------------ motion
+
+    def _apply_motion(self, line: Line, name: str, words: Words) -> None:
+        """Apply G0, G1, G2, G3, G5 or G92."""
+        state = self._state
+        if "F" in words:
+            state.set_feed(line, words.pop("F"))
+            if state.feed < MIN_FEED:
+                raise line.error(f"the feed rate must be at least {60.0 * MIN_FEED:g} mm/min")
+        if name == "G92":
+            state.rename_position(line, words)
+            # The stream's E is relative, so a new name of E alone is harmless in it.
+            only_e = words.keys() == {"E"}
+            self._pass_through(line, Handling.CARRY if only_e else Handling.RELEASE)
+            return
+        straight = name in ("G0", "G1")
+        if straight and not words:
+            return
+        if not straight:
+            check_curve(line, name, words, state)
+        start, end = state.position, self._end(line, words)
+        if not state.starts_known(words):
+            self._pass_move_through(line, name, words, end)
+        elif not straight:
+            for x, y, z, e in curve(line, name, words, state, end).tolist():
+                self._travel(line, (x, y, z, e))
+        elif end[:2] != start[:2]:
+            self._travel(line, end)
+        elif end != start:
+            lifts = end[2] != start[2]
+            if lifts:
+                self._bed.check(line, 2, end[2])
+            self._stand(line, end, state.axes.velocity[2 if lifts else 3])
+            state.position = end
+
+    def _end(self, line: Line, words: Words) -> Position:
+        """Return where a move leads, on the bed or not."""
+        state = self._state
+        if "E" in words and not state.e_mode_known:
+            state.set_e_mode(self._detect_absolute_e(line))
+        end = state.target(words)
+        self._any_motion = True
+        if not (min(end) > -FARTHEST and max(end) < FARTHEST):
+            raise line.error("a coordinate is too large")
+        if abs(end[3] - state.position[3]) > MAX_FILAMENT:
+            raise line.error(f"more than {MAX_FILAMENT:g} mm of filament in one move")
+        return end
+
+    def _travel(self, line: Line, end: Position) -> None:
+        """Add a move in which x or y changes, unless it is too short to be one."""
+        for axis in range(3):
+            self._bed.check(line, axis, end[axis])
+        state = self._state
+        start = state.position
+        path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
+        if path < MIN_WRITTEN_PATH and filament > MAX_FILAMENT_PER_PATH * path:
+            self._stand(line, (*start[:3], end[3]), state.axes.velocity[3])
+        elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
+            raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
+        elif path > MIN_PATH:
+            self.items.add_move(line.number, start, end, state.speed)
+        state.position = end
+
+    def _stand(self, line: Line, end: Position, max_speed: float) -> None:
+        """Add a move in which x and y stand still."""
+        state = self._state
+        move = Standing(line.number, state.position, end, min(state.speed, max_speed))
+        self.items.add_standing(move)
+
+    def _pass_move_through(self, line: Line, name: str, words: Words, end: Position) -> None:
+        """Leave a move from an unknown position to the firmware; what it names is known then."""
+        state = self._state
+        if name == "G5" and not self._dialect.splines:
+            raise line.error("a spline from an unknown position; add a G1 with X and Y before it")
+        if state.scale != 1.0:  # the output is in mm
+            raise line.error("a move in inches from an unknown position; use mm (G21) here")
+        if state.absolute:
+            for axis, letter in enumerate("XYZ"):
+                if letter in words:
+                    self._bed.check(line, axis, end[axis])
+        path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
+        self._pass_through(line, Handling.RELEASE, filament=filament, path=path, cause=self._cause)
+        state.arrive(end, words)
+
+    # ------------------------------------------------------------------ other commands
+
+    def _apply_limit(self, line: Line, name: str, words: Words) -> None:
+        """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT."""
+        source = self._options.limits
+        if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
+            if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
+                self.items.flush()  # these limits hold for all moves of an item
+            self._state.set_limits(line, name, words)
+
+    def _apply_dwell(self, line: Line, coded: Command) -> None:
+        seconds = self._dialect.dwell(numbers_among(line, coded.arguments, "PS"))
+        if not 0.0 <= seconds <= MAX_DWELL:
+            raise line.error(f"a dwell must last from 0 to {MAX_DWELL / 3600.0:g} h")
+        self._pass_through(line, Handling.REST, seconds)
+
+    def _apply_uncoded(self, line: Line) -> None:
+        """Apply a comment, a Klipper macro or anything that is not G, M or T."""
+        if line.text.startswith(commands.STAMP):
+            raise line.error("hframe-post has already processed this file; use the slicer's file")
+        if b"\0" in line.text:
+            raise GcodeError("this is not a text file", line.number)
+        if uncommented(line.text).strip() in (b"", b"%"):
+            self._pass_through(line, Handling.CARRY)
+            return
+        name, _ = name_and_arguments(line)
+        if name == commands.LIMITS:
+            self._apply_limit(line, name, parameters(line, commands.LIMIT_PARAMETERS))
+        else:
+            self._apply_other(line, name)
+
+    def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
+        """Apply a command or macro that is neither motion, mode nor limit."""
+        if name == KLIPPER_COMMAND:
+            self._retraction.set(name, parameters(line, KLIPPER_PARAMETERS))
+        elif name in MARLIN_WORDS:
+            self._retraction.set(name, numbers_among(line, arguments, MARLIN_WORDS[name]))
+        retracts = name in ("G10", "G11") and not arguments.strip()
+        if retracts and self._apply_retraction(line, name):
+            return
+        effect = self._options.vocabulary.effect(name, arguments)
+        if name == "M486" and self._dialect.rejoins_after_object:
+            effect = Effect.WAITS  # S starts an object, which the firmware may skip
+        waits = name in ("G10", "G11") and effect is Effect.WAITS
+        seconds = self._retraction.duration(name) if waits else 0.0
+        self._pass_through(line, effect.handling, seconds)
+        if effect is not Effect.UNKNOWN:
+            return
+        self._cause = name[:40]
+        self._retraction.forget()
+        if name == "G28":
+            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
+            self._state.forget(homed or range(3), homed=True)
+        else:
+            self._state.forget()
+            self._ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
+
+    def _apply_retraction(self, line: Line, name: str) -> bool:
+        """Turn G10 or G11 into a move of filament; return False if it must pass through."""
+        state = self._state
+        paired = self._options.retraction is not None and all(state.known) and self._g11_follows()
+        move = self._retraction.move(name, paired)
+        if move is None:
+            return False
+        filament, speed = move
+        if filament:
+            start = state.position
+            state.add_filament(filament)
+            speed = min(speed * state.factor, state.axes.velocity[3])
+            self.items.add_standing(Standing(line.number, start, state.position, speed))
+        return True
+
+    def _g11_follows(self) -> bool:
+        """Return whether a G11 comes before anything that may move the machine or retract."""
+        known = {"", commands.LIMITS, *commands.MODAL}
+        known |= commands.MOTION_WORDS.keys() | commands.LIMIT_WORDS.keys()
+        for line in islice(self._source.ahead(), LINES_TO_G11):
+            name, arguments = name_and_arguments(line)
             if name == "G11" and not arguments.strip():
                 return True
-            if not name or name == commands.LIMITS or name in known:
-                continue
-            if self._options.vocabulary.effect(name, arguments).handling is Handling.RELEASE:
+            effect = self._options.vocabulary.effect(name, arguments)
+            if name not in known and effect.handling is Handling.RELEASE:
                 return False
         return False
 
-    def finish(self, number: int) -> None:
-        """The end of the file: what is gathered, and the modes to leave behind."""
-        if not number:
-            raise GcodeError("the file is empty")
-        if not (self.motion.any or self.plain.taken):
-            raise GcodeError("there is not a single move in this file", number)
-        self._passing.line(Line(number, b""), Handling.RELEASE)
+    # ------------------------------------------------------------------ pass-through lines
+
+    def _pass_through(
+        self, line: Line, handling: Handling, seconds: float = 0.0, filament: float = 0.0,
+        path: float = 0.0, cause: str = "",
+    ) -> None:  # fmt: skip
+        """Add a pass-through line; see ``Passthrough`` for the arguments."""
+        state = self._state
+        unclear = self._ran_macro and not state.e_mode_known
+        if unclear and self.items.any_motion and handling is Handling.RELEASE:
+            # The stream has modes of its own; to leave it, those of the file must be known.
+            state.set_e_mode(self._detect_absolute_e(line))
+        modes = state.modal_state()
+        self.items.add_line(
+            Passthrough(line.number, line.text, handling, modes, seconds, filament, path, cause)
+        )
+
+    def _detect_absolute_e(self, line: Line) -> bool:
+        """Return whether E is absolute in a file that has not said so before its first E."""
+        absolute = is_absolute(chain([line], self._source.ahead()))
+        if absolute is False and self._ran_macro:
+            return False
+        if absolute or (absolute is None and not self._ran_macro):
+            return True
+        raise line.error(
+            "it is unclear whether E is absolute (M82) or relative (M83): nothing sets it before "
+            "this line, but a macro may have. Say --extrusion absolute or --extrusion relative"
+        )

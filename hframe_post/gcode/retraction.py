@@ -1,8 +1,8 @@
-"""Firmware retraction, G10 and G11, as moves of filament: what they do where the profile tells.
+"""Firmware retraction, G10 and G11, as moves of filament where the profile gives its settings.
 
-A firmware remembers that it has retracted, and ignores a second G10 or a lone G11. Whether it has
-is not known when a file begins, nor after a macro. So the first pair there is the firmware's own,
-and from its G11 on everything is known; and so is a pair with a macro between its two.
+A firmware remembers that it has retracted, and ignores a second G10 or a lone G11. Its state is
+unknown at the start of a file and after a macro. So the first G10 and G11 there pass through, and
+after that G11 the state is known. A pair with a macro in between passes through as well.
 """
 
 from __future__ import annotations
@@ -10,93 +10,85 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from hframe_post.gcode.commands import Dialect, Words
+from hframe_post.gcode.commands import Dialect
+from hframe_post.gcode.lexer import Words
 from hframe_post.printer.settings import Retraction
 
-USUAL = 0.06  # s of a retraction that only the firmware knows; half or twice of it is better than 0
-PAIRED = 500  # lines within which a G10 has its G11
-MACRO = "SET_RETRACTION"
-PARAMETERS = (
+DEFAULT_DURATION = 0.06  # s; half or twice of it is better than 0
+KLIPPER_COMMAND = "SET_RETRACTION"
+KLIPPER_PARAMETERS = (
     "RETRACT_LENGTH", "RETRACT_SPEED", "UNRETRACT_EXTRA_LENGTH", "UNRETRACT_SPEED", "Z_HOP_HEIGHT",
 )  # fmt: skip
-SETTINGS = {"M207": "SFZ", "M208": "SF"}  # of Marlin: mm, mm/min, mm of lift
+MARLIN_WORDS = {"M207": "SFZ", "M208": "SF"}  # mm, mm/min, mm of lift
 
 
 class FirmwareRetraction:
-    """What is set, and what is known of the filament.
+    """The retraction settings in force, and whether filament is retracted.
 
-    own: the profile's; None: all is left to the firmware.
+    settings: the profile's; None leaves every G10 and G11 to the firmware.
     """
 
-    def __init__(self, own: Retraction | None, dialect: Dialect) -> None:
-        self._own, self._dialect = own, dialect
-        self._known = False  # that the firmware itself holds nothing back
-        self._back = self._speed_back = 0.0  # mm that the next G11 brings, and how fast
+    def __init__(self, settings: Retraction | None, dialect: Dialect) -> None:
+        self._settings, self._dialect = settings, dialect
+        self._firmware_is_unretracted = False
+        self._retracted = 0.0  # mm that the next G11 returns
+        self._return_speed = 0.0  # mm/s
 
-    def lost(self) -> None:
-        """A macro may have retracted."""
-        self._known = False
+    def forget(self) -> None:
+        """Mark the firmware's state as unknown, since a macro may have retracted."""
+        self._firmware_is_unretracted = False
 
     def set(self, name: str, words: Words) -> None:
-        """SET_RETRACTION, M207 or M208, which the firmware obeys, too."""
-        own = self._own
-        klippers = self._dialect.name == "klipper"
-        if own is None or (name == MACRO) != klippers:
+        """Apply SET_RETRACTION, M207 or M208, which the firmware obeys, too."""
+        old = self._settings
+        if old is None or (name == KLIPPER_COMMAND) != (self._dialect.name == "klipper"):
             return
-        if not klippers and self._dialect.name != "marlin":  # whose words mean other things
-            self._own = None
-            return
-        if name == MACRO:
-            speeds = words.get("RETRACT_SPEED"), words.get("UNRETRACT_SPEED")
-            length, extra = words.get("RETRACT_LENGTH"), words.get("UNRETRACT_EXTRA_LENGTH")
+        if name == KLIPPER_COMMAND:
+            new = Retraction(
+                length=words.get("RETRACT_LENGTH", old.length),
+                extra=words.get("UNRETRACT_EXTRA_LENGTH", old.extra),
+                speed=words.get("RETRACT_SPEED") or old.speed,
+                return_speed=words.get("UNRETRACT_SPEED") or old.return_speed,
+            )
             lift = words.get("Z_HOP_HEIGHT", 0.0)
         else:
-            speed = words["F"] / 60.0 if "F" in words else None
-            first = name == "M207"
-            speeds = (speed, None) if first else (None, speed)
-            length, extra = (words.get("S"), None) if first else (None, words.get("S"))
-            lift = words.get("Z", 0.0)
-        self._own = replace(
-            own,
-            length=own.length if length is None else length,
-            extra=own.extra if extra is None else extra,
-            speed=speeds[0] or own.speed, return_speed=speeds[1] or own.return_speed,
-        )  # fmt: skip
-        if lift or not self._sound:  # lifts are the firmware's
-            self._own = None
+            speed, lift = words.get("F", 0.0) / 60.0, words.get("Z", 0.0)
+            if name == "M207":
+                length = words.get("S", old.length)
+                new = replace(old, length=length, speed=speed or old.speed)
+            else:
+                extra = words.get("S", old.extra)
+                new = replace(old, extra=extra, return_speed=speed or old.return_speed)
+        positive = (new.length, new.speed, new.length + new.extra)
+        usable = all(math.isfinite(value) and value > 0.0 for value in positive)
+        self._settings = new if usable and not lift else None  # only the firmware knows its lifts
 
-    def seconds(self, name: str) -> float:
-        """How long a G10 or G11 takes that passes, as far as can be told."""
-        own = self._own
-        if own is None:
-            return USUAL
+    def duration(self, name: str) -> float:
+        """Return the estimated seconds of a G10 or G11 that passes through."""
+        settings = self._settings
+        if settings is None:
+            return DEFAULT_DURATION
         if name == "G10":
-            return own.length / own.speed
-        return (own.length + own.extra) / (own.return_speed or own.speed)
+            return settings.length / settings.speed
+        speed = settings.return_speed or settings.speed
+        return (settings.length + settings.extra) / speed
 
-    @property
-    def _sound(self) -> bool:
-        own = self._own
-        return own is not None and all(
-            math.isfinite(v) and v > 0.0 for v in (own.length, own.speed, own.length + own.extra)
-        )
+    def move(self, name: str, paired: bool) -> tuple[float, float] | None:
+        """Return mm of filament and mm/s of a G10 or G11, or None if it must pass through.
 
-    def of(self, name: str, paired: bool) -> tuple[float, float] | None:
-        """mm of filament and mm/s of G10 or G11; 0 mm: nothing happens; None: let it pass.
-
-        paired: whether of a G10 the G11 is sure to come here.
+        0 mm means that nothing happens. paired: whether a G11 is sure to follow a G10.
         """
-        own, retracts = self._own, name == "G10"
-        if self._back:  # by a G10 that was written out, of which the firmware knows nothing
+        settings, retracts = self._settings, name == "G10"
+        if self._retracted:  # by a G10 that was written as a move, unknown to the firmware
             if retracts:
                 return 0.0, 1.0
-            filament, self._back = self._back, 0.0
-            return filament, self._speed_back
-        if own is None or not self._known or (retracts and not paired):
-            self._known = not retracts
+            filament, self._retracted = self._retracted, 0.0
+            return filament, self._return_speed
+        if settings is None or not self._firmware_is_unretracted or (retracts and not paired):
+            self._firmware_is_unretracted = not retracts
             return None
         if not retracts:
             return 0.0, 1.0
-        self._back = own.length + own.extra
-        self._speed_back = own.return_speed or own.speed
-        return -own.length, own.speed
+        self._retracted = settings.length + settings.extra
+        self._return_speed = settings.return_speed or settings.speed
+        return -settings.length, settings.speed

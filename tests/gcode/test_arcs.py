@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.gcode import arcs
+from hframe_post.gcode import curves
 from hframe_post.stream.types import Moves
 from tests.gcode.reading import ends, items, moves
 
@@ -48,12 +48,12 @@ def test_numbers_of_a_slicer_go_round_the_centre_that_they_give(
     end = rounded((100 + radius * math.cos(angle + sweep), 100 + radius * math.sin(angle + sweep)))
     offset = rounded((100 - start[0], 100 - start[1]))
     centre = start[0] + offset[0], start[1] + offset[1]
-    arc = arcs.arc(start, end, centre, ccw)
+    arc = curves.arc(start, end, centre, ccw)
     assert arc is not None
     points, shares = arc.chords()
     assert points[-1] == pytest.approx(end, abs=1e-9)
     assert (shares[-1], shares[0] > 0.0) == (1.0, True)
-    assert off_circle(points, start, centre) <= arcs.TOLERANCE + abs(np.diff(arc.radii))[0] + 1e-9
+    assert off_circle(points, start, centre) <= curves.TOLERANCE + abs(np.diff(arc.radii))[0] + 1e-9
     if radius * math.tau * min(share, 1.0 - share) > 0.01:  # else rounding decides which way
         assert turned(points, start, centre) == pytest.approx(sweep / math.tau, abs=0.01 / radius)
 
@@ -70,7 +70,7 @@ def test_nearly_full_and_full_circles_keep_their_centre(
 ) -> None:
     points = np.array(ends(f"G1 X{start[0]} Y{start[1]}", line))[1:, :2]
     centre = start[0] + offset[0], start[1] + offset[1]
-    assert off_circle(points, start, centre) <= arcs.TOLERANCE + 1e-3
+    assert off_circle(points, start, centre) <= curves.TOLERANCE + 1e-3
     assert turned(points, start, centre) == pytest.approx(1.0, abs=0.01)
 
 
@@ -91,7 +91,7 @@ def test_a_spiral_lift_is_one_turn() -> None:
 
 def test_arcs_in_relative_coordinates() -> None:
     points = np.array(ends("G1 X30 Y30", "G91", "G2 X10 Y0 I5 J0 E1", "G90", "G1 X0"))[1:-1]
-    assert off_circle(points[:, :2], (30.0, 30.0), (35.0, 30.0)) <= arcs.TOLERANCE + 1e-9
+    assert off_circle(points[:, :2], (30.0, 30.0), (35.0, 30.0)) <= curves.TOLERANCE + 1e-9
     assert points[-1].tolist() == [40, 30, 0, 1]
 
 
@@ -139,14 +139,14 @@ PLACES = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0))
 
 @given(PLACES, PLACES, PLACES, PLACES)
 def test_splines_stay_within_the_tolerance(a: Point, b: Point, c: Point, d: Point) -> None:
-    points, share = arcs.spline(a, b, c, d)
+    points, share = curves.spline(a, b, c, d)
     assert points[-1] == pytest.approx(d, abs=1e-9)
     assert share[-1] == pytest.approx(1.0)
     whole = np.vstack([a, points])
     k = len(points)
     middles = bezier(np.array([a, b, c, d]), (np.arange(k) + 0.5) / k)
     chords = (whole[1:] + whole[:-1]) / 2
-    assert np.hypot(*(middles - chords).T).max() <= arcs.TOLERANCE * 1.001
+    assert np.hypot(*(middles - chords).T).max() <= curves.TOLERANCE * 1.001
 
 
 def test_g5_has_control_points_relative_to_its_ends() -> None:

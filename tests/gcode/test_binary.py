@@ -48,7 +48,7 @@ def test_what_is_cut_or_changed_is_an_error(cut: float) -> None:
     packed = binary()
     at = int(cut if cut >= 1 else cut * len(packed))
     for broken in (packed[:at], packed[:at] + bytes([packed[at] ^ 255]) + packed[at + 1 :]):
-        with pytest.raises(GcodeError, match="binary G-code that cannot be read"):
+        with pytest.raises(GcodeError, match="binary G-code cannot be read"):
             list(lines_of(io.BytesIO(broken)))
 
 
@@ -85,5 +85,5 @@ def test_without_the_library_the_refusal_says_what_to_do(
 ) -> None:
     packed = binary()
     monkeypatch.setitem(sys.modules, "pybgcode", None)
-    with pytest.raises(HframeError, match=r"binary G-code: pip install 'hframe-post\[bgcode\]'"):
+    with pytest.raises(HframeError, match=r"run pip install 'hframe-post\[bgcode\]'"):
         list(lines_of(io.BytesIO(packed)))

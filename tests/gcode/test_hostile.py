@@ -102,15 +102,15 @@ def test_carried_lines_without_end_are_released_now_and_then(line: bytes) -> Non
         held += len(item.marks) if isinstance(item, Moves) else 1
         most = max(most, held)
     assert 3 <= released < 30
-    assert most * batching.PER_LINE <= 1.1 * batching.CARRIED_AT_ONCE
+    assert most * batching.BYTES_PER_MARK <= 1.1 * batching.MAX_MARK_BYTES
     assert isinstance(item, Passthrough)
     assert item.line == 100_005
 
 
 def test_lines_longer_than_any_slicer_writes_are_refused() -> None:
-    assert items(*HOME, ";" + "x" * (lines.LONGEST - 1))
+    assert items(*HOME, ";" + "x" * (lines.MAX_LINE_BYTES - 1))
     with pytest.raises(GcodeError, match="line 4: a line of more than"):
-        items(*HOME, ";" + "x" * lines.LONGEST)
+        items(*HOME, ";" + "x" * lines.MAX_LINE_BYTES)
 
 
 # ---------------------------------------------------------------------- the bed

@@ -8,7 +8,7 @@ from hframe_post.arrays import E
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.gcode.retraction import USUAL
+from hframe_post.gcode.retraction import DEFAULT_DURATION
 from hframe_post.printer.settings import Retraction
 from hframe_post.stream.types import Item, Moves, Passthrough, Standing
 
@@ -103,5 +103,5 @@ def test_what_passes_is_believed_to_take_its_time() -> None:
         items = found(["G28", "G10", "G11", "G1 X1 Y1 Z1"], own)[2]
         return [i.seconds for i in items if isinstance(i, Passthrough)][1:3]
 
-    assert seconds(None) == [USUAL, USUAL]
+    assert seconds(None) == [DEFAULT_DURATION, DEFAULT_DURATION]
     assert seconds(OWN) == pytest.approx([0.8 / 40.0, 0.9 / 30.0])

@@ -117,7 +117,7 @@ def test_arcs_are_paths_however_given() -> None:
 
 
 def test_what_cannot_be_read_says_in_which_file() -> None:
-    with pytest.raises(GcodeError, match="b: line 3: a number cannot be read"):
+    with pytest.raises(GcodeError, match="b: line 3: a word or number cannot be read"):
         compared(PART, changed(b"X10 Y10 F6000", b"X1.0.0 Y10"))
 
 

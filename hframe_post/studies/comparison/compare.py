@@ -17,8 +17,8 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, one_line
 from hframe_post.gcode.commands import Dialect
-from hframe_post.gcode.coordinates import AXES
 from hframe_post.gcode.lexer import Line, command, numbers
+from hframe_post.gcode.state import AXES
 from hframe_post.studies.comparison.motion_file import Section, sections
 
 DRIFT = 1e-4  # of the time of all motion, by which rounded feed rates may add up

@@ -1,8 +1,8 @@
-"""A G-code file as motion in nominal time, cut where a line is anything but a move.
+"""The motion of a G-code file in nominal time, cut at every line that is not a move.
 
-Nominal time is length over feed rate: a firmware's ramps are left out, alike in all files. Inside
-a stream they are not alike, since they depend on how it was cut into segments, and its feed
-rates have them in mind; so there they count, with the limits that the stream itself sets.
+Nominal time is length over feed rate. Firmware's ramps are left out: they are alike in all files,
+except inside a stream of this tool. There they depend on how motion was cut into segments, and its
+feed rates allow for them; so there they count, with the limits that the stream itself sets.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from hframe_post.arrays import Array, E, Integers, Z, lengths
+from hframe_post.errors import GcodeError
 from hframe_post.firmware import ramps
-from hframe_post.gcode import arcs
+from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
 from hframe_post.gcode.commands import (
     LIMIT_PARAMETERS,
     LIMITS,
@@ -24,34 +25,25 @@ from hframe_post.gcode.commands import (
     MOTION_WORDS,
     STAMP,
     Dialect,
-    Words,
 )
-from hframe_post.gcode.coordinates import AXES, Coordinates
-from hframe_post.gcode.feed import DEFAULT_FEED
-from hframe_post.gcode.lexer import (
-    PLAIN_MOVE,
-    Command,
-    Line,
-    command,
-    numbers,
-    parameters,
-    plain_words,
-)
-from hframe_post.gcode.motion import MOST_TURNS
+from hframe_post.gcode.curves import check_curve, curve
+from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
+from hframe_post.gcode.lines import Lines
+from hframe_post.gcode.options import Bed
+from hframe_post.gcode.state import AXES, State
 from hframe_post.model import cornering
-from hframe_post.stream.types import Position, frozen
+from hframe_post.stream.types import frozen
 
-EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, by default; no file tells it
-COLUMNS = 6  # of a vertex: source line, nominal time, x, y, z, e
+EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """n moves that follow each other, and the line that ends them.
+    """n consecutive moves, and the line that ends them.
 
     line (n,): source lines. time (n + 1,): from the section's start, s, ascending. xyze
-    (n + 1, 4): places, mm; e is all filament since the start of the file. closing: the line
-    after them, None at the end of the file.
+    (n + 1, 4): positions, mm; e is all filament since the start of the file. closing: the line
+    after them; None at the end of the file.
     """
 
     line: Integers
@@ -61,148 +53,127 @@ class Section:
 
 
 def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[Section]:
-    """The file in sections, streaming. Raises GcodeError.
+    """Yield the file in sections, streaming. Raises GcodeError.
 
-    A dwell (G4) is motion too, that stays where it is: its length depends on how motion was cut.
-    What a move's own comment says is left out, and so is the stamp of this tool.
+    A dwell (G4) counts as motion that stays in place: its length depends on how motion was cut.
+    Comments behind moves are left out, and so is the stamp of this tool.
     """
-    reader = _Reader(dialect, Coordinates(dialect))
-    for number, raw in enumerate(lines, 1):
-        line = Line(number, raw.removeprefix(b"\xef\xbb\xbf").rstrip())
-        plain = PLAIN_MOVE.match(line.text)
-        if plain is not None:
-            reader.plain_move(line, plain.groups())
-        elif not (line.text.startswith(STAMP) or reader.moves(line)):
-            yield reader.section(line)
+    source = Lines(lines, dialect.cr_ends_lines)
+    reader = _Reader(source, dialect)
+    for line in source:
+        moves = reader.apply(line)
+        if not (moves or line.text.startswith(STAMP)):
+            yield reader.section(line._replace(text=line.text.rstrip()))
+        reader.apply_plain_moves()
     yield reader.section(None)
 
 
-@dataclass
 class _Reader:
-    """Follows the file; vertices since the last section are in rows of COLUMNS numbers."""
+    """Interpreter of lines: each one changes ``state``, and its motion goes to ``rows``."""
 
-    dialect: Dialect
-    place: Coordinates
-    feed: float = DEFAULT_FEED
-    limits: Words = field(default_factory=dict)  # those of SET_VELOCITY_LIMIT so far
-    rows: array[float] = field(default_factory=lambda: array("d"))
-
-    def __post_init__(self) -> None:
-        self.place.known = (True, True, True)  # what both files make of a homed machine is alike
+    def __init__(self, source: Lines, dialect: Dialect) -> None:
+        self._dialect = dialect
+        self._state = State(dialect, "absolute")
+        self._state.known = (True, True, True)  # both files treat an unhomed machine alike
+        self._plain_moves = PlainMoves(source, self._state, Bed(None))
+        self._limits: Words = {}  # by SET_VELOCITY_LIMIT so far
         self._begin()
-
-    def plain_move(self, line: Line, groups: tuple[bytes | None, ...]) -> None:
-        """G0 or G1 with its words in the usual order."""
-        f, *places = plain_words(line, groups)
-        if f is not None:
-            self._set_feed(line, f)
-        self._go(line, self.place.target(*places))
-
-    def moves(self, line: Line) -> bool:
-        """Whether any other line is a move; what it means is taken in."""
-        coded = command(line)
-        if coded is None:
-            return False
-        if coded.name in MOTION_WORDS:
-            return self._motion(line, coded)
-        if coded.name == "G4":
-            seconds = self.dialect.dwell(numbers(line, coded.arguments, "PS"))
-            self._spend(line, self.place.position, seconds)
-            return True
-        if coded.name in MODAL:
-            self.place.set_mode(coded.name)
-        elif coded.name == "G28":
-            named = [axis for axis in range(3) if AXES[axis].encode() in coded.arguments.upper()]
-            self.place.forget(named or range(3), homed=True)
-            self.place.known = (True, True, True)
-        return False
-
-    def _motion(self, line: Line, coded: Command) -> bool:
-        words = numbers(line, coded.arguments, MOTION_WORDS[coded.name])
-        if "F" in words:
-            self._set_feed(line, words.pop("F"))
-        if coded.name == "G92":
-            self.place.redefine(words)
-            return False
-        end = self.place.target(*(words.get(axis) for axis in AXES))
-        if coded.name not in ("G0", "G1"):
-            return self._curve(line, words, end, coded.name)
-        self._go(line, end)
-        return True
-
-    def _curve(self, line: Line, words: Words, end: Position, name: str) -> bool:
-        """G2, G3 or G5; one that does not fit the place it starts from is a line like others."""
-        place = self.place
-        start, scale = place.position, place.scale
-        i, j, p, q = (words.get(letter, 0.0) * scale for letter in "IJPQ")
-        if name == "G5":
-            first, second = (start[0] + i, start[1] + j), (end[0] + p, end[1] + q)
-            points, share = arcs.spline(start[:2], first, second, end[:2])
-        else:
-            ccw, centre = name == "G3", (start[0] + i, start[1] + j)
-            ends = start[:2], end[:2]
-            by_radius = "R" in words and not {"I", "J"} & words.keys()
-            found = arcs.centre_of_radius(*ends, words["R"] * scale, ccw) if by_radius else centre
-            turns = int(min(max(words.get("P", 1.0), 1.0), MOST_TURNS))
-            arc = arcs.arc(*ends, found, ccw, turns) if found else None
-            if arc is None or not place.xy_plane:
-                place.position = end
-                return False
-            points, share = arc.chords()
-        z, e = (start[k] + share * (end[k] - start[k]) for k in (2, 3))
-        for x, y, z_k, e_k in np.column_stack([points, z, e]).tolist():
-            self._go(line, (x, y, z_k, e_k))
-        return True
-
-    def _set_feed(self, line: Line, feed: float) -> None:
-        if not 0.0 < feed < math.inf:
-            raise line.error("the feed rate must be positive")
-        self.feed = feed * self.place.scale / 60.0
-
-    def _go(self, line: Line, end: Position) -> None:
-        start = self.place.position
-        length = math.dist(start[:3], end[:3]) or abs(end[3] - start[3])
-        if not length < math.inf:
-            raise line.error("a coordinate is out of all bounds")
-        self._spend(line, end, length / self.feed)
-
-    def _spend(self, line: Line, end: Position, seconds: float) -> None:
-        if seconds > 0.0:
-            self._time += seconds
-            self.rows.extend((line.number, self._time, *end))
-            self.place.position = end
 
     def _begin(self) -> None:
         self._time = 0.0
-        self.rows = array("d", (0.0, 0.0, *self.place.position))
+        self._rows = array("d", (0.0, 0.0, *self._state.position))  # line, time, x, y, z, e
+
+    def apply_plain_moves(self) -> None:
+        """Apply the plain moves that come next."""
+        start = self._state.position
+        while (moves := self._plain_moves.take(MOVES_PER_ITEM)) is not None:
+            if len(moves):
+                points = np.vstack([start, moves[:, 1:5]])
+                seconds = lengths(np.diff(points[:, :E], axis=0)) / moves[:, 5]
+                time = np.cumsum(np.concatenate([[self._time], seconds]))[1:]
+                rows = np.column_stack([moves[:, 0], time, moves[:, 1:5]])
+                self._rows.frombytes(rows.tobytes())
+                self._time, start = float(time[-1]), self._state.position
+
+    def apply(self, line: Line) -> bool:
+        """Apply a line; return whether it is a move or a dwell."""
+        coded = command(line)
+        if coded is None:
+            return False
+        name, arguments = coded
+        state = self._state
+        if name in MOTION_WORDS:
+            return self._apply_motion(line, name, numbers(line, arguments, MOTION_WORDS[name]))
+        if name == "G4":
+            self._go(line, state.position, self._dialect.dwell(numbers(line, arguments, "PS")))
+            return True
+        if name in MODAL:
+            state.set_mode(name)
+        elif name == "G28":
+            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
+            state.forget(homed or range(3), homed=True)
+            state.known = (True, True, True)
+        return False
+
+    def _apply_motion(self, line: Line, name: str, words: Words) -> bool:
+        state = self._state
+        if "F" in words:
+            state.set_feed(line, words.pop("F"))
+        if name == "G92":
+            state.rename_position(line, words)
+            return False
+        end = state.target(words)
+        points = [end]
+        if name not in ("G0", "G1"):
+            try:
+                check_curve(line, name, words, state)
+                points = [
+                    (x, y, z, e) for x, y, z, e in curve(line, name, words, state, end).tolist()
+                ]
+            except GcodeError:  # an arc that does not fit the point it starts from
+                state.position = end
+                return False
+        for point in points:
+            start = state.position
+            length = math.dist(start[:3], point[:3]) or abs(point[3] - start[3])
+            if not length < math.inf:
+                raise line.error("a coordinate is too large")
+            self._go(line, point, length / state.feed)
+        return True
+
+    def _go(self, line: Line, end: tuple[float, float, float, float], seconds: float) -> None:
+        if seconds > 0.0:
+            self._time += seconds
+            self._rows.extend((line.number, self._time, *end))
+            self._state.position = end
 
     def section(self, closing: Line | None) -> Section:
-        """What has been gathered, ended by this line."""
-        table = np.array(self.rows).reshape(-1, COLUMNS)
-        time, places = table[:, 1].copy(), frozen(table[:, 2:].copy())
+        """Return the motion so far, ended by this line, and begin a new section."""
+        table = np.array(self._rows).reshape(-1, 6)
+        time, points = table[:, 1].copy(), frozen(table[:, 2:].copy())
         if self._in_stream and len(time) > 1:
-            time[1:] = np.cumsum(self._with_ramps(np.diff(places, axis=0), np.diff(time)))
+            time[1:] = np.cumsum(self._with_ramps(np.diff(points, axis=0), np.diff(time)))
         if closing is not None and closing.text.upper().startswith(LIMITS.encode()):
-            self.limits |= parameters(closing, LIMIT_PARAMETERS)
+            self._limits |= parameters(closing, LIMIT_PARAMETERS)
         self._begin()
-        return Section(table[1:, 0].astype(np.int64), frozen(time), places, closing)
+        return Section(table[1:, 0].astype(np.int64), frozen(time), points, closing)
 
     @property
     def _in_stream(self) -> bool:
-        """A slicer asks for no cruise ratio of 0, a stream always does."""
-        known = {"ACCEL", "SQUARE_CORNER_VELOCITY"} <= self.limits.keys()
-        return known and self.limits.get("MINIMUM_CRUISE_RATIO") == 0.0
+        """Return whether a stream has set the limits: only it asks for a cruise ratio of 0."""
+        known = {"ACCEL", "SQUARE_CORNER_VELOCITY"} <= self._limits.keys()
+        return known and self._limits.get("MINIMUM_CRUISE_RATIO") == 0.0
 
     def _with_ramps(self, delta: Array, nominal: Array) -> Array:
-        """Time (n,) that moves delta (n, 4) take instead of the nominal, s.
+        """Return the time (n,) in s of moves delta (n, 4), given their nominal time.
 
-        A line that cuts motion need not stop it; where it does, the moves beside it are slow.
+        The line that ends a section need not stop motion. Where it does, moves next to it are slow.
         """
-        a = np.full(len(delta), self.limits["ACCEL"])
+        a = np.full(len(delta), self._limits["ACCEL"])
         d = lengths(delta[:, :E])
         moves = (delta[:, :Z] != 0.0).any(axis=1)
-        d = np.where(moves, d, 1.0)  # mm, of anything
-        deviation = cornering.junction_deviation(self.limits["SQUARE_CORNER_VELOCITY"], a[0])
+        d = np.where(moves, d, 1.0)  # mm, any length
+        deviation = cornering.junction_deviation(self._limits["SQUARE_CORNER_VELOCITY"], a[0])
         inner = cornering.junction_speeds(delta, d, a, deviation, EXTRUDER_CORNER_VELOCITY)
         inside = np.where(moves[1:] & moves[:-1], inner, 0.0)
         caps = np.concatenate([[math.inf], inside, [math.inf]])

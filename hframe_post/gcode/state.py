@@ -1,0 +1,201 @@
+"""What the lines so far decide about the lines that follow: place, modes, feed rate, limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+from hframe_post.gcode.commands import Dialect
+from hframe_post.gcode.lexer import Line, Words
+from hframe_post.gcode.options import Extrusion
+from hframe_post.stream.types import FileLimits, ModalState, Position
+
+AXES = "XYZE"
+INCH = 25.4  # mm
+DEFAULT_FEED = 25.0  # mm/s, Klipper's feed rate before the first F
+MIN_FEED_FACTOR = 0.01
+MIN_VELOCITY_LIMIT = 0.1  # mm/s; below it a print would never end
+MIN_ACCELERATION_LIMIT = 1.0  # mm/s²
+LIMITS_THAT_MAY_BE_ZERO = {"M205", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
+
+
+class State:
+    """The modal state of a file: lengths in mm, times in s, whatever the file's units.
+
+    position: x, y, z on the machine, and e, all filament since the start of the file.
+    offset: position minus what the file calls it; G92 changes it.
+    known: whether x, y and z are certain; homing or a macro may have moved the machine.
+    e_mode_known: whether the file or the user has said if E is absolute.
+    scale: mm per unit of the file. feed: F as the file gives it. factor: M220.
+    acceleration, travel_acceleration: path accelerations requested for moves with and without
+    extrusion; corner: square-corner velocity; axes: limits of the axes. All are inf where the file
+    has requested none.
+    """
+
+    def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
+        self._dialect = dialect
+        self.absolute = self.xy_plane = True
+        self.absolute_e = extrusion != "relative"
+        self.e_mode_known = extrusion is not None
+        self.scale = 1.0
+        self.position: Position = (0.0, 0.0, 0.0, 0.0)
+        self.offset: Position = (0.0, 0.0, 0.0, 0.0)
+        self.known = (False, False, False)
+        self.feed = DEFAULT_FEED
+        self.factor = self._saved_factor = 1.0
+        self.acceleration = self.travel_acceleration = self.corner = math.inf
+        self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
+
+    @property
+    def speed(self) -> float:
+        """Return the speed in mm/s that the next move asks for."""
+        return self.feed * self.factor
+
+    # ------------------------------------------------------------------ place
+
+    def target(self, words: Words) -> Position:
+        """Return where a move with these words leads."""
+        px, py, pz, pe = self.position
+        ox, oy, oz, oe = self.offset if self.absolute else self.position
+        if not self.absolute_e:
+            oe = pe
+        elif self._dialect.g90_sets_e:
+            oe = self.offset[3]  # absolute, even if x, y and z are relative
+        scale = self.scale
+        return (
+            px if (x := words.get("X")) is None else ox + x * scale,
+            py if (y := words.get("Y")) is None else oy + y * scale,
+            pz if (z := words.get("Z")) is None else oz + z * scale,
+            pe if (e := words.get("E")) is None else oe + e * scale,
+        )
+
+    def starts_known(self, words: Words) -> bool:
+        """Return whether a move starts at a known place; z matters only if the move names it."""
+        x, y, z = self.known
+        return x and y and (z or "Z" not in words)
+
+    def arrive(self, position: Position, words: Words) -> None:
+        """Take over the end of a move from an unknown place: what it named absolutely is known."""
+        self.position = position
+        if self.absolute:
+            x, y, z = self.known
+            self.known = (x or "X" in words, y or "Y" in words, z or "Z" in words)
+
+    def add_filament(self, filament: float) -> None:
+        """Move e by a firmware retraction, which the file's own count does not include."""
+        x, y, z, e = self.position
+        ox, oy, oz, oe = self.offset
+        self.position, self.offset = (x, y, z, e + filament), (ox, oy, oz, oe + filament)
+
+    def forget(self, axes: Iterable[int] = range(3), homed: bool = False) -> None:
+        """Mark axes as unknown; homing also drops their offsets from G92."""
+        for axis in axes:
+            self._set_known(axis, False)
+            if homed:
+                self.offset = _replaced(self.offset, axis, 0.0)
+
+    def rename_position(self, line: Line, words: Words) -> None:
+        """Apply G92: the machine stays, and the file's name for its position changes.
+
+        Raises GcodeError where it names known and unknown positions at once.
+        """
+        values = words or (dict.fromkeys(AXES, 0.0) if self._dialect.g92_resets else {})
+        axes = {AXES.index(letter): value * self.scale for letter, value in values.items()}
+        known = [self.known[axis] for axis in axes if axis < 3]
+        if any(known) and not all(known):
+            raise line.error("G92 names known and unknown positions at once; use two lines")
+        for axis, value in axes.items():
+            if axis < 3 and not self.known[axis]:
+                self._set_known(axis, True)
+                self.position = _replaced(self.position, axis, value)
+                self.offset = _replaced(self.offset, axis, 0.0)
+            else:
+                self.offset = _replaced(self.offset, axis, self.position[axis] - value)
+
+    def _set_known(self, axis: int, known: bool) -> None:
+        x, y, z = (known if k == axis else old for k, old in enumerate(self.known))
+        self.known = x, y, z
+
+    # ------------------------------------------------------------------ modes and limits
+
+    def set_mode(self, name: str) -> None:
+        """Apply G90, G91, M82, M83, G20, G21, G17, G18 or G19."""
+        if name in ("G90", "G91"):
+            self.absolute = name == "G90"
+            if self._dialect.g90_sets_e:
+                self.set_e_mode(self.absolute)
+        elif name in ("M82", "M83"):
+            self.set_e_mode(name == "M82")
+        elif name in ("G20", "G21"):
+            self.scale = INCH if name == "G20" else 1.0
+        else:
+            self.xy_plane = name == "G17"
+
+    def set_e_mode(self, absolute: bool) -> None:
+        """Set whether E is absolute from now on."""
+        self.absolute_e, self.e_mode_known = absolute, True
+
+    def set_feed(self, line: Line, value: float) -> None:
+        """Apply F, in the file's units per minute. Raises GcodeError unless it is positive."""
+        if value == 0.0 and self._dialect.ignores_zero_feed:
+            return
+        feed = value * self.scale / 60.0
+        if not 0.0 < feed < math.inf:
+            raise line.error("the feed rate must be positive")
+        self.feed = feed
+
+    def set_factor(self, line: Line, arguments: bytes, words: Words) -> None:
+        """Apply M220: S in percent; Marlin's B saves the factor and R restores it.
+
+        Raises GcodeError if the factor would stop the print.
+        """
+        letters = arguments.upper()
+        if self._dialect.saves_factor and b"B" in letters:
+            self._saved_factor = self.factor
+        if self._dialect.saves_factor and b"R" in letters:
+            self.factor = self._saved_factor
+        factor = words["S"] / 100.0 if "S" in words else self.factor
+        if factor < MIN_FEED_FACTOR:
+            raise line.error(f"the speed factor must be at least {100.0 * MIN_FEED_FACTOR:g} %")
+        self.factor = factor
+
+    def set_limits(self, line: Line, name: str, words: Words) -> None:
+        """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT with its words or parameters.
+
+        Raises GcodeError where a limit would (nearly) stop the print.
+        """
+        for word, value in words.items():
+            velocity = name == "M203" or word == "VELOCITY"
+            least = MIN_VELOCITY_LIMIT if velocity else MIN_ACCELERATION_LIMIT
+            least = 0.0 if {name, word} & LIMITS_THAT_MAY_BE_ZERO else least
+            if value < least:
+                raise line.error(f"{word} must be at least {least:g}")
+        if name == "M204":
+            before = self.acceleration, self.travel_acceleration
+            self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
+            if "S" in words or "T" in words:
+                self.axes = replace(self.axes, travel=words.get("T", math.inf))
+        elif name == "M205":
+            self.corner = min((words[axis] for axis in "XY" if axis in words), default=self.corner)
+        elif name == "M201":
+            x, y, z, e = map(words.get, AXES, self.axes.acceleration)
+            self.axes = replace(self.axes, acceleration=(x, y, z, e))
+        elif name == "M203":
+            x, y, z, e = map(words.get, AXES, self.axes.velocity)
+            self.axes = replace(self.axes, velocity=(x, y, z, e))
+        else:
+            self.acceleration = self.travel_acceleration = words.get("ACCEL", self.acceleration)
+            self.corner = words.get("SQUARE_CORNER_VELOCITY", self.corner)
+            if (v := words.get("VELOCITY")) is not None:
+                self.axes = replace(self.axes, velocity=(v, v, *self.axes.velocity[2:]))
+
+    def modal_state(self) -> ModalState:
+        """Return what the file believes of the firmware."""
+        e = self.position[3] - self.offset[3]
+        return ModalState(self.absolute, self.absolute_e, e, self.feed, self.offset[:3])
+
+
+def _replaced(position: Position, axis: int, value: float) -> Position:
+    x, y, z, e = (value if k == axis else old for k, old in enumerate(position))
+    return x, y, z, e
