@@ -1,1 +1,1 @@
-"""Samples to commands for the motors, which stand at stops and are safe."""
+"""Motor commands from samples: compensated, standing still at stops, and checked."""

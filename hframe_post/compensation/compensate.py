@@ -1,7 +1,7 @@
-"""Samples → samples with commands: each stretch runs through the courses of its strategies.
+"""Samples → samples with commands: each stretch runs through its strategies.
 
-The length of the stream stays, so marks, z and e keep their samples. What a strategy does is
-in ``model.strategies``.
+The stream keeps its length, so marks, z and e keep their samples. What a strategy does is in
+``model.strategies``.
 """
 
 from __future__ import annotations
@@ -17,53 +17,48 @@ from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Samples, frozen
 
-OUTLASTS = 4096  # samples of standstill in which any stable command settles
-SETTLED = 0.01  # mm off the path
-
 
 def compensate(
     chunks: Iterable[Samples], compensator: Compensator, names: tuple[str, ...]
 ) -> Iterator[Samples]:
-    """The same samples with the commands of the strategies of these names.
+    """Yield the same samples with the commands of the strategies of these names.
 
-    Every stretch starts anew from rest, since the machine may then stand elsewhere. Raises
-    HframeError where no strategy has such a name.
+    Every stretch starts again from rest, since the machine may then stand elsewhere. Raises
+    HframeError for an unknown strategy.
     """
     chosen = [strategy(name) for name in names]
     for stretch in stretches(chunks):
-        courses: _Courses | None = None
+        states: _States | None = None
         for chunk in stretch:
-            if courses is None and len(chunk):
+            if states is None and len(chunk):
                 origin = chunk.xyze[0, :Z]
-                courses = _Courses({s.name: s.begin(compensator, origin) for s in chosen})
-            if courses is not None:
-                yield from courses.feed(chunk)
+                states = _States({s.name: s.begin(compensator, origin) for s in chosen})
+            if states is not None:
+                yield from states.feed(chunk)
             else:  # lines before the first known position
                 yield replace(chunk, commands=dict.fromkeys(names, chunk.xyze[:, :Z]))
-        if courses is not None:
-            yield from courses.finish()
+        if states is not None:
+            yield from states.finish()
 
 
-class _Courses:
+class _States:
     """The strategies at work on one stretch, and the samples that wait for their commands."""
 
-    def __init__(self, courses: dict[str, StrategyState]) -> None:
-        self._courses = courses
-        self._held: list[Samples] = []
-        self._ready = {name: np.zeros((0, 2)) for name in courses}
+    def __init__(self, states: dict[str, StrategyState]) -> None:
+        self._states = states
+        self._waiting: list[Samples] = []
+        self._ready = {name: np.zeros((0, 2)) for name in states}
 
     def feed(self, chunk: Samples) -> Iterator[Samples]:
-        """Takes a chunk, yields what is finished."""
-        self._held.append(chunk)
-        for name, course in self._courses.items():
-            self._add(name, course.feed(chunk.xyze[:, :Z]))
+        self._waiting.append(chunk)
+        for name, state in self._states.items():
+            self._add(name, state.feed(chunk.xyze[:, :Z]))
         yield from self._release(min(map(len, self._ready.values()), default=len(chunk)))
 
     def finish(self) -> Iterator[Samples]:
-        """The end of the stretch."""
-        for name, course in self._courses.items():
-            self._add(name, course.finish())
-        yield from self._release(sum(map(len, self._held)))
+        for name, state in self._states.items():
+            self._add(name, state.finish())
+        yield from self._release(sum(map(len, self._waiting)))
 
     def _add(self, name: str, command: Array) -> None:
         if len(command):
@@ -71,37 +66,38 @@ class _Courses:
             self._ready[name] = np.concatenate([ready, command]) if len(ready) else command
 
     def _release(self, n: int) -> Iterator[Samples]:
-        """The first ``n`` held samples with their commands."""
-        held = sum(map(len, self._held))
-        if not self._held or (held and not n):
+        """Yield the first ``n`` waiting samples with their commands."""
+        count = sum(map(len, self._waiting))
+        if not self._waiting or (count and not n):
             return
-        whole = join(self._held)
-        ready, rest = part(whole, 0, n), part(whole, n, held)
-        self._held = [rest] if n < held else []
+        whole = join(self._waiting)
+        ready, rest = part(whole, 0, n), part(whole, n, count)
+        self._waiting = [rest] if n < count else []
         commands = {name: frozen(xy[:n]) for name, xy in self._ready.items()}
         self._ready = {name: xy[n:] for name, xy in self._ready.items()}
         yield replace(ready, commands=commands)
 
 
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
-    """Samples of standstill in which any command leads and settles, to SETTLED mm.
+    """Return the samples of standstill in which any command leads and settles, to 0.01 mm.
 
-    Those of the fastest start and stop, in x and y at once, at the longest lever arm.
+    They are those of the fastest start and stop, in x and y at once, at the longest lever arm.
     """
+    long = 4096  # samples of standstill in which any stable command settles
     plant = compensator.plant
     lever = max(abs(edge - plant.x_c) for edge in travel.x)
     ramp = np.arange(0.0, limits.velocity + 1e-9, limits.acceleration * TS)
-    cruise = np.full(OUTLASTS // 8, limits.velocity)
+    cruise = np.full(long // 8, limits.velocity)
     moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
-    path = np.pad(moving, OUTLASTS, mode="edge")
-    path[:OUTLASTS] = 0.0
+    path = np.pad(moving, long, mode="edge")
+    path[:long] = 0.0
     xyze = np.column_stack([path, path, np.zeros((len(path), 2))])
     xyze[:, X] += plant.x_c + lever
-    line = np.zeros(len(path), dtype=np.int64)
-    commanded = compensate([Samples(0, xyze, line)], compensator, ("racking",))
+    samples = Samples(0, xyze, np.zeros(len(path), dtype=np.int64))
+    commanded = compensate([samples], compensator, ("racking",))
     off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
-    beyond = np.flatnonzero(np.abs(off).max(axis=1) > SETTLED)
+    beyond = np.flatnonzero(np.abs(off).max(axis=1) > 0.01)
     if not len(beyond):
         return 1
-    stopped = OUTLASTS + len(moving)
-    return max(int(beyond[-1]) - stopped, OUTLASTS - int(beyond[0]), 1)
+    stopped = long + len(moving)
+    return max(int(beyond[-1]) - stopped, long - int(beyond[0]), 1)

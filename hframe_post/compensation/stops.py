@@ -1,14 +1,13 @@
-"""Commands that stand while the machine retracts, lifts or waits, and lose no time by it.
+"""Commands that stand still while the machine retracts, lifts or waits, and lose no time by it.
 
-Where a strategy's command would go on settling and leading through what happens at rest,
-it is replaced around the stop by the one of ``model.stop``. A stop that lasts longer than
-LONGEST is two: the command comes to rest on the path, and later begins from there. So do the ends
-of a stretch, where the machine must stand where the file believes it.
+Where a strategy's command would go on settling and leading during a stop, it is replaced around
+the stop by the one of ``model.stop``. A stop longer than LONGEST is treated as two: the command
+comes to rest on the path, and later sets out from there. So are the ends of a stretch, where the
+machine must stand where the file believes it to be.
 
-What is decided at a stop depends on nothing but the samples around it and on the true state of
-the plant before it. That is carried from stop to stop where these are near one another; a plant
-that has not stopped for long is followed from REMEMBERED samples before, since it has forgotten
-all else.
+The solution depends only on the samples around the stop and on the state of the plant before it.
+That state is carried from stop to stop; after a long time without stops it is computed from the
+last REMEMBERED samples, because the plant has forgotten all before.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen
 
-ASIDE = 80  # samples around a stop that is two, on whose path the command must stand
-REMEMBERED = 32 * BLOCK_SAMPLES  # after so many, any plant has forgotten its state
-LONGEST = 1000  # samples of a stop that is one: likewise
-BEFORE = BESIDE + NEAREST + 2  # samples that a solution may look at before a stop
+LONGEST = 1000  # samples of a stop that is treated as one
+ASIDE = 80  # samples of rest around a longer one, on whose path the command must stand
+REMEMBERED = 32 * BLOCK_SAMPLES  # after this many samples any plant has forgotten its state
+BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
 AT_REST = Rests()  # lifts come to rest
 
 
 def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
-    """Standstill of the path around stops of that kind; a command that is the path needs none.
+    """Return how long the path stands still around stops, for one setting of ``stops``.
 
-    passing: how lifts pass into motion.
+    passing: how lifts pass into motion. A command that is the path needs no more than that.
     """
     if strategy == "none":
         return passing
@@ -51,92 +50,147 @@ def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
 def stop_solvers(
     compensator: Compensator, names: Iterable[str], printer: Printer
 ) -> dict[str, StopSolver]:
-    """Solvers of the strategies of these names, but of those whose command is the path."""
+    """Return solvers by strategy, without the strategies whose command is the path."""
     effort = compensator.x.window.effort, compensator.y.window.effort
     belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
     bed = printer.travel.x, printer.travel.y
-    believed = {name: strategy(name).assumed(compensator.plant) for name in names}
+    plants = {name: strategy(name).assumed(compensator.plant) for name in names}
     return {
         name: StopSolver(plant, effort, belts, motors, bed)
-        for name, plant in believed.items()
+        for name, plant in plants.items()
         if plant is not None
     }
 
 
 def hold_at_stops(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
-    """The stream with commands that stand where the machine does something else.
+    """Yield the stream with commands that stand still during stops.
 
-    solvers: by strategy; the commands of others stay as they are.
+    solvers: by strategy; the commands of other strategies are unchanged.
     """
-    for stretch in stretches(chunks):
-        course: _Course | None = None
-        for chunk in stretch:
-            if course is None and len(chunk):
-                course = _Course(chunk, solvers)
-            if course is None:
+    for first_chunks in stretches(chunks):
+        stretch: _Stretch | None = None
+        for chunk in first_chunks:
+            if stretch is None and len(chunk):
+                stretch = _Stretch(chunk, solvers)
+            if stretch is None:
                 yield chunk
             else:
-                yield from course.feed(chunk)
-        if course is not None:
-            yield from course.finish()
+                yield from stretch.feed(chunk)
+        if stretch is not None:
+            yield from stretch.finish()
+
+
+class _Stretch:
+    """One stretch: its stops that are not solved yet, and the chunks that wait for them."""
+
+    def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
+        self._window = _Window(chunk, solvers)
+        self._buffered: list[Samples] = []
+        # samples from which and before which the command stands still; the stretch begins with one
+        self._stops = [(-FOREVER, chunk.first + 1)]
+        self._arrived = True  # at the first of the stops, which is a long one
+        self._free = chunk.first + 1  # end of the last solved stop: from here on a command may move
+
+    def feed(self, chunk: Samples) -> Iterator[Samples]:
+        self._buffered.append(chunk)
+        self._window.append(chunk.xyze, chunk.commands)
+        for event in chunk.events:
+            if isinstance(event, Pause):
+                self._add_stop(event.index - 1, event.index + event.samples)
+        yield from self._release(self._solve())
+
+    def finish(self) -> Iterator[Samples]:
+        """Yield the rest of the stretch, at the end of which the machine goes on standing."""
+        end = self._window.end
+        self._window.append_standstill(AFTER)
+        self._add_stop(end - 1, FOREVER)
+        self._solve()
+        yield from self._release(end)
+
+    def _add_stop(self, a: int, b: int) -> None:
+        if self._stops and a <= self._stops[-1][1]:  # no motion in between: both are one
+            a, before = self._stops[-1]
+            self._stops[-1] = (a, max(b, before))
+        else:
+            self._stops.append((a, b))
+
+    def _solve(self) -> int:
+        """Solve the stops whose surroundings are known; return the first sample still needed."""
+        window = self._window
+        while self._stops:
+            a, b = self._stops[0]
+            before, long = min(a - self._free, BESIDE), b - a > LONGEST
+            if long and not self._arrived and window.end >= a + AFTER:
+                window.put_on_path(a, b)
+                window.solve(Stop(a, a, before, 0, False, a))
+                self._arrived = True
+            if self._arrived:
+                window.put_on_path(a, b)
+            if window.end < b + AFTER:
+                return min(b if self._arrived else a, window.end - 1) - BEFORE
+            following = self._stops[1][0] if len(self._stops) > 1 else FOREVER
+            after = min(following - b, BESIDE)
+            if long:
+                window.solve(Stop(b, b, 0, after, False, following))
+            else:
+                window.solve(Stop(a, b, before, after, True, following))
+            self._free, self._arrived = b, False
+            del self._stops[0]
+        return window.end - 1 - BEFORE
+
+    def _release(self, end: int) -> Iterator[Samples]:
+        """Yield the buffered samples before ``end``."""
+        whole = join(self._buffered)
+        n = min(end - whole.first, len(whole))
+        if n <= 0 and len(whole):
+            return
+        ready = part(whole, 0, n)
+        self._buffered = [part(whole, n, len(whole))]
+        commands = self._window.commands(whole.first, whole.first + n)
+        self._window.forget(end)
+        yield replace(ready, commands={**ready.commands, **commands})
 
 
 @dataclass
-class _Command:
-    """One strategy's command (n, 2) from the origin; the plant's state before one of its blocks."""
+class _Track:
+    """One strategy's command (n, 2) in the window, from the origin.
+
+    state: of the strategy's plant before sample ``reached``, where a block of its filters begins.
+    """
 
     solver: StopSolver
-    samples: Array
+    command: Array
     state: State
+    reached: int
 
 
-class _Course:
-    """One stretch: what is held of it, and the stands that are not solved yet.
+class _Window:
+    """The samples of a stretch that are still needed, counted as in the stream.
 
-    Arrays begin at sample ``_zero``, on a grid of blocks of the plant's filters, with the
-    standstill from which the stretch begins.
+    They begin with standstill before the stretch. ``_first`` is the index of the first of them and
+    the beginning of a block of the plant's filters.
     """
 
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
+        self._first = chunk.first - BEFORE
         self._origin, self._e = chunk.xyze[0, :Z], chunk.xyze[:1, E]
-        self._held: list[Samples] = []
-        self._zero = chunk.first - BEFORE
         self._path = np.zeros((BEFORE, 2))
         self._extruding = np.zeros(BEFORE, dtype=bool)
-        self._commands = {
-            name: _Command(solver, np.zeros((BEFORE, 2)), solver.filters.rest)
+        self._tracks = {
+            name: _Track(solver, np.zeros((BEFORE, 2)), solver.filters.rest, self._first)
             for name, solver in solvers.items()
         }
-        self._since = 0  # the sample of the arrays before which the commands' states are
-        self._stands = [(-FOREVER, chunk.first + 1)]
-        self._left = True  # the first of the stands has been come to rest on
-        self._solved = chunk.first + 1  # end of the last stand that is behind
-
-    def feed(self, chunk: Samples) -> Iterator[Samples]:
-        """Takes a chunk, yields what is finished."""
-        self._held.append(chunk)
-        self._extend(chunk.xyze, chunk.commands)
-        for event in chunk.events:
-            if isinstance(event, Pause):
-                self._add(event.index - 1, event.index + event.samples)
-        yield from self._release(self._advance())
-
-    def finish(self) -> Iterator[Samples]:
-        """The end of the stretch, where the machine stands on."""
-        end = self._end
-        last = np.tile([*(self._path[-1] + self._origin), 0.0, self._e[0]], (AFTER, 1))
-        self._extend(last, dict.fromkeys(self._commands, last[:, :Z]))
-        self._add(end - 1, FOREVER)
-        self._advance()
-        yield from self._release(end)
-
-    # ------------------------------------------------------------------ samples in and out
 
     @property
-    def _end(self) -> int:
-        return self._zero + len(self._path)
+    def end(self) -> int:
+        """Return the index of the sample after the last."""
+        return self._first + len(self._path)
 
-    def _extend(self, xyze: Array, commands: dict[str, Array]) -> None:
+    def _rows(self, a: int, b: int) -> slice:
+        """Return where samples a … b − 1 are in the arrays, as far as these reach."""
+        return slice(max(a - self._first, 0), max(b - self._first, 0))
+
+    def append(self, xyze: Array, commands: dict[str, Array]) -> None:
         path, e = xyze[:, :Z] - self._origin, xyze[:, E]
         x, y = np.concatenate([self._path[-1:], path]).T
         moving = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
@@ -144,95 +198,52 @@ class _Course:
         self._e = e[-1:] if len(e) else self._e
         self._path = np.concatenate([self._path, path])
         self._extruding = np.concatenate([self._extruding, extruding])
-        for name, command in self._commands.items():
-            command.samples = np.concatenate([command.samples, commands[name] - self._origin])
+        for name, track in self._tracks.items():
+            track.command = np.concatenate([track.command, commands[name] - self._origin])
 
-    def _release(self, end: int) -> Iterator[Samples]:
-        """The held samples before ``end``; what no solution will look at is let go."""
-        whole = join(self._held)
-        n = min(end - whole.first, len(whole))
-        if n <= 0 and len(whole):
-            return
-        ready = part(whole, 0, n)
-        self._held = [part(whole, n, len(whole))]
-        at = slice(whole.first - self._zero, whole.first - self._zero + n)
-        commands = {
-            name: frozen(command.samples[at] + self._origin)
-            for name, command in self._commands.items()
-        }
-        self._forget((end - self._zero - REMEMBERED) // BLOCK_SAMPLES * BLOCK_SAMPLES)
-        yield replace(ready, commands={**ready.commands, **commands})
+    def append_standstill(self, n: int) -> None:
+        last = np.tile([*(self._path[-1] + self._origin), 0.0, self._e[0]], (n, 1))
+        self.append(last, dict.fromkeys(self._tracks, last[:, :Z]))
 
-    def _forget(self, n: int) -> None:
-        """The first n samples of the arrays."""
+    def forget(self, end: int) -> None:
+        """Drop the whole blocks that nothing depends on once all before ``end`` is final."""
+        n = (end - self._first - REMEMBERED) // BLOCK_SAMPLES * BLOCK_SAMPLES
         if n <= 0:
             return
-        for command in self._commands.values():
-            command.samples = command.samples[n:]
+        for track in self._tracks.values():
+            track.command = track.command[n:]
         self._path, self._extruding = self._path[n:], self._extruding[n:]
-        self._zero, self._since = self._zero + n, self._since - n
+        self._first += n
 
-    def _carry(self, n: int) -> None:
-        """The plant's states up to the block that begins at n, beyond which all may change."""
-        if n - REMEMBERED > self._since:
-            self._since = n - REMEMBERED
-            for command in self._commands.values():
-                command.state = command.solver.filters.at_rest(command.samples[self._since])
-        if n > self._since:
-            for command in self._commands.values():
-                done = command.samples[self._since : n]
-                command.state = command.solver.filters.after(command.state, done)
-            self._since = n
+    def commands(self, a: int, b: int) -> dict[str, Array]:
+        """Return every strategy's command at samples a … b − 1."""
+        return {
+            name: frozen(track.command[self._rows(a, b)] + self._origin)
+            for name, track in self._tracks.items()
+        }
 
-    # ------------------------------------------------------------------ stands
+    def put_on_path(self, a: int, b: int) -> None:
+        """Let every command stand on the path at samples a … b − 1."""
+        for track in self._tracks.values():
+            track.command[self._rows(a, b)] = self._path[self._rows(a, b)]
 
-    def _add(self, a: int, b: int) -> None:
-        """A stand, joined to the one before if no motion lies between them."""
-        if self._stands and a <= self._stands[-1][1]:
-            a, before = self._stands[-1]
-            self._stands[-1] = (a, max(b, before))
-        else:
-            self._stands.append((a, b))
-
-    def _advance(self) -> int:
-        """Solves what can be; the sample from which on anything may change or be looked at."""
-        while self._stands:
-            a, b = self._stands[0]
-            long = b - a > LONGEST
-            if long and not self._left and self._end >= a + AFTER:
-                self._pin(a, b)
-                self._solve(Stop(a, a, min(a - self._solved, BESIDE), 0, False, a))
-                self._left = True
-            if self._left:
-                self._pin(a, b)
-            if self._end < b + AFTER:
-                return min(b if self._left else a, self._end - 1) - BEFORE
-            following = self._stands[1][0] if len(self._stands) > 1 else FOREVER
-            after = min(following - b, BESIDE)
-            if long:
-                self._solve(Stop(b, b, 0, after, False, following))
-            else:
-                before = min(a - self._solved, BESIDE)
-                self._solve(Stop(a, b, before, after, True, following))
-            self._solved, self._left = b, False
-            del self._stands[0]
-        return self._end - 1 - BEFORE
-
-    def _pin(self, a: int, b: int) -> None:
-        """The command stands on the path from sample a to b − 1."""
-        at = slice(max(a - self._zero, 0), max(b - self._zero, 0))
-        for command in self._commands.values():
-            command.samples[at] = self._path[at]
-
-    def _solve(self, stop: Stop) -> None:
-        """Every strategy's command around a stop; its places count samples."""
-        at = replace(
-            stop, a=stop.a - self._zero, b=stop.b - self._zero, ends=stop.ends - self._zero
-        )
+    def solve(self, stop: Stop) -> None:
+        """Change every strategy's command around a stop."""
         around = Surroundings(self._path, self._origin, self._extruding)
-        changed = slice(at.a - BESIDE, at.b + BESIDE)
-        self._carry(changed.start // BLOCK_SAMPLES * BLOCK_SAMPLES)
-        for command in self._commands.values():
-            between = command.samples[self._since : changed.start]
-            z = command.solver.filters.after(command.state, between)
-            command.samples[changed] = command.solver.solve(around, command.samples, z, at)
+        changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
+        local = stop.shifted(-self._first)
+        for track in self._tracks.values():
+            z = self._state_before(stop.a - BESIDE, track)
+            track.command[changed] = track.solver.solve(around, track.command, z, local)
+
+    def _state_before(self, k: int, track: _Track) -> State:
+        """Return the state of a track's plant before sample k, before which all is final."""
+        filters = track.solver.filters
+        block = self._first + (k - self._first) // BLOCK_SAMPLES * BLOCK_SAMPLES
+        if track.reached < block - REMEMBERED:
+            track.reached = block - REMEMBERED
+            track.state = filters.at_rest(track.command[track.reached - self._first])
+        if track.reached < block:
+            passed = track.command[self._rows(track.reached, block)]
+            track.state, track.reached = filters.after(track.state, passed), block
+        return filters.after(track.state, track.command[self._rows(track.reached, k)])

@@ -54,6 +54,10 @@ class Stop:
     held: bool
     ends: int
 
+    def shifted(self, n: int) -> Stop:
+        """Return the stop with its samples counted from n samples earlier."""
+        return replace(self, a=self.a + n, b=self.b + n, ends=self.ends + n)
+
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
