@@ -13,9 +13,11 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.arrays import Array
+from hframe_post.library import first_line
 from hframe_post.paper.results import path
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.writers.files.atomic_file import Outputs
 from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
@@ -23,6 +25,12 @@ RECTANGLE = SAMPLES / "rectangle.gcode"
 
 def rms(error: Array) -> float:
     return float(np.sqrt(np.square(error).mean()))
+
+
+def body(gcode: bytes) -> list[bytes]:
+    """Lines without the stamp and the summary."""
+    lines = gcode.splitlines()
+    return [line for line in lines if not line.startswith((b"; processed", b"; hframe-post"))]
 
 
 def stroke(start: tuple[float, float], by: tuple[float, float], n: int) -> Array:
@@ -146,6 +154,51 @@ def test_convert_is_what_the_command_line_does(paper: Printer, tmp_path: Path) -
     assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()
     assert set(report.contour) == {"none", "racking"}
     assert report.contour["racking"].rms < report.contour["none"].rms / 8
+
+
+def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Path) -> None:
+    out, page = tmp_path / "by_library.gcode", tmp_path / "page.html"
+    read = list[int]()
+    report = hp.convert(
+        RECTANGLE, out, replace(paper, invented=True), force=True, firmware="klipper",
+        tolerance=None, retract="moving", predict=("none", "fbs", "racking"), jobs=2, page=page,
+        title="A rectangle", notes=["printed on the big one"], progress=read.append,
+    )  # fmt: skip
+    arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q", "--every-sample"]
+    by_tool = tmp_path / "by_tool.gcode"
+    subprocess.run([*arguments, "--retract", "moving", "-o", str(by_tool)], check=True)
+    by_both = [body(path.read_bytes()) for path in (out, by_tool)]
+    assert by_both[0] == by_both[1]
+    assert set(report.contour) == {"none", "fbs", "racking"}
+    assert sum(read) == RECTANGLE.stat().st_size
+    assert b"A rectangle" in page.read_bytes()
+    assert b"printed on the big one" in page.read_bytes()
+
+
+def test_a_dry_run_writes_nothing(paper: Printer, tmp_path: Path) -> None:
+    assert hp.convert(RECTANGLE, None, paper).lines_written
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_first_line_is_known_before_the_conversion(paper: Printer, tmp_path: Path) -> None:
+    out = tmp_path / "out.gcode"
+    hp.convert(RECTANGLE, out, paper, strategy="fbs", clamp=True)
+    assert out.read_bytes().startswith(first_line(paper, strategy="fbs", clamp=True))
+
+
+def test_files_that_belong_together_appear_together(paper: Printer, tmp_path: Path) -> None:
+    out = tmp_path / "out.gcode"
+    with Outputs([RECTANGLE]) as outputs:
+        hp.convert(RECTANGLE, out, paper, outputs=outputs)
+        assert not out.exists()
+    assert out.exists()
+
+
+def test_other_formats_do_not_replace_the_source(paper: Printer, tmp_path: Path) -> None:
+    part = tmp_path / "part.gcode"
+    part.write_bytes(RECTANGLE.read_bytes())
+    with pytest.raises(hp.HframeError, match="steps would replace the G-code"):
+        hp.convert(part, part, paper, format="steps")
 
 
 def test_convert_takes_lines_and_writes_what_the_suffix_says(

@@ -100,7 +100,7 @@ def tune(
     from hframe_post.writers.files.atomic_file import Outputs
 
     profile = library.load_printer(printer)
-    model_error = library.known_to(profile) if model_error is None else model_error
+    model_error = library.model_uncertainty(profile) if model_error is None else model_error
     reads = files_read(source, printer)
     if shaper:
         if figure is not None or output is not None:

@@ -48,6 +48,8 @@ class Report:
     lines_per_second: float = math.inf
     steps: StepReport | None = None
     seconds: dict[str, float] = field(default_factory=dict, compare=False)
+    speed: dict[str, Any] | None = None
+    speed_text: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Everything, ready for ``json.dumps``."""
@@ -57,6 +59,7 @@ class Report:
             "lines_written": self.lines_written,
             "busiest_second_lines": self.busiest_second or None,
             "steps": asdict(self.steps) if self.steps else None,
+            "speed": self.speed,
         }
         return {
             "compensation": self.strategy,
@@ -75,7 +78,7 @@ class Report:
             **self.path.as_json(),
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
-            **{name: told for name, told in written.items() if told is not None},
+            **{name: value for name, value in written.items() if value is not None},
         }
 
     def as_text(self) -> str:
@@ -105,6 +108,7 @@ class Report:
                 f"steps       {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
+        lines += self.speed_text.splitlines()
         return "\n".join(lines + self.warnings())
 
     def warnings(self) -> list[str]:

@@ -44,7 +44,7 @@ class Outputs:
                 self._taken.append(identity(path))
         self._replaced: list[_Replaced] = []
         self._through: list[tuple[IO[bytes], Through]] = []
-        self._sources: list[tuple[IO[bytes], Path, Stamp]] = []
+        self._sources: list[tuple[Path, Stamp]] = []
 
     def __enter__(self) -> Outputs:
         return self
@@ -76,7 +76,7 @@ class Outputs:
     def watch(self, source: IO[bytes], path: Path) -> None:
         """Nothing appears if this file, which is being read, was changed before the end."""
         if path.is_file():
-            self._sources.append((source, path, stamp(os.fstat(source.fileno()))))
+            self._sources.append((path, stamp(os.fstat(source.fileno()))))
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
@@ -93,8 +93,8 @@ class Outputs:
         for replaced in self._replaced:
             with named(replaced.target):
                 replaced.finish()
-        for source, path, before in self._sources:
-            if stamp(os.fstat(source.fileno())) != before or stamp(os.stat(path)) != before:
+        for path, before in self._sources:
+            if stamp(os.stat(path)) != before:
                 raise HframeError(f"{path}: was changed while it was read; nothing was written")
         for file, opened in self._through:
             file.seek(0)
