@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.identification.recordings import command_file
+from hframe_post.identification.recordings import excitation
 from tests.conftest import ROOT, SAMPLES
 from tests.recordings import Sensor, moved, sweep, write_klipper
 from tests.simulator import Axis, Machine, Mode
@@ -52,7 +52,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         xy[:, "xy".index(axis)] = swept
         xy += (place, 150.0)
         name = f"{axis}-at-{place}"
-        command = b"".join(command_file.written(xy))
+        command = b"".join(excitation.command_csv(xy))
         (folder / f"sweep-{axis}.{name}.csv").write_bytes(command)
         felt = Sensor(noise=0.0).felt(moved(plant, xy, None), (len(xy) - 1) * 1e-3, seed)
         write_klipper(folder / f"adxl345-{name}.csv", felt)

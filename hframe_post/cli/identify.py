@@ -1,13 +1,13 @@
-"""``hframe-post identify``: a profile of one's own printer, from sweeps it has played."""
+"""``hframe-post identify``: a profile of your own printer, from sweeps that it has played."""
 
 from __future__ import annotations
 
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,23 +19,22 @@ from hframe_post.cli.options import (
     position,
     printer_option,
 )
-from hframe_post.cli.sensing import FILE, QUIET, axes_option
+from hframe_post.cli.sensing import FILE, QUIET, obsolete_option, removed_option
 
 if TYPE_CHECKING:
-    from hframe_post.identification.identify import Identified, Run
+    from hframe_post.identification.identify import Run
     from hframe_post.identification.recordings.accelerometer import Recording
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.files.atomic_file import Outputs
 
+SAME_AXES = "x=x,y=y,z=z"
 NO_WINDOW = (
-    "no window and weight compensate this plant within the motors' limits, on every printer as "
-    "like it as it is known; see tune --help"
+    "no window and weight compensate this plant within the motors' limits on every printer that "
+    "may differ from it by the model uncertainty. See 'hframe-post tune --help'"
 )
-PLACE = re.compile(r"(?<![A-Za-z0-9])([xy]-at-m?\d+(?:_\d+)?(?:-m?\d+(?:_\d+)?)?)(?![0-9_])")
 
 
 def _columns(text: str) -> tuple[str, ...]:
-    """``time,x,y,z``: four names."""
+    """Return the four names in ``time,x,y,z``."""
     names = tuple(name.strip() for name in text.split(","))
     if len(names) != 4 or not all(names):
         raise click.BadParameter(f"{text!r} is not four names, of time, x, y and z")
@@ -43,7 +42,7 @@ def _columns(text: str) -> tuple[str, ...]:
 
 
 def _reading(text: str) -> tuple[float, float, float]:
-    """The last three numbers of a line such as ACCELEROMETER_QUERY prints."""
+    """Return the last three numbers of a line such as ACCELEROMETER_QUERY prints."""
     numbers = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
     if len(numbers) < 3:
         raise click.BadParameter(f"{text!r} is not three numbers, of x, y and z")
@@ -51,63 +50,45 @@ def _reading(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _order(text: str) -> tuple[str, int]:
-    """``Gxx=4``: a transfer function and its order."""
-    name, _, number = text.partition("=")
-    if name not in ("Gxx", "Gyy", "Gxtheta") or not number.isdecimal() or not 0 < int(number) <= 20:
-        raise click.BadParameter(f"{text!r} is not such as Gxx=4, of Gxx, Gyy or Gxtheta")
-    return name, int(number)
-
-
 @click.command()
 @printer_option
 @click.option(
     "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
-    help="A sweep that `sweep` wrote (.csv), and what the sensor on the nozzle recorded. "
-    "Once per run; x and y are both needed.",
+    help="A sweep's command (.csv, written by `sweep`), and what the sensor on the nozzle recorded "
+    "of it. Repeat for each run; x and y are both needed.",
 )  # fmt: skip
 @click.option(
     "-b", "--bridge", type=(FILE, FILE, FILE), multiple=True, metavar="COMMAND P1 P2",
-    help="A sweep of x, and what sensors on the bridge's ends recorded: P1 at the greater x.",
+    help="A command of x, and the recordings of sensors on the bridge's ends: P1 at the greater x.",
 )  # fmt: skip
 @click.option(
     "--bridge-length", "L_G", type=click.FloatRange(1.0), metavar="MM",
     help="Distance of P1 and P2, needed with --bridge.",
 )  # fmt: skip
-@axes_option
-@click.option("--bridge-axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
-              help="The same of the sensors on the bridge.")  # fmt: skip
+@click.option(
+    "--axes", multiple=True, metavar="MAP",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. A second "
+    f"--axes is for the sensors on the bridge.  [default: {SAME_AXES}]",
+)  # fmt: skip
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
-    help="Names of time and accelerations in recordings that Klipper did not write.",
+    help="Names of time and accelerations in recordings that another program than Klipper wrote.",
 )  # fmt: skip
-@click.option("--unit", type=click.Choice(["mm/s2", "m/s2", "g"]), default="mm/s2",
-              show_default=True, help="Of those accelerations.")  # fmt: skip
 @click.option(
     "--band", type=(float, float), default=(3.0, 100.0), show_default=True, metavar="HZ HZ",
     help="Frequencies that the model must explain.",
 )  # fmt: skip
-@click.option("--estimator", type=click.Choice(["H1", "H2", "Hv"]), default="H1",
-              show_default=True, help="Of the frequency responses.")  # fmt: skip
-@click.option(
-    "--order", "orders", type=_order, multiple=True, metavar="NAME=N",
-    help="Poles of Gxx, Gyy or Gxtheta, where the choice is not to be left to the tool.",
-)  # fmt: skip
 @click.option(
     "--at-rest", "readings", type=_reading, multiple=True, metavar="X,Y,Z",
-    help="What ACCELEROMETER_QUERY prints; six times at least, each axis of the sensor pointing up "
-    "once and down once. Gravity then tells the sensor's gains.",
+    help="A reading of ACCELEROMETER_QUERY. Give at least six, each axis of the sensor pointing up "
+    "once and down once: gravity then calibrates the sensor.",
 )  # fmt: skip
 @click.option("--x-c", type=float, metavar="MM",
-              help="Where racking does not move the nozzle, if no run tells.")  # fmt: skip
+              help="Where racking does not move the nozzle, if no run shows it.")  # fmt: skip
 @click.option(
     "--sensor-offset", "offset", type=position, default="0,0", show_default=True, metavar="X,Y",
-    help="From the nozzle to its sensor, mm: a sensor beside the nozzle feels racking by another "
-    "lever arm.",
-)  # fmt: skip
-@click.option(
-    "--figures", "folder", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
-    help="Draw what was measured and what the model makes of it (PNG and SVG); needs matplotlib.",
+    help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
+    "another lever arm.",
 )  # fmt: skip
 @page_option
 @json_option
@@ -115,19 +96,25 @@ def _order(text: str) -> tuple[str, int]:
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write the profile: that of -p with the plant, the window and λ found.",
 )  # fmt: skip
+@obsolete_option("--unit", "gravity in the recording shows its unit",
+                 type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
+@obsolete_option("--bridge-axes", "give --axes twice, first the nozzle's, then the bridge's",
+                 metavar="MAP")  # fmt: skip
+@removed_option("--figures", "use --report page.html", metavar="FOLDER")
+@removed_option("--estimator", "the estimator is always H1")
+@removed_option("--order", "the order is always chosen from the recordings", multiple=True)
 def identify(
     printer: str, nozzle: tuple[tuple[Path, Path], ...],
-    bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: str, bridge_axes: str,
-    columns: tuple[str, ...] | None, unit: str, band: tuple[float, float],
-    estimator: Literal["H1", "H2", "Hv"], orders: tuple[tuple[str, int], ...],
-    readings: tuple[tuple[float, float, float], ...],
-    x_c: float | None, offset: tuple[float, float], folder: Path | None,
-    report_file: Path | None, json_file: Path | None, output: Path | None,
+    bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: tuple[str, ...],
+    columns: tuple[str, ...] | None, band: tuple[float, float],
+    readings: tuple[tuple[float, float, float], ...], x_c: float | None,
+    offset: tuple[float, float], report_file: Path | None, json_file: Path | None,
+    output: Path | None, unit: str | None, bridge_axes: str | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from sweeps recorded by accelerometers.
 
-    One sensor on the nozzle is enough: runs of x at several places tell racking, too. Start
-    from a profile (-p) that has your printer's travel and limits. Nothing is written if a
+    One sensor on the nozzle is enough: runs of x at several places show racking, too. Start
+    from a profile (-p) that has your printer's travel and limits. No profile is written if a
     recording cannot be trusted.
 
     \b
@@ -136,71 +123,72 @@ def identify(
     """
     import numpy as np
 
-    from hframe_post import plotting
     from hframe_post.errors import IdentificationError
     from hframe_post.identification.fitting.recommend import recommend
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
-    from hframe_post.identification.page import identification_page
-    from hframe_post.identification.recordings.gravity import along_printer, gains
+    from hframe_post.identification.pages import identification_page
+    from hframe_post.identification.recordings import accelerometer
     from hframe_post.identification.report import IdentificationReport
-    from hframe_post.identification.responses.measured import STEP
     from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
     from hframe_post.writers.files.atomic_file import Outputs
 
     profile = load(printer)
-    _check_usage(nozzle, bridge, L_G, band)
-    if folder is not None:
-        plotting.ready(folder)
-    reads = [*files_read(printer), *(path for files in (*nozzle, *bridge) for path in files)]
-    with Outputs(reads) as model:
-        file = model.open(output, Path(printer)) if output is not None else None
-        with Outputs([*reads, *([output] if output else [])]) as findings:
-            write_json = open_json(findings, json_file)
-            drawn = findings.open(report_file) if report_file is not None else None
-            reading = _Reading(axes, bridge_axes, columns, unit)
-            runs = [reading.nozzle(*files) for files in nozzle]
-            runs += [reading.bridge(*files) for files in bridge]
-            _check_bed(runs, profile)
-            racks, step = profile.kinematics.racks, profile.steps.belt if profile.steps else STEP
-            sensor = along_printer(gains(np.array(readings)), axes) if readings else None
-            settings = Settings(band, estimator, L_G, dict(orders), racks, offset, step, sensor)
+    _check_usage(nozzle, bridge, L_G, band, axes)
+    nozzle_axes, second_axes = (*axes, SAME_AXES, SAME_AXES)[:2]
+    reader = _Reader(nozzle_axes, bridge_axes or second_axes, columns, unit)
+    sources = [*files_read(printer), *(path for files in (*nozzle, *bridge) for path in files)]
+    with Outputs(sources) as profiles:
+        file = profiles.open(output, Path(printer)) if output is not None else None
+        with Outputs([*sources, *([output] if output else [])]) as reports:
+            write_json = open_json(reports, json_file)
+            html = reports.open(report_file) if report_file is not None else None
+            runs = [reader.nozzle(*files) for files in nozzle]
+            runs += [reader.bridge(*files) for files in bridge]
+            _check_travel(runs, profile)
+            settings = Settings(band, L_G, profile.kinematics.racks, offset)
+            if profile.steps:
+                settings = replace(settings, step=profile.steps.belt)
+            if readings:
+                gains = accelerometer.gains_at_rest(np.array(readings))
+                along = accelerometer.gains_along_printer(gains, nozzle_axes)
+                settings = replace(settings, sensor=along)
             found = identified(runs, settings)
-            if folder is not None:
-                _draw(found, folder, findings)
             middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
-            plant, elsewhere = found.plant(middle), found.plants_at_ends(middle)
-            known = found.model_error
-            compensation = None if found.refusal else recommend(plant, profile, known, elsewhere)
-            report = IdentificationReport(
-                found, plant, compensation, reading.setup, reading.findings
-            )
+            plant, error = found.plant(middle), found.model_error
+            compensation = None
+            if found.refusal is None:
+                compensation = recommend(plant, profile, error, found.plants_at_ends(middle))
+            report = IdentificationReport(found, plant, compensation, reader.setup, reader.findings)
             write_json(report.as_json())
-            if drawn is not None:
-                drawn.write(identification_page(report, profile.description or profile.name))
+            if html is not None:
+                html.write(identification_page(report, profile.description or profile.name))
         click.echo(report.as_text(), err=str(json_file) == "-")
         if compensation is None:
             raise IdentificationError(found.refusal or NO_WINDOW)
         if file is not None:
             windows, notes = compensation.windows, report.origin()
-            text = with_plant(printer, report.plant, windows, notes, round(known, 4))
+            text = with_plant(printer, report.plant, windows, notes, round(error, 4))
             file.write(text.encode())
 
 
 def _check_usage(
-    nozzle: Sequence[object], bridge: Sequence[object], L_G: float | None, band: tuple[float, float]
-) -> None:
+    nozzle: Sequence[object], bridge: Sequence[object], L_G: float | None,
+    band: tuple[float, float], axes: Sequence[str],
+) -> None:  # fmt: skip
     if not nozzle:
         raise click.UsageError("give at least one --nozzle run of x and one of y")
     if bridge and L_G is None:
         raise click.UsageError("--bridge needs --bridge-length")
     if not 0.0 < band[0] < band[1] < 500.0:
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
+    if len(axes) > 2:
+        raise click.UsageError("give --axes at most twice: the nozzle's, then the bridge's")
 
 
-def _check_bed(runs: Sequence[Run], profile: Printer) -> None:
-    """Raises IdentificationError for a sweep that this profile's bed has no room for."""
+def _check_travel(runs: Sequence[Run], profile: Printer) -> None:
+    """Raise IdentificationError for a sweep that leaves the profile's travel."""
     from hframe_post.errors import IdentificationError
 
     for run in runs:
@@ -209,61 +197,35 @@ def _check_bed(runs: Sequence[Run], profile: Printer) -> None:
             if at.min() < low or at.max() > high:
                 raise IdentificationError(
                     f"{run.name}: its sweep goes from {at.min():.1f} to {at.max():.1f} mm in "
-                    f"{axis}, the profile's travel from {low:g} to {high:g} mm: is it another "
-                    "printer's?"
+                    f"{axis}, but the profile's travel from {low:g} to {high:g} mm. Was it played "
+                    "on another printer?"
                 )
 
 
-def _check_names(command: Path, recording: Path) -> None:
-    """Raises IdentificationError where both names tell a place, and not the same."""
-    from hframe_post.errors import IdentificationError
-
-    told = [PLACE.findall(path.stem) for path in (command, recording)]
-    if all(told) and told[0][-1] != told[1][-1]:
-        raise IdentificationError(
-            f"{recording.name} is named as the recording of {told[1][-1]}, but given with the "
-            f"command of {told[0][-1]}. Are the files of two places exchanged?"
-        )
-
-
-def _draw(found: Identified, folder: Path, outputs: Outputs) -> None:
-    from hframe_post import plotting
-    from hframe_post.identification import plots
-
-    drawings = {
-        name: plots.identification(name, found.measured[name], fitted)
-        for name, fitted in found.fits.items()
-    }
-    plotting.save_all(drawings, lambda name: outputs.open(folder / name))
-
-
 @dataclass
-class _Reading:
-    """How recordings are read; ``setup`` and ``findings`` collect what the report tells of them."""
+class _Reader:
+    """Reads the recordings; ``setup`` and ``findings`` collect what the report says of them."""
 
-    axes: str
+    nozzle_axes: str
     bridge_axes: str
     columns: tuple[str, ...] | None
-    unit: str
+    unit: str | None
     setup: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
 
     def nozzle(self, command: Path, recording: Path) -> Run:
-        """A run of the nozzle's sensor."""
         from hframe_post.identification.identify import Run
-        from hframe_post.identification.recordings import command_file
+        from hframe_post.identification.recordings.excitation import read_command
 
-        _check_names(command, recording)
-        heard = self._recording(recording, self.axes)
-        return Run(recording.name, command_file.read(command), heard)
+        found = self._recording(recording, self.nozzle_axes)
+        return Run(recording.name, read_command(command), found)
 
     def bridge(self, command: Path, P1: Path, P2: Path) -> Run:
-        """A run of the bridge's sensors."""
         from hframe_post.identification.identify import Run
-        from hframe_post.identification.recordings import command_file
+        from hframe_post.identification.recordings.excitation import read_command
 
         ends = self._recording(P1, self.bridge_axes), self._recording(P2, self.bridge_axes)
-        return Run(f"{P1.name}, {P2.name}", command_file.read(command), None, ends)
+        return Run(f"{P1.name}, {P2.name}", read_command(command), None, ends)
 
     def _recording(self, path: Path, axes: str) -> Recording:
         from hframe_post.identification.recordings import accelerometer

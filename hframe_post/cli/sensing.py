@@ -1,55 +1,75 @@
-"""What the commands share that play motions for an accelerometer and read what it recorded."""
+"""Options shared by sweep, identify and verify, and the files of a motion to be recorded."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from hframe_post.cli.options import files_read
+from hframe_post.cli.options import Command, files_read, say
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.sweep import Run
     from hframe_post.printer.settings import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
-QUIET = 0.5  # s at the start of a recording in which only gravity is felt
+QUIET = 0.5  # s at the start of a recording in which the printer stands still
 
 
-def chip(text: str) -> str:
-    """A name as Klipper takes it in CHIP=."""
-    from hframe_post.identification.recordings.sweep import NAME
+def removed_option(name: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
+    """Return the decorator for an option that was removed: using it is an error with advice."""
 
-    if not NAME.fullmatch(text):
+    def refuse(_: click.Context, __: click.Parameter, value: Any) -> None:
+        if value not in (None, ()):
+            raise click.UsageError(f"{name} was removed: {advice}")
+
+    help_text = f"Removed: {advice}."
+    return click.option(
+        name, hidden=True, expose_value=False, callback=refuse, help=help_text, **settings
+    )
+
+
+def obsolete_option(name: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
+    """Return the decorator for an option that still works but prints a warning with advice."""
+
+    def warn(_: click.Context, __: click.Parameter, value: Any) -> Any:
+        if value is not None:
+            say(f"Warning: {name} will be removed: {advice}")
+        return value
+
+    return click.option(name, hidden=True, callback=warn, help=f"Obsolete: {advice}.", **settings)
+
+
+def _chip(text: str) -> str:
+    """Return a chip's name. Raise BadParameter unless Klipper takes it in CHIP=."""
+    from hframe_post.identification.recordings.sweep import CHIP_NAME
+
+    if not CHIP_NAME.fullmatch(text):
         raise click.BadParameter(
-            f"{text!r} is no name: of [adxl345 hotend] in printer.cfg it is hotend"
+            f"{text!r} is not a chip's name: for [adxl345 hotend] in printer.cfg type hotend"
         )
     return text
 
 
-axes_option = click.option(
-    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z.",
-)  # fmt: skip
-
 chips_option = click.option(
-    "--chip", "chips", type=chip, multiple=True, default=("adxl345",), show_default=True,
-    metavar="NAME", help="An accelerometer to record, as Klipper calls it; may be repeated.",
+    "--chip", "chips", type=_chip, multiple=True, default=("adxl345",), show_default=True,
+    metavar="NAME", help="Accelerometer to record, by its name in Klipper; may be repeated.",
 )  # fmt: skip
 
-height_option = click.option(
-    "--z", type=click.FloatRange(0.0, 1e4), default=10.0, show_default=True, metavar="MM",
-    help="Height at which to move.",
+height_option = obsolete_option(
+    "--z", "edit the height in the line 'G1 Z10' of the G-code", metavar="MM",
+    type=click.FloatRange(0.0, 1e4),
 )  # fmt: skip
 
 
 def write_motion(
     target: Path, printer: str, profile: Printer, planned: list[Run], chips: tuple[str, ...],
-    z: float,
+    z: float | None,
 ) -> None:  # fmt: skip
-    """The runs as G-code, and beside it the command of each, as TARGET.RUN.csv."""
-    from hframe_post.identification.recordings import command_file
+    """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv."""
+    from hframe_post.identification.recordings.excitation import command_csv
     from hframe_post.identification.recordings.sweep import gcode
     from hframe_post.writers.files.atomic_file import Outputs
     from hframe_post.writers.stream.print_time import write_output
@@ -59,7 +79,7 @@ def write_motion(
         commands = [
             outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
         ]
-        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), z)
+        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), 10.0 if z is None else z)
         write_output(motion, lines, lambda: 0.0)
         for file, run in zip(commands, planned, strict=True):
-            file.writelines(command_file.written(run.command))
+            file.writelines(command_csv(run.command))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from hframe_post.identification.diagnosis.uncertainty import (
 )
 from hframe_post.identification.fitting.fit import Fit, at_one_time, fit, with_gain
 from hframe_post.identification.fitting.weighting import Distortion
-from hframe_post.identification.recordings.gravity import CERTAIN
+from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
@@ -35,12 +34,12 @@ from hframe_post.identification.responses.frequency_response import (
 )
 from hframe_post.identification.responses.lever_arm import Line, centre, line
 from hframe_post.identification.responses.measured import (
-    Heard,
     Run,
+    RunGroup,
+    RunResponse,
     Settings,
-    Together,
-    by_bridge,
-    by_nozzle,
+    bridge_responses,
+    nozzle_responses,
 )
 from hframe_post.model.plant import Plant
 from hframe_post.resources import one_blas_thread
@@ -162,7 +161,7 @@ class Identified:
 def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     """Transfer functions and x_c from runs of both axes. Raises IdentificationError."""
     x_runs, y_runs = (_swept(runs, axis, settings) for axis in (X, Y))
-    ends = by_bridge([run for run in runs if run.bridge], settings)
+    ends = bridge_responses([run for run in runs if run.bridge], settings)
     measured = {"Gxx": _measured(x_runs, settings), "Gyy": _measured(y_runs, settings)}
     fits = {name: _fit(name, one, settings) for name, one in measured.items()}
     nonlinear = _nonlinear(x_runs, y_runs, fits, settings.step)
@@ -209,20 +208,20 @@ def _certain(
     return {name: one for name, one in known.items() if one is not None}
 
 
-def _centred(x_runs: Together, along: Measured) -> tuple[float, float]:
+def _centred(x_runs: RunGroup, along: Measured) -> tuple[float, float]:
     heard = x_runs.runs
     return lever_arm_uncertainty([run.place for run in heard], [run.y for run in heard], along.mean)
 
 
-def _swept(runs: Sequence[Run], axis: int, settings: Settings) -> Together:
+def _swept(runs: Sequence[Run], axis: int, settings: Settings) -> RunGroup:
     """What the nozzle's sensor heard of the runs along an axis, of which there must be one."""
-    heard = by_nozzle([run for run in runs if run.nozzle and run.axis == axis], settings)
+    heard = nozzle_responses([run for run in runs if run.nozzle and run.axis == axis], settings)
     if not heard.runs:
         raise IdentificationError(f"no run of the nozzle's sensor sweeps {AXES[axis]}")
     return heard
 
 
-def _warnings(arms: Line | None, ends: Together, measured: dict[str, Measured]) -> list[str]:
+def _warnings(arms: Line | None, ends: RunGroup, measured: dict[str, Measured]) -> list[str]:
     warnings = _agreement(arms, measured) if ends.runs else []
     widest = max(one.late[1] - one.late[0] for one in measured.values()) / 2.0
     if widest > UNSURE:
@@ -234,7 +233,7 @@ def _warnings(arms: Line | None, ends: Together, measured: dict[str, Measured]) 
 
 
 def _nonlinear(
-    x_runs: Together, y_runs: Together, fits: dict[str, Fit], step: float
+    x_runs: RunGroup, y_runs: RunGroup, fits: dict[str, Fit], step: float
 ) -> Nonlinearity | None:
     axes = {}
     for name, heard in (("Gxx", x_runs), ("Gyy", y_runs)):
@@ -259,7 +258,7 @@ def _agreement(arms: Line | None, measured: dict[str, Measured]) -> list[str]:
     if share < 0.0:
         raise IdentificationError(
             "the bridge's sensors see the gantry turn the other way than the nozzle's sensor: P1 "
-            "must be the one at the greater x, and both need their --bridge-axes"
+            "must be the one at the greater x, and both need their own --axes"
         )
     off = math.sqrt(float((weight * np.abs(bridge - nozzle) ** 2).sum()) / size)
     if off <= DISAGREE:
@@ -270,13 +269,15 @@ def _agreement(arms: Line | None, measured: dict[str, Measured]) -> list[str]:
     ]
 
 
-def _measured(heard: Together, settings: Settings) -> Measured:
+def _measured(heard: RunGroup, settings: Settings) -> Measured:
     responses = [run.response for run in heard.runs]
     places = [(run.place, run.response) for run in heard.runs]
-    return Measured(places, average(responses), spread(responses, settings.band_hz), heard.late)
+    return Measured(
+        places, average(responses), spread(responses, settings.band_hz), heard.delay_bounds
+    )
 
 
-def _arms(heard: list[Heard], settings: Settings, changes: bool) -> Line | None:
+def _arms(heard: list[RunResponse], settings: Settings, changes: bool) -> Line | None:
     """Racking by the lever arm, where it can be and the places are far enough apart.
 
     changes: whether the printer changes along x, so that no line is straight.
@@ -287,10 +288,10 @@ def _arms(heard: list[Heard], settings: Settings, changes: bool) -> Line | None:
     found = line(places, [run.y for run in heard])
     if found.over_noise <= CLEARLY_RACKS or changes or found.beyond_noise <= OFF_LINE:
         return found
-    advice = _exchanged(places, [run.y for run in heard], found.beyond_noise)
     raise IdentificationError(
         f"what the nozzle does in y while x sweeps does not grow with the place: "
-        f"{100 * found.beyond_noise:.0f} % of it are off a straight line. {advice}"
+        f"{100 * found.beyond_noise:.0f} % of it are off a straight line. "
+        "Are files of two places exchanged, or was the sensor moved between runs?"
     )
 
 
@@ -298,28 +299,12 @@ def _racks(arms: Line) -> bool:
     return arms.over_noise > (RACKS if arms.beyond_noise <= OFF_LINE else CLEARLY_RACKS)
 
 
-def _exchanged(places: list[float], responses: list[FrequencyResponse], off: float) -> str:
-    """What another order of the files makes of the line."""
-    if 3 < len(places) <= 6:
-        others = {
-            order: line(list(order), responses).beyond_noise for order in permutations(places)
-        }
-        best = min(others, key=lambda order: others[order])
-        if others[best] < min(OFF_LINE, off / 3.0):
-            order = ", ".join(f"{place:.0f}" for place in best)
-            return (
-                "Are files of two places exchanged? In the order given, the recordings look like "
-                f"x = {order} mm"
-            )
-    return "Are files of two places exchanged, or was the sensor moved between runs?"
-
-
 def _fit(
     name: str, measured: Measured, settings: Settings, distortion: Distortion | None = None
 ) -> Fit:
     runs = [response for _, response in measured.places]
     return fit(
-        runs, measured.mean, settings.orders.get(name), AT_REST[name], settings.band_hz,
+        runs, measured.mean, None, AT_REST[name], settings.band_hz,
         measured.late, distortion, _sensor(name, settings),
     )  # fmt: skip
 
@@ -328,4 +313,4 @@ def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
     """The gain that gravity told, with its standard deviation."""
     if settings.sensor is None or name == "Gxtheta":
         return None
-    return settings.sensor[("Gxx", "Gyy").index(name)], CERTAIN
+    return settings.sensor[("Gxx", "Gyy").index(name)], GAIN_SD

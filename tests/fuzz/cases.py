@@ -10,7 +10,7 @@ from random import Random
 
 from threadpoolctl import threadpool_limits
 
-from hframe_post.identification.recordings import command_file
+from hframe_post.identification.recordings import excitation
 from hframe_post.identification.recordings.sweep import positions, runs
 from hframe_post.printer.profile import load, shipped
 from tests.fuzz import files, klipper, mutations, oracle
@@ -80,4 +80,4 @@ def tables() -> list[bytes]:
     klipper = "#time,accel_x,accel_y,accel_z\n" + "\n".join(rows) + "\n"
     paper = load("paper")
     [planned] = runs(paper, 0, positions(paper)[:1])
-    return [klipper.encode(), b"".join(command_file.written(planned.command))[:300_000]]
+    return [klipper.encode(), b"".join(excitation.command_csv(planned.command))[:300_000]]

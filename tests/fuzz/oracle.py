@@ -20,7 +20,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.options import Extrusion
-from hframe_post.identification.recordings import accelerometer, command_file
+from hframe_post.identification.recordings import accelerometer, excitation
 from hframe_post.planner.lookahead import MELTED
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
@@ -241,7 +241,7 @@ def check_table(seed: int, tables: list[bytes], folder: Path) -> str:
     path.write_bytes(settings.table(rng, rng.choice(tables)))
     try:
         if rng.random() < 0.5:
-            command_file.read(path)
+            excitation.read_command(path)
         else:
             accelerometer.read(path)
     except HframeError as error:

@@ -1,4 +1,4 @@
-"""Identification from end to end: sweeps played, sensors with faults, profiles."""
+"""Identification from end to end: played sweeps, sensors with faults, and the profiles found."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ extends = "paper"
 [sweep]
 rate_hz_per_s = 4.0
 """
-SENSOR = Sensor(turned=(93.0, -4.0, 2.0), drift=0.005)  # a quarter turn round, not quite level
+SENSOR = Sensor(turned=(93.0, -4.0, 2.0), drift=0.005)  # rotated by a quarter turn, and tilted
 AXES = "x=-y,y=x,z=z"
 SHIPPED = Path("paper")  # the profile of that name
 BAND = (5.0, 80.0)
@@ -36,14 +36,14 @@ BAND = (5.0, 80.0)
 
 @dataclass(frozen=True)
 class Played:
-    """A run: its command file and what the motors did, (m, 2) mm, every 1 ms."""
+    """A run: its command file, and the motors' motion (m, 2) in mm, every 1 ms."""
 
     command: Path
     motors: Array
 
 
 def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -> Played:
-    """A sweep of that axis, written by the tool and stepped as Klipper would, or just taken."""
+    """Write a sweep of that axis and return it, as played by the Klipper host or as commanded."""
     out = folder / f"{axis}.gcode"
     done = run(
         "sweep", "-p", profile, "-q", "--axis", axis, "--position", f"{place},150", "-o", out
@@ -56,7 +56,7 @@ def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -
     lines = ["G28", *out.read_text().splitlines()]
     calls = [k for k, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
     for k in calls:
-        lines[k] = "G4 P0"  # which asks for the time as the call does
+        lines[k] = "G4 P0"  # which reads the time as the call does
     dwell = float(lines[calls[0] + 1].removeprefix("G4 P")) * 1e-3
     stepped = folder / f"{axis}-{place:g}.gcode"
     stepped.write_text("\n".join(lines) + "\n")
@@ -68,10 +68,10 @@ def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -
     return Played(command, np.column_stack([(A + B) / 2.0, (A - B) / 2.0]))
 
 
-def heard(
+def recorded(
     played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int, at: float | None = None
 ) -> Path:
-    """Klipper's file of what the sensor felt on a printer of that plant."""
+    """Write Klipper's file of the sensor's recording on a printer of that plant."""
     place = "nozzle" if at is None else f"at-{at:g}"
     path = folder / f"{played.command.stem}.{place}.{seed}.csv"
     seconds = (len(played.motors) - 1) * TS
@@ -79,31 +79,31 @@ def heard(
 
 
 def off(found: TransferFunction | None, true: TransferFunction | None, motors: Array) -> float:
-    """RMS error of a frequency response from 5 to 80 Hz, weighted by input power, relative."""
+    """Return the relative RMS error of a response, 5 to 80 Hz, weighted by input power."""
     assert found is not None
     assert true is not None
     omega = np.asarray(2.0 * np.pi * np.fft.rfftfreq(len(motors), TS), dtype=np.float64)
     inside = (omega >= 2.0 * np.pi * BAND[0]) & (omega <= 2.0 * np.pi * BAND[1])
     swept = motors[:, int(np.argmax(np.ptp(motors, axis=0)))]
     power = np.abs(np.fft.rfft(swept - swept[0]) * omega**2)[inside] ** 2
-    is_, should = (G.response(omega[inside] * TS) for G in (found, true))
-    return math.sqrt(
-        (power * np.abs(is_ - should) ** 2).sum() / (power * np.abs(should) ** 2).sum()
-    )
+    H, true_H = (G.response(omega[inside] * TS) for G in (found, true))
+    return math.sqrt((power * np.abs(H - true_H) ** 2).sum() / (power * np.abs(true_H) ** 2).sum())
 
 
 def compensated(profile: Path, plant: Path, folder: Path) -> float:
-    """RMS contour error (µm) of the rectangle under that profile, on that plant."""
-    told = folder / "told.json"
+    """Return the RMS contour error (µm) of the rectangle with that profile, on that plant."""
+    summary = folder / "summary.json"
     done = run("simulate", "--path", "rectangle", "-p", profile, "--plant", plant,
-               "--on-limit", "clamp", "-q", "--json", told)  # fmt: skip
+               "--on-limit", "clamp", "-q", "--json", summary)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    return float(json.loads(told.read_text())["strategies"]["racking"]["contour_error_um"]["rms"])
+    return float(
+        json.loads(summary.read_text())["strategies"]["racking"]["contour_error_um"]["rms"]
+    )
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A printer on which sweeps are played: its plant, and how its motors are told to move."""
+    """A printer on which sweeps are played: its plant, and whether Klipper drives its motors."""
 
     folder: Path
     plant: Plant
@@ -111,10 +111,10 @@ class Bench:
     klipper: bool
 
     def runs(self, axis: str, places: Sequence[float], sensor: Sensor) -> list[tuple[Played, Path]]:
-        """Sweeps at these places, and what the sensor recorded of each."""
+        """Return sweeps at these places, each with its recording."""
         played = [swept(self.folder, self.profile, axis, p, self.klipper) for p in places]
         return [
-            (one, heard(one, self.plant, sensor, self.folder, seed))
+            (one, recorded(one, self.plant, sensor, self.folder, seed))
             for seed, one in enumerate(played)
         ]
 
@@ -126,9 +126,9 @@ def nozzle(*runs: tuple[Played, Path]) -> list[str | Path]:
 def check_recovered(
     bench: Bench, places: Sequence[float], *more: str | Path, times: float = 1.5
 ) -> None:
-    """The three transfer functions are found, and the profile compensates the true plant.
+    """Check that the transfer functions are found and the profile compensates the true plant.
 
-    times: the exact model's contour error of the rectangle, at most.
+    times: contour error of the rectangle relative to that of the exact model, at most.
     """
     mine, true = bench.folder / "mine.toml", bench.folder / "true.toml"
     x_runs, y_runs = bench.runs("x", places, SENSOR), bench.runs("y", places[:2], SENSOR)
@@ -154,7 +154,7 @@ rate_hz_per_s = 8.0
 start_hz = 3.0
 end_hz = 110.0
 """
-LEFT, RIGHT = 10.0, 270.0  # mm, where the bridge has its sensors
+LEFT, RIGHT = 10.0, 270.0  # x of the sensors on the bridge, mm
 ON_BRIDGE = Sensor(drift=0.005, clock=99.0)
 MAP = ("--axes", AXES)
 
@@ -181,9 +181,9 @@ def invoked(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["identify", *map(str, arguments)])
 
 
-def check_refused(folder: Path, told: str, *arguments: str | Path, status: int = 1) -> None:
+def check_refused(folder: Path, message: str, *arguments: str | Path, status: int = 1) -> None:
     mine = folder / "refused.toml"
     done = invoked(*arguments, "-o", mine)
     assert done.exit_code == status, done.output
-    assert re.search(told, done.output), done.output
+    assert re.search(message, done.output), done.output
     assert not mine.exists()

@@ -16,7 +16,7 @@ from tests.identification.bench import (
     SENSOR,
     Bench,
     Recorded,
-    heard,
+    recorded,
 )
 
 
@@ -35,5 +35,5 @@ def taken(tmp_path_factory: pytest.TempPathFactory, paper: Printer) -> Recorded:
     bench = Bench(folder, paper.plant, profile, klipper=False)
     x = bench.runs("x", (80.0, 140.0, 200.0), SENSOR)
     (y,) = bench.runs("y", (140.0,), SENSOR)
-    P1, P2 = (heard(x[1][0], paper.plant, ON_BRIDGE, folder, 7, at) for at in (RIGHT, LEFT))
+    P1, P2 = (recorded(x[1][0], paper.plant, ON_BRIDGE, folder, 7, at) for at in (RIGHT, LEFT))
     return Recorded(folder, x, y, (P1, P2))

@@ -1,4 +1,4 @@
-"""Recordings on the command's clock: drift, start, axes; and what is refused."""
+"""Recordings on the command's clock: drift, start, axes; and recordings that are refused."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_command_is_the_true_acceleration_of_a_sine(hz: float) -> None:
 @pytest.mark.parametrize("rate", [1000.0, 1344.0, 3200.0, 26667.0])
 @pytest.mark.parametrize("hz", [5.0, 40.0, 100.0])
 def test_resampling_keeps_gain_and_phase(rate: float, hz: float) -> None:
-    """A sine beside the sweep, in z, heard at uneven times on a fast clock."""
+    """The sine is added to the sweep, in z, and recorded at uneven times on a fast clock."""
     whole = sweep(rate=30.0)
     sensor = Sensor(noise=0.0, rate=rate, drift=0.005, step=1e-6)
     recording = sensor.felt(spline(whole, 0.0 * whole), seconds(whole))
@@ -63,14 +63,14 @@ def test_resampling_keeps_gain_and_phase(rate: float, hz: float) -> None:
     a[:, Z] = np.sin(2.0 * np.pi * hz * true)
     found = aligned(acceleration(whole), oriented(replace(recording, a=a)), X)
     t = np.arange(200, len(whole) - 200) * TS
-    late = (found.start - sensor.clock) / (1.0 + sensor.drift)  # all that is not known
-    heard = tone(found.acceleration[200:-200, Z], hz, np.asarray(t + late))
-    assert abs(abs(heard) - 1.0) <= 2e-4
-    assert abs(np.degrees(np.angle(heard))) <= 0.02 + 360.0 * hz * PPM * seconds(whole)
+    late = (found.start - sensor.clock) / (1.0 + sensor.drift)  # the only unknown
+    measured = tone(found.acceleration[200:-200, Z], hz, np.asarray(t + late))
+    assert abs(abs(measured) - 1.0) <= 2e-4
+    assert abs(np.degrees(np.angle(measured))) <= 0.02 + 360.0 * hz * PPM * seconds(whole)
 
 
-def test_resampling_lets_no_noise_from_above_in(swept: Array) -> None:
-    """A squeal at 990 Hz would be heard at 10 Hz."""
+def test_resampling_does_not_alias(swept: Array) -> None:
+    """A squeal at 990 Hz would alias to 10 Hz."""
     recording = Sensor(noise=0.0).felt(spline(swept, 0.0 * swept), seconds(swept))
     a = recording.a.copy()
     a[:, Y] += 1000.0 * np.sin(2.0 * np.pi * 990.0 * (recording.t - recording.t[0]))
@@ -105,7 +105,7 @@ def test_clock_is_found_from_the_marks(
 
 
 def test_motion_comes_back(paper: Printer, swept: Array, command: Array) -> None:
-    """Without noise nothing is left but the part of a sample by which the start is not known."""
+    """Without noise the only error is the part of a sample by which the start is unknown."""
     motion = nozzle(paper.plant, swept, X)
     sensor = Sensor(drift=0.005, noise=0.0, step=1e-6, offset=(0.0, 0.0, 0.0))
     found = aligned(command, oriented(sensor.felt(motion, seconds(swept))), X)
@@ -115,7 +115,7 @@ def test_motion_comes_back(paper: Printer, swept: Array, command: Array) -> None
 
 
 @pytest.mark.parametrize("axis", [X, Y])
-def test_motors_that_step_are_no_trouble(
+def test_motor_steps_do_not_disturb_the_clock(
     paper: Printer, swept: Array, command: Array, axis: int
 ) -> None:
     """Steps of 0.02 mm shake the nozzle above the sweep's band."""
@@ -157,7 +157,7 @@ def random_plants() -> list[TransferFunction]:
 
 @pytest.mark.parametrize("lead", [0.0, 2.3])
 @pytest.mark.parametrize("kind", range(6))
-def test_any_plant_will_do(swept: Array, command: Array, kind: int, lead: float) -> None:
+def test_clock_is_found_on_any_plant(swept: Array, command: Array, kind: int, lead: float) -> None:
     G = random_plants()[kind]
     sensor = Sensor(drift=-0.004, lead=lead, step=THIRTEEN_BITS)
     recording = sensor.felt(bridge_end(G, swept, 1.0 if kind < 4 else 5.0), seconds(swept), kind)
@@ -167,7 +167,7 @@ def test_any_plant_will_do(swept: Array, command: Array, kind: int, lead: float)
 
 
 @pytest.mark.parametrize("arm", [-140.0, 140.0])
-def test_ends_of_the_bridge_are_heard(
+def test_clock_is_found_at_the_ends_of_the_bridge(
     paper: Printer, swept: Array, command: Array, arm: float
 ) -> None:
     assert paper.plant.Gxtheta is not None
@@ -191,7 +191,7 @@ def test_start_is_found_where_it_is_not_known(
 
 
 @pytest.mark.parametrize("lead", [0.0, 3.3])
-def test_without_marks_clocks_are_taken_as_one(paper: Printer, lead: float) -> None:
+def test_without_marks_clocks_are_assumed_equal(paper: Printer, lead: float) -> None:
     swept = sweep(marks=False)
     recording = Sensor(lead=lead).felt(nozzle(paper.plant, swept, Y), seconds(swept))
     found = aligned(acceleration(swept), oriented(recording), Y)
@@ -223,7 +223,7 @@ def refused(command: Array, recording: Recording, channel: int, words: str) -> N
 @pytest.mark.parametrize("lead", [0.0, 2.0])
 def test_sweep_that_was_never_played(swept: Array, command: Array, lead: float) -> None:
     silent = Sensor(lead=lead).felt(spline(0.0 * swept, 0.0 * swept), seconds(swept))
-    refused(command, oriented(silent), X, "was the sweep played")
+    refused(command, oriented(silent), X, "that the sweep was played")
 
 
 def test_recording_of_the_other_axis(paper: Printer, swept: Array, command: Array) -> None:
@@ -234,14 +234,14 @@ def test_recording_of_the_other_axis(paper: Printer, swept: Array, command: Arra
 
 def test_wrong_axis_map(paper: Printer, swept: Array, command: Array) -> None:
     recording = Sensor().felt(nozzle(paper.plant, swept, X), seconds(swept))
-    refused(command, oriented(recording, "x=-y,y=x,z=z"), X, "axis map is wrong")
+    refused(command, oriented(recording, "x=-y,y=x,z=z"), X, "--axes is wrong")
 
 
 @pytest.mark.parametrize("axis", [X, Y])
 def test_wrong_sign(paper: Printer, swept: Array, command: Array, axis: int) -> None:
     recording = Sensor().felt(nozzle(paper.plant, swept, axis), seconds(swept))
     found = aligned(command, oriented(recording, "x=-x,y=-y,z=z"), axis)
-    with pytest.raises(IdentificationError, match="turned by 180°"):
+    with pytest.raises(IdentificationError, match="rotated by 180°"):
         heading(command, found.acceleration, axis)
 
 
@@ -259,12 +259,15 @@ def test_recording_that_lacks_its_end_or_beginning(
     for part, cause in (
         (slice(0, n // 2), "shorter than"),
         (slice(0, n - 12_000), "shorter than"),
-        (slice(0, n - 5000), "whole and of this sensor"),  # as short as a clock 2 % slow makes it
+        (
+            slice(0, n - 5000),
+            "complete and from this sensor",
+        ),  # as short as a clock 2 % slow makes it
         (slice(5000, n), "motion begins -"),
     ):
         refused(command, replace(whole, t=whole.t[part], a=whole.a[part]), Y, cause)
     late = replace(whole, t=whole.t[6400:], a=whole.a[6400:], started=False)
-    refused(command, late, Y, "whole|begins")
+    refused(command, late, Y, "complete|begins")
 
 
 def test_recording_that_was_started_by_hand(paper: Printer, swept: Array, command: Array) -> None:
@@ -272,12 +275,12 @@ def test_recording_that_was_started_by_hand(paper: Printer, swept: Array, comman
     refused(command, replace(oriented(recording), started=True), Y, "ACCELEROMETER_MEASURE")
 
 
-def test_command_that_is_none(swept: Array) -> None:
+def test_command_without_motion_is_refused(swept: Array) -> None:
     recording = Sensor().felt(spline(0.0 * swept, 0.0 * swept), seconds(swept))
     refused(np.zeros(5000), recording, X, "does not move")
     short = np.where(np.arange(5000) % 4000 == 3000, 1000.0, 0.0)
     refused(short, recording, X, "too short")
-    with pytest.raises(IdentificationError, match="no motion"):
+    with pytest.raises(IdentificationError, match="too short to be a motion"):
         acceleration(np.zeros(3))
 
 

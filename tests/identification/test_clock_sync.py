@@ -1,4 +1,4 @@
-"""Drift and start of a sensor's clock: by the two marks, and by windows where there are none."""
+"""Drift and start of a sensor's clock: from the two marks, or from windows without marks."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.clock_sync import band_of, by_marks, by_windows, marks_of
-from hframe_post.identification.recordings.resampling import Resampler
+from hframe_post.identification.recordings.clock_sync import (
+    Resampler,
+    clock_from_marks,
+    clock_from_windows,
+    energy_band,
+    find_marks,
+    moving_samples,
+)
 from tests.recordings import Sensor, spline, sweep
-
-QUIETEST = 1e-3
-
-
-def moving(command: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return np.flatnonzero(np.abs(command) > QUIETEST * np.abs(command).max())
 
 
 def resampler(swept: Array, sensor: Sensor) -> Resampler:
-    """The sensor on a perfectly stiff machine: the start that is found is the sensor's own."""
+    """Return a sensor's recording on a perfectly stiff machine, without delay of its own."""
     seconds = (len(swept) - 1) * TS
     recording = sensor.felt(spline(swept, 0.0 * swept), seconds)
     rest = recording.a[:500].mean(axis=0)
@@ -30,37 +30,37 @@ def resampler(swept: Array, sensor: Sensor) -> Resampler:
 def test_the_first_and_the_last_equal_stretches_are_the_marks() -> None:
     swept = sweep(rate=30.0)
     command = acceleration(swept)
-    marks = marks_of(command, moving(command))
+    marks = find_marks(command, moving_samples(command))
     assert marks is not None
     first, second = (command[at : at + marks.length] for at in (marks.first, marks.second))
     np.testing.assert_allclose(first, second, atol=1e-6 * np.abs(command).max())
     bare = acceleration(sweep(rate=30.0, marks=False))
-    assert marks_of(bare, moving(bare)) is None
+    assert find_marks(bare, moving_samples(bare)) is None
     other = command.copy()
     other[marks.second : marks.second + marks.length] *= 1.01
-    assert marks_of(other, moving(other)) is None
+    assert find_marks(other, moving_samples(other)) is None
 
 
 @pytest.mark.parametrize("drift", [-0.01, -0.0003, 0.0, 0.005])
 @pytest.mark.parametrize("lead", [0.0, 1.7])
-def test_marks_tell_drift_and_start(drift: float, lead: float) -> None:
+def test_marks_show_drift_and_start(drift: float, lead: float) -> None:
     swept = sweep(rate=20.0)
     command = acceleration(swept)
-    marks = marks_of(command, moving(command))
+    marks = find_marks(command, moving_samples(command))
     assert marks is not None
     sensor = resampler(swept, Sensor(drift=drift, lead=lead))
     track = sensor.resampled(0.0, 0.0, int(sensor.seconds / TS) + 1)
-    start, found = by_marks(command, marks, track)
+    start, found = clock_from_marks(command, marks, track)
     assert found == pytest.approx(drift, abs=1e-5)
     assert start == pytest.approx(lead * (1.0 + drift), abs=5.0 * TS)
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.008])
-def test_windows_tell_the_start_and_a_large_drift(drift: float) -> None:
+def test_windows_show_the_start_and_a_large_drift(drift: float) -> None:
     swept = sweep(rate=4.0, marks=False)
     command = acceleration(swept)
     sensor = resampler(swept, Sensor(drift=drift, lead=2.0))
-    start, found, unknown = by_windows(command, moving(command), sensor, False)
+    start, found, unknown = clock_from_windows(command, moving_samples(command), sensor, False)
     seconds = len(swept) * TS
     assert abs(found - drift) * seconds <= max(unknown, 5.0 * TS)
     assert start == pytest.approx(2.0 * (1.0 + drift), abs=max(unknown, 5.0 * TS))
@@ -69,11 +69,11 @@ def test_windows_tell_the_start_and_a_large_drift(drift: float) -> None:
 def test_a_recording_of_something_else_is_refused() -> None:
     swept = sweep(rate=30.0)
     command = acceleration(swept)
-    marks = marks_of(command, moving(command))
+    marks = find_marks(command, moving_samples(command))
     assert marks is not None
     noise = np.random.default_rng(1).normal(0.0, 100.0, (len(command), 3))
-    with pytest.raises(IdentificationError, match="was the sweep played"):
-        by_marks(command, marks, noise)
+    with pytest.raises(IdentificationError, match="that the sweep was played"):
+        clock_from_marks(command, marks, noise)
 
 
 def test_a_motion_that_is_too_short_for_windows_is_refused() -> None:
@@ -81,11 +81,13 @@ def test_a_motion_that_is_too_short_for_windows_is_refused() -> None:
     command = acceleration(swept)
     sensor = resampler(swept, Sensor())
     with pytest.raises(IdentificationError, match="too short"):
-        by_windows(command, moving(command)[:300], sensor, True)
+        clock_from_windows(command, moving_samples(command)[:300], sensor, True)
 
 
-def test_the_band_holds_the_energy() -> None:
+def test_the_band_contains_the_energy() -> None:
     t = np.arange(8000) * TS
-    low, high = band_of(np.sin(2.0 * np.pi * 20.0 * t) + np.sin(2.0 * np.pi * 60.0 * t), (0.1, 0.9))
+    low, high = energy_band(
+        np.sin(2.0 * np.pi * 20.0 * t) + np.sin(2.0 * np.pi * 60.0 * t), (0.1, 0.9)
+    )
     assert low == pytest.approx(20.0, abs=0.2)
     assert high == pytest.approx(60.0, abs=0.2)

@@ -1,4 +1,4 @@
-"""What `identify` refuses or warns of: wrong files, wrong axes, broken recordings."""
+"""Refusals and warnings of `identify`: wrong files, wrong axes, broken recordings."""
 
 from __future__ import annotations
 
@@ -20,58 +20,50 @@ from tests.identification.bench import (
     Played,
     Recorded,
     check_refused,
-    heard,
     invoked,
     nozzle,
+    recorded,
 )
+from tests.page.pages import data_of
 from tests.recordings import write_klipper
 
 
 def changed(source: Path, folder: Path, change: Callable[[Array], Array]) -> Path:
-    """The recording after ``change`` of its rows (n, 4)."""
+    """Write the recording after ``change`` of its rows (n, 4), and return the file."""
     rows = change(np.loadtxt(source, delimiter=","))
     return write_klipper(folder / "changed.csv", Recording(rows[:, 0], rows[:, 1:], False))
 
 
-def unnamed(folder: Path, *recordings: Path) -> list[Path]:
-    """The recordings under names that do not tell their places."""
-    copies = [folder / f"recording-{k}.csv" for k in range(len(recordings))]
-    for recording, copy in zip(recordings, copies, strict=True):
-        copy.write_bytes(recording.read_bytes())
-    return copies
-
-
 @pytest.mark.slow
-def test_exchanged_files_are_told(taken: Recorded, tmp_path: Path) -> None:
-    """By their names; by the recordings' own marks where names tell nothing."""
-    (x0, heard0), (x1, heard1), (x2, heard2) = taken.x
-    y, heard_y = taken.y
-    swapped = [*MAP, *nozzle((x0, heard2), (x1, heard1), (x2, heard0), taken.y)]
-    check_refused(tmp_path, "is named as the recording of x-at-200", *swapped)
-    heard0, heard2, heard_y = unnamed(tmp_path, heard0, heard2, heard_y)
-    check_refused(tmp_path, "not in", *MAP, *nozzle((x0, heard_y), (y, heard0)))
-    places = nozzle((x0, heard2), (x1, heard1), (x2, heard0), taken.y)
-    check_refused(tmp_path, "files of two places\\s+exchanged", *MAP, *places)
+def test_exchanged_files_are_refused(taken: Recorded, tmp_path: Path) -> None:
+    (x0, recorded0), (x1, recorded1), (x2, recorded2) = taken.x
+    y, recorded_y = taken.y
+    check_refused(tmp_path, "not in", *MAP, *nozzle((x0, recorded_y), (y, recorded0)))
+    places = nozzle((x0, recorded2), (x1, recorded1), (x2, recorded0), taken.y)
+    exchanged = r"files\s+of\s+two\s+places\s+are\s+exchanged"
+    check_refused(tmp_path, exchanged, *MAP, *places)
     P1, P2 = taken.ends
     ends: list[str | Path] = ["--bridge", x1.command, P2, P1, "--bridge-length", "260"]
     check_refused(tmp_path, "P1\\s+must be the one", *MAP, *taken.all, *ends)
 
 
 @pytest.mark.slow
-def test_racking_that_two_ways_tell_differently_is_doubted(taken: Recorded) -> None:
+def test_racking_that_differs_between_two_methods_is_a_warning(taken: Recorded) -> None:
     done = invoked(*MAP, *taken.all, *taken.bridge[:-1], "180")
     assert done.exit_code == 0, done.output
     assert "check --bridge-length" in done.output
 
 
-def test_wrong_axes_are_told(taken: Recorded, tmp_path: Path) -> None:
+def test_wrong_axes_are_refused(taken: Recorded, tmp_path: Path) -> None:
     check_refused(tmp_path, "not in", "--axes", "x=x,y=y,z=z", *taken.all)
     check_refused(tmp_path, "left-handed", "--axes", "x=y,y=x,z=z", *taken.all)
-    check_refused(tmp_path, "tilted", "--axes", "x=x,y=z,z=-y", *taken.all)
-    check_refused(tmp_path, "no axis map", "--axes", "up", *taken.all)
+    check_refused(tmp_path, "would be\\s+tilted", "--axes", "x=x,y=z,z=-y", *taken.all)
+    check_refused(tmp_path, "invalid axis map", "--axes", "up", *taken.all)
 
 
-def test_what_was_not_played_or_is_cut_or_clipped_is_told(taken: Recorded, tmp_path: Path) -> None:
+def test_recordings_without_the_sweep_or_cut_or_clipped_are_refused(
+    taken: Recorded, tmp_path: Path
+) -> None:
     x, path = taken.x[0]
     rng = np.random.default_rng(5)
 
@@ -79,7 +71,7 @@ def test_what_was_not_played_or_is_cut_or_clipped_is_told(taken: Recorded, tmp_p
         still = np.array([0.0, 0.0, 9806.65])
         return np.column_stack([rows[:, 0], still + rng.normal(0.0, 100.0, (len(rows), 3))])
 
-    for told, change in (
+    for message, change in (
         ("does not follow", silent),
         ("shorter|ends .* before", lambda rows: rows[: len(rows) // 2]),
         ("clipped", lambda rows: np.clip(rows, [-np.inf, -3000, -3000, -np.inf], np.inf)),
@@ -87,13 +79,15 @@ def test_what_was_not_played_or_is_cut_or_clipped_is_told(taken: Recorded, tmp_p
     ):
         bad = changed(path, tmp_path, change)
         axes = "x=x,y=y,z=z" if change is silent else AXES
-        check_refused(tmp_path, told, "--axes", axes, *nozzle((x, bad), taken.y))
+        check_refused(tmp_path, message, "--axes", axes, *nozzle((x, bad), taken.y))
 
 
-def test_another_sweeps_recording_is_told(taken: Recorded, tmp_path: Path, paper: Printer) -> None:
+def test_another_sweeps_recording_is_refused(
+    taken: Recorded, tmp_path: Path, paper: Printer
+) -> None:
     """The same frequencies, but falling."""
     x, _ = taken.x[0]
-    backwards = heard(Played(x.command, x.motors[::-1]), paper.plant, SENSOR, tmp_path, 3)
+    backwards = recorded(Played(x.command, x.motors[::-1]), paper.plant, SENSOR, tmp_path, 3)
     check_refused(tmp_path, "does not follow", *MAP, *nozzle((x, backwards), taken.y))
 
 
@@ -101,46 +95,41 @@ def test_another_sweeps_recording_is_told(taken: Recorded, tmp_path: Path, paper
 def test_noise_alone_costs_no_warning(taken: Recorded, tmp_path: Path, paper: Printer) -> None:
     noisy = replace(SENSOR, noise=12.0)
     runs = [
-        (played, heard(played, paper.plant, noisy, tmp_path, 20 + k))
+        (played, recorded(played, paper.plant, noisy, tmp_path, 20 + k))
         for k, (played, _) in enumerate((taken.x[1], taken.y))
     ]
     done = invoked(*MAP, *nozzle(*runs))
     assert done.exit_code == 0, done.output
-    told = [line for line in done.output.splitlines() if line.startswith("WARNING")]
-    assert [line for line in told if "racking was not measured" not in line] == []
+    warnings = [line for line in done.output.splitlines() if line.startswith("WARNING")]
+    assert [line for line in warnings if "racking was not measured" not in line] == []
 
 
 @pytest.mark.slow
-def test_orders_that_do_not_fit_are_told(taken: Recorded, tmp_path: Path) -> None:
-    """What is measured is shown all the same, to be looked at."""
-    told, drawn = tmp_path / "told.json", tmp_path / "f"
-    one_place = nozzle(taken.x[1], taken.y)
-    low = (*MAP, *one_place, "--order", "Gxx=1", "--json", told, "--figures", drawn)
-    check_refused(tmp_path, "order 1 .*too low", *low)
-    assert json.loads(told.read_text())["functions"]["Gxx"]["residual"] > 0.2
-    assert (drawn / "Gxx.png").exists()
-    done = invoked(*MAP, *one_place, "--order", "Gxx=10", "--json", "-")
-    assert done.exit_code == 0, done.output
-
-
-@pytest.mark.slow
-def test_a_plant_that_no_window_compensates_is_told(taken: Recorded, tmp_path: Path) -> None:
+def test_a_plant_that_no_window_compensates_is_refused(taken: Recorded, tmp_path: Path) -> None:
+    """The measurement is reported all the same."""
     weak = tmp_path / "weak.toml"
     weak.write_text('extends = "paper"\n[motors]\nbelt_acceleration = 600.0\n')
-    told = tmp_path / "told.json"
-    one_place = nozzle(taken.x[1], taken.y)
-    check_refused(tmp_path, "no window", "-p", weak, *MAP, *one_place, "--json", told)
-    assert "windows" not in json.loads(told.read_text())
+    summary, page = tmp_path / "summary.json", tmp_path / "page.html"
+    more = (*nozzle(taken.x[1], taken.y), "--json", summary, "--report", page)
+    check_refused(tmp_path, "no window", "-p", weak, *MAP, *more)
+    assert "windows" not in json.loads(summary.read_text())
+    assert data_of(page)["lead"] == "No profile can be made from these recordings."
 
 
-def test_usage_and_files_are_told(taken: Recorded, tmp_path: Path) -> None:
-    (x0, heard0), *_ = taken.x
+def test_usage_and_files_are_checked(taken: Recorded, tmp_path: Path) -> None:
+    (x0, recorded0), *_ = taken.x
     check_refused(tmp_path, "no run .* sweeps y", *MAP, *nozzle(*taken.x))
-    check_refused(tmp_path, "not the command of a sweep", *MAP, "--nozzle", heard0, heard0)
-    check_refused(tmp_path, "no accelerometer file", *MAP, "--nozzle", x0.command, x0.command)
+    check_refused(tmp_path, "not the command of a sweep", *MAP, "--nozzle", recorded0, recorded0)
+    check_refused(
+        tmp_path, "not a Klipper\\s+accelerometer\\s+file", *MAP, "--nozzle", x0.command, x0.command
+    )
     check_refused(tmp_path, "--bridge-length", *MAP, *taken.all, *taken.bridge[:4], status=2)
-    check_refused(tmp_path, "does not exist", *MAP, "--nozzle", "no.csv", heard0, status=2)
+    check_refused(tmp_path, "does not exist", *MAP, "--nozzle", "no.csv", recorded0, status=2)
     check_refused(tmp_path, "--nozzle", *MAP, status=2)
-    check_refused(tmp_path, "Gxx=4", *taken.all, "--order", "Gxx", status=2)
+    for removed in (["--order", "Gxx=4"], ["--estimator", "H2"]):
+        check_refused(tmp_path, f"{removed[0]} was removed", *taken.all, *removed, status=2)
+    figures = ("--figures", tmp_path / "f")
+    check_refused(tmp_path, "use --report page.html", *taken.all, *figures, status=2)
+    check_refused(tmp_path, "at most twice", *taken.all, *MAP, *MAP, *MAP, status=2)
     check_refused(tmp_path, "four names", *taken.all, "--columns", "t,x", status=2)
     check_refused(tmp_path, "--band", *taken.all, "--band", "50", "5", status=2)

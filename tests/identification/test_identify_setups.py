@@ -1,4 +1,4 @@
-"""Other ways to measure: sensors on the bridge, one place, other files."""
+"""Other ways to measure: sensors on the bridge, one place, files of other programs."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tests.identification.bench import (
     ON_BRIDGE,
     RIGHT,
     Recorded,
-    heard,
     invoked,
     nozzle,
     off,
+    recorded,
 )
 from tests.page.pages import data_of
 
@@ -32,7 +32,7 @@ def check_racking(done: Result, mine: Path, taken: Recorded, paper: Printer, wit
 
 
 @pytest.mark.slow
-def test_two_sensors_on_the_bridge_tell_racking(
+def test_two_sensors_on_the_bridge_measure_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:
     mine, report = tmp_path / "mine.toml", tmp_path / "report.html"
@@ -41,15 +41,15 @@ def test_two_sensors_on_the_bridge_tell_racking(
     check_racking(done, mine, taken, paper, 0.05)
     assert profiles.load(str(mine)).plant.x_c == 140.0
     assert "x_c was not measured" in done.output
-    told = data_of(report)
-    assert [section["title"] for section in told["sections"]] == ["Gxx", "Gyy", "Gxtheta"]
-    lines = told["sections"][0]["charts"][0]["lines"]
+    shown = data_of(report)
+    assert [section["title"] for section in shown["sections"]] == ["Gxx", "Gyy", "Gxtheta"]
+    lines = shown["sections"][0]["charts"][0]["lines"]
     assert [line["label"] for line in lines] == ["x = 140 mm", "model"]
-    assert any("x_c was not measured" in note for note in told["notes"])
+    assert any("x_c was not measured" in note for note in shown["notes"])
 
 
 @pytest.mark.slow
-def test_one_sensor_moved_along_the_bridge_tells_racking(
+def test_one_sensor_moved_along_the_bridge_measures_racking(
     taken: Recorded, tmp_path: Path, paper: Printer
 ) -> None:
     played = taken.x[1][0]
@@ -57,8 +57,8 @@ def test_one_sensor_moved_along_the_bridge_tells_racking(
         replace(ON_BRIDGE, clock=clock, drift=drift)
         for clock, drift in ((7.0, -0.003), (500.0, 0.005))
     )
-    P1 = heard(played, paper.plant, earlier, tmp_path, 8, RIGHT)
-    P2 = heard(played, paper.plant, later, tmp_path, 9, LEFT)
+    P1 = recorded(played, paper.plant, earlier, tmp_path, 8, RIGHT)
+    P2 = recorded(played, paper.plant, later, tmp_path, 9, LEFT)
     ends: list[str | Path] = ["--bridge", played.command, P1, P2, "--bridge-length", "260"]
     mine = tmp_path / "mine.toml"
     check_racking(invoked(*MAP, *taken.all, *ends, "-o", mine), mine, taken, paper, 0.05)
@@ -69,18 +69,15 @@ def test_without_places_or_bridge_the_profile_cancels_ringing_only(
     taken: Recorded, tmp_path: Path
 ) -> None:
     mine = tmp_path / "mine.toml"
-    done = invoked(*MAP, *nozzle(taken.x[1], taken.y), "-o", mine, "--figures", tmp_path / "f")
+    done = invoked(*MAP, *nozzle(taken.x[1], taken.y), "-o", mine)
     assert done.exit_code == 0, done.output
     assert "racking was not measured" in done.output
     assert profiles.load(str(mine)).plant.Gxtheta is None
-    assert sorted(path.name for path in (tmp_path / "f").iterdir()) == [
-        "Gxx.png", "Gxx.svg", "Gyy.png", "Gyy.svg",
-    ]  # fmt: skip
 
 
 @pytest.mark.slow
 def test_other_files_in_other_units_are_read(taken: Recorded, tmp_path: Path) -> None:
-    """Recordings whose start is not known: the answer is usable, and the doubt is told."""
+    """The start of such recordings is unknown: the profile is usable, with a warning."""
     arguments: list[str | Path] = []
     for k, (played, path) in enumerate((*taken.x, taken.y)):
         rows = np.loadtxt(path, delimiter=",")
@@ -91,7 +88,7 @@ def test_other_files_in_other_units_are_read(taken: Recorded, tmp_path: Path) ->
         np.savez(tmp_path / f"{k}.npz", **names)
         arguments += ["--nozzle", played.command, tmp_path / f"{k}.npz"]
     mine = tmp_path / "mine.toml"
-    more = ("--columns", "time,ax,ay,az", "--unit", "g", "-o", mine)
+    more = ("--columns", "time,ax,ay,az", "-o", mine)
     done = invoked(*MAP, *arguments, *more)
     assert done.exit_code == 0, done.output
     assert profiles.load(str(mine)).plant.Gxtheta is not None

@@ -1,4 +1,4 @@
-"""``hframe-post sweep``: the files that its users get, and what Klipper makes of them."""
+"""``hframe-post sweep``: the files that it writes, and how Klipper plays them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.identification.recordings.excitation import peaks
-from hframe_post.identification.recordings.sweep import Run, gcode, positions, runs, told
+from hframe_post.identification.recordings.sweep import Run, gcode, positions, runs, summary
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.deferred import DeferredLine
@@ -57,7 +57,7 @@ def test_measures_where_the_paper_did_and_inside_the_travel(paper: Printer) -> N
     assert np.mean([x for x, _ in positions(straight)]) == (low + high) / 2.0
 
 
-def test_names_tell_the_runs_apart(paper: Printer) -> None:
+def test_names_are_unique(paper: Printer) -> None:
     names = [r.name for r in runs(paper, 1, [(80.0, 100.0), (80.5, 100.0)])]
     assert names == ["y-at-80", "y-at-80_5"]
     names = [r.name for r in runs(paper, 0, [(80.0, 100.0), (80.0, 120.5)])]
@@ -78,19 +78,19 @@ def test_one_axis_moves_within_travel_and_motors(paper: Printer, axis: int) -> N
         assert a <= paper.motors.belt_acceleration
 
 
-def test_what_is_less_than_asked_is_told(paper: Printer) -> None:
+def test_the_summary_says_where_the_acceleration_is_reduced(paper: Printer) -> None:
     (middle,) = runs(paper, 0, [(140.0, 150.0)])
     (edge,) = runs(paper, 0, [(1.0, 150.0)])
-    assert "LESS than the amplitude" in told(paper, middle)
+    assert "stays below sweep.amplitude" in summary(paper, middle)
     until = [
-        float(re.search(r"below ([\d.]+) Hz", told(paper, r))[1])  # type: ignore[index]
+        float(re.search(r"below ([\d.]+) Hz", summary(paper, r))[1])  # type: ignore[index]
         for r in (middle, edge)
     ]
     assert until[1] > until[0]
     hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 9000.0\n', "hard")
-    assert "16 g" in told(hard, runs(hard, 0, [(140.0, 150.0)])[0])
+    assert "16 g" in summary(hard, runs(hard, 0, [(140.0, 150.0)])[0])
     gentle = profiles.parse('extends = "paper"\n[sweep]\namplitude = 500.0\n', "gentle")
-    assert "LESS" not in told(gentle, runs(gentle, 0, [(140.0, 150.0)])[0])
+    assert "stays below" not in summary(gentle, runs(gentle, 0, [(140.0, 150.0)])[0])
 
 
 @pytest.mark.parametrize("place", [(-1.0, 100.0), (100.0, 296.0), (0.0, 100.0)])
@@ -99,7 +99,7 @@ def test_a_place_without_room_is_an_error(paper: Printer, place: tuple[float, fl
         runs(paper, 0, [place])
 
 
-def test_what_outruns_a_motor_is_an_error() -> None:
+def test_a_sweep_that_outruns_a_motor_is_an_error() -> None:
     hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 60000.0\n', "hard")
     with pytest.raises(LimitError, match=r"belt acceleration.*sweep\.amplitude"):
         runs(hard, 0, [(140.0, 150.0)])
@@ -156,9 +156,9 @@ def test_equal_input_gives_equal_bytes(short: Path, tmp_path: Path) -> None:
 
 
 def check_played(folder: Path, printer: Printer, axis: int, place: tuple[float, float]) -> None:
-    """Klipper's own motion, from call to call, is the command, and lasts as long.
+    """Check that Klipper's motion from call to call is the command, and lasts as long.
 
-    The harness has no accelerometer: each call is a G4 P0, which asks for the time as it does.
+    The harness has no accelerometer: each call is a G4 P0, which reads the time as a call does.
     """
     (planned,) = runs(printer, axis, [place])
     lines = ["G28", *text(printer, [planned]).splitlines()]
@@ -217,25 +217,25 @@ def test_writes_gcode_and_a_command_for_each_run(short: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "told"),
+    ("arguments", "status", "message"),
     [
         (["--position", "80"], 2, b"is not X,Y"),
         (["--position", "nan,3"], 2, b"not on any bed"),
         (["--axis", "z"], 2, b"'z' is not one of"),
-        (["--chip", "adxl345 hotend"], 2, b"it is hotend"),
-        (["--chip", ""], 2, b"is no name"),
+        (["--chip", "adxl345 hotend"], 2, b"type hotend"),
+        (["--chip", ""], 2, b"is not a chip's name"),
         (["--z", "-1"], 2, b"--z"),
         (["--position", "500,100"], 1, b"x (mm) would be 500"),
         (["--position", "80,100", "--position", "80,100"], 1, b"twice"),
         (["-p", "missing"], 1, b"no such profile"),
     ],
 )
-def test_mistakes_are_told_and_nothing_is_written(
-    short: Path, tmp_path: Path, arguments: list[str], status: int, told: bytes
+def test_mistakes_are_errors_and_nothing_is_written(
+    short: Path, tmp_path: Path, arguments: list[str], status: int, message: bytes
 ) -> None:
     done = run("sweep", "-p", short, "-o", tmp_path / "out.gcode", *arguments)
     assert done.returncode == status
-    assert told in done.stderr
+    assert message in done.stderr
     assert b"Traceback" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["short.toml"]
 
@@ -248,7 +248,7 @@ def test_no_output_and_no_folder_are_errors(short: Path, tmp_path: Path) -> None
 
 
 def test_a_sweep_is_not_compensated(short: Path, tmp_path: Path) -> None:
-    """Compensated, it would measure the printer with what is to be measured taken out."""
+    """A compensated sweep would measure the printer without its resonances."""
     out = tmp_path / "out.gcode"
     assert run("sweep", "-p", short, "-q", "-o", out).returncode == 0
     done = run(out)

@@ -1,4 +1,4 @@
-"""`verify`: what it measures is what happens, and a wrong profile fails."""
+"""`verify` measures the true reduction, and a wrong profile fails."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.verification.compare import judge
 from hframe_post.identification.verification.motion import runs
-from hframe_post.identification.verification.verdict import Verdict
+from hframe_post.identification.verification.verdict import Verdict, judge
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -31,7 +30,7 @@ CHIP = Chip(gains=(1.03, 0.97, 1.0))
 
 
 def verdict(machine: Machine, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
-    """What `verify` says, and the true reduction."""
+    """Return the verdict and the true reduction."""
     both = runs(profile)
     heard = [oriented(chip.heard(machine, run.command, 5 + k), quiet=0.5)
              for k, run in enumerate(both)]  # fmt: skip
@@ -63,7 +62,7 @@ def test_a_wrong_profile_fails(scale: float) -> None:
 
 @pytest.mark.parametrize("wrong", ["sign", "place"])
 def test_wrong_racking_fails(wrong: str) -> None:
-    """Though ringing is so much more that compensation helps."""
+    """Compensation still helps here, since ringing is so much larger than racking."""
     exact = STRANGER.exact()
     assert exact.Gxtheta is not None
     Gxtheta, x_c = exact.Gxtheta, exact.x_c
@@ -105,11 +104,9 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
         recording = write_klipper(tmp_path / f"{k}.csv", CHIP.heard(STRANGER, rows[:, 1:], k))
         arguments += [f"--{name}", command, recording]
     report = tmp_path / "report.html"
-    figure = tmp_path / "figure.svg"
-    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report, "--figure", figure)
+    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report)
     assert done.exit_code == 0, done.output
     assert data_of(report)["cards"][0]["kind"] == "best"
-    assert b"<svg" in figure.read_bytes()
     plain, compensated = data_of(report)["sections"][0]["charts"][0]["lines"]
     assert max(plain["y"]) > 2.0 * max(compensated["y"]) > 0.0
     assert "VERDICT     good" in done.output
@@ -134,5 +131,8 @@ def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
 
 
 def test_usage(tmp_path: Path) -> None:
+    removed = invoked("--figure", tmp_path / "v.svg")
+    assert removed.exit_code == 2
+    assert "--report page.html" in removed.output
     assert invoked().exit_code == 2
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1

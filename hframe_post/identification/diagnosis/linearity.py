@@ -83,7 +83,7 @@ def nonlinearity(axes: Mapping[str, Swept], step: float) -> Nonlinearity | None:
     shares: dict[str, float] = {}
     alike: dict[str, dict[str, _Likeness]] = {}
     for name, axis in axes.items():
-        heard = Harmonics.of([one for _, one in axis.runs])
+        heard = Harmonics.from_runs([one for _, one in axis.runs])
         own = {k: heard.share(k) for k in (2, 3)}
         alike[name] = {cause: _likeness(axis, cause, own[ORDER[cause]]) for cause in CAUSES}
         along = {cause: own[ORDER[cause]] * one.like for cause, one in alike[name].items()}
@@ -107,12 +107,12 @@ def _likeness(axis: Swept, cause: str, share: float) -> _Likeness:
     """How well harmonics go along with a cause: correlation, without the noise."""
     some = axis.runs[:: max(1, -(-len(axis.runs) // RUNS))]
     stages = [(Stage(command, axis.printer), acceleration(command)) for command, _ in some]
-    heard, order = Harmonics.of([one for _, one in some]), ORDER[cause]
+    heard, order = Harmonics.from_runs([one for _, one in some]), ORDER[cause]
     used = heard.used(order)
     values = heard.amplitude[used, order - 1]
     size, rounds = PLAYS if cause == "backlash" else (1.0, 0)
     for again in range(rounds + 1):
-        made = Harmonics.of(
+        made = Harmonics.from_runs(
             [one for stage, u in stages if (one := harmonics(u, stage.acted(cause, size)))]
         )
         shape = made.amplitude[used, order - 1]

@@ -45,17 +45,17 @@ class Recommendation:
         }
 
     def gain(self) -> str:
-        """What compensation is predicted to do for the paper's rectangle."""
-        told = ", ".join(f"{name} {self.rms(name):.1f}" for name in self.predicted.strategies)
-        return f"predicted   contour error of a 120 × 20 mm rectangle, µm RMS: {told}"
+        """Return the predicted contour error of the paper's rectangle for each strategy."""
+        errors = ", ".join(f"{name} {self.rms(name):.1f}" for name in self.predicted.strategies)
+        return f"contour error of a 120 × 20 mm rectangle, µm RMS: {errors}"
 
-    def as_text(self) -> list[str]:
-        """Two lines for a person."""
+    def rows(self) -> list[tuple[str, str]]:
+        """Return labelled lines for a person."""
         x, y = self.windows
+        effort = f"effort = [{x.effort:g}, {y.effort:g}]"
         return [
-            f"windows     L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
-            f"effort = [{x.effort:g}, {y.effort:g}]",
-            self.gain(),
+            ("windows", f"L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, {effort}"),
+            ("predicted", self.gain()),
         ]
 
 

@@ -1,51 +1,36 @@
-"""Recordings of accelerometers: Klipper's files and others → m samples along the printer's axes.
+"""Recordings of accelerometers: samples along the printer's axes, in mm/s².
 
-A sensor at rest shows gravity, upwards, with its own offset. Klipper keeps the samples whose
-times lie between the two calls of ``ACCELEROMETER_MEASURE``, so its file begins with the command.
+A sensor at rest shows gravity, upwards, plus its own offset. From gravity follow the unit of a
+file, the sensor's tilt, and, from readings with the sensor turned several ways, its gains.
 """
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from scipy import optimize
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.number_table import read_table
+from hframe_post.identification.recordings.formats import Table, read_table
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
-KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
-DELIMITERS = ",;\t"
 AXES = "xyz"
-LONGEST_CAUSE = 200  # characters of what a library says of a broken file
-LONGEST_NAME = 40  # of a column, as errors show it
-
-FEWEST = 100  # samples from which anything can be told
-SLOWEST = 300.0  # samples a second below which 100 Hz cannot be told
-MOST_LOST = 5.0  # sample periods between neighbours
-LONGEST_SECONDS = 1e9  # of a clock; further on, a double no longer tells microseconds
-FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors end
-FLAT = 5  # equal samples at an extreme value that make it clipping, if there was a jump to it
-EDGE = 3.0  # of so many of the sensor's steps: the rounded peak of a sine jumps by 2.25 at most
+FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
-STEEPEST = 45.0  # degrees of tilt beyond which the axis map must be wrong
-
-_MAP = re.compile(r"([xyz])=([-+]?)([xyz])")
+GAIN_SD = 0.005  # of a gain from readings at rest, relative: each is one noisy, rounded sample
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Acceleration as a sensor tells it.
+    """Samples of a sensor: times t (n,) in s, rising and uneven; accelerations a (n, 3) in mm/s².
 
-    t (n,): s, rising, as irregular as recorded; a (n, 3): mm/s². started: the first sample
-    follows the start of the command by no more than a sample period.
+    started: the first sample follows the start of the command by at most one sample period.
     """
 
     t: Array
@@ -54,94 +39,89 @@ class Recording:
 
     @property
     def period(self) -> float:
-        """Seconds from one sample to the next, on its own clock; the median."""
+        """Return the median time between samples in s, on the sensor's own clock."""
         return float(np.median(np.diff(self.t)))
 
 
-def read(path: str | Path, columns: Sequence[str] | None = None, unit: str = "mm/s2") -> Recording:
-    """The recording in a file: .npz, .mat, or text with a line of names first.
+def read(
+    path: str | Path, columns: Sequence[str] | None = None, unit: str | None = None
+) -> Recording:
+    """Return the recording in a file of Klipper's, or in a text, .npz or .mat file.
 
-    columns: names of time (s) and the three accelerations, in ``unit`` (of UNITS). Without them
-    the file must be Klipper's, which is always in mm/s²; with them a file of Klipper's is not
-    taken to begin with the command. Raises OSError and IdentificationError, which names file,
-    line and cause.
+    columns: names of time (s) and the three accelerations, needed unless Klipper wrote the file;
+    with them even a Klipper file is not taken to begin with the command. unit: one of UNITS;
+    by default the one in which the mean acceleration is gravity. Raises OSError and
+    IdentificationError, which names file, line and cause.
     """
     path = Path(path)
-    if unit not in UNITS:
-        raise IdentificationError(f"{unit!r} is none of the units {', '.join(UNITS)}")
-    if columns is not None and len(set(columns)) != len(KLIPPER):
+    if unit not in (None, *UNITS):
+        raise IdentificationError(f"unknown unit {unit!r}; use one of {', '.join(UNITS)}")
+    if columns is not None and len(set(columns)) != 4:
         raise IdentificationError(
             f"{','.join(columns)!r} does not name four columns: time, x, y and z"
         )
-    if path.suffix in (".npz", ".mat"):
-        arrays = _npz(path) if path.suffix == ".npz" else _mat(path)
-        table = _Table(path, _chosen(path, arrays, columns), None)
-        started = False
-    else:
-        text = path.read_bytes()
-        table = _csv(path, text, columns)
-        started = columns is None
-    scale = 1.0 if started else UNITS[unit]
-    table.check()
-    a = table.values[:, 1:] * scale
-    table.check_clipping(a)
-    return Recording(table.values[:, 0].copy(), a, started)
+    table = read_table(path, columns)
+    _check_samples(path, table)
+    a = table.values[:, 1:]
+    a = a * UNITS[table.unit or unit or _unit_by_gravity(a)]
+    _check_clipping(path, table, a)
+    return Recording(table.values[:, 0].copy(), a, table.starts_with_command)
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """Rows of time and three accelerations, (n, 4), and the text they come from, if any."""
+def _unit_by_gravity(a: Array) -> str:
+    """Return the unit in which the mean of a (n, 3) is gravity; mm/s² if it is in none."""
+    strength = float(np.linalg.norm(a.mean(axis=0)))
+    fitting = (u for u, scale in UNITS.items() if PLAUSIBLE[0] <= strength * scale <= PLAUSIBLE[1])
+    return next(fitting, "mm/s2")
 
-    path: Path
-    values: Array
-    text: bytes | None
 
-    def check(self) -> None:
-        """Raises IdentificationError where these are no samples of a sensor."""
-        if (bad := np.flatnonzero(~np.isfinite(self.values).all(axis=1))).size:
-            raise self.wrong("not a finite number", int(bad[0]))
-        t = self.values[:, 0]
-        if len(t) < FEWEST:
-            raise self.wrong(f"{len(t)} samples are too few, {FEWEST} at least are needed")
-        if np.abs(t[[0, -1]]).max() > LONGEST_SECONDS:
-            raise self.wrong("the times are no seconds", 0)
-        step = np.diff(t)
-        if (bad := np.flatnonzero(step <= 0.0)).size:
-            raise self.wrong("time does not go forwards", int(bad[0]) + 1)
-        period = float(np.median(step))
-        if period > 1.0 / SLOWEST:
-            cause = f"{1.0 / period:.3g} samples a second are too few, {SLOWEST:g} are needed"
-            raise self.wrong(cause + "; is time in seconds?")
-        if (bad := np.flatnonzero(step > MOST_LOST * period)).size:
-            k = int(bad[0])
-            cause = f"samples are missing: {step[k]:.4g} s between neighbours at {t[k]:.6g} s"
-            raise self.wrong(f"{cause}, {period:.3g} s elsewhere; record again", k + 1)
+# ---------------------------------------------------------------------- checks of samples
 
-    def check_clipping(self, a: Array) -> None:
-        """The same where a (n, 3), mm/s², reached the end of what the sensor can show."""
-        for axis, values in zip(AXES, a.T, strict=True):
-            at = _clipped(values)
-            if at is not None:
-                cause = f"acceleration in the sensor's {axis} is clipped at {values[at]:.6g} mm/s²"
-                raise self.wrong(cause + "; lower the sweep's amplitude and record again", at)
 
-    def wrong(self, cause: str, row: int | None = None) -> IdentificationError:
-        """The error, with where it is."""
-        if row is None:
-            where = ""
-        elif self.text is None:
-            where = f"sample {row + 1}: "
-        else:
-            lines = self.text.splitlines()
-            full = [number for number, line in enumerate(lines, 1) if line.strip()]
-            where = f"line {full[row + 1]}: "
-        return IdentificationError(f"{self.path}: {where}{cause}")
+def _error(path: Path, table: Table, row: int | None, cause: str) -> IdentificationError:
+    where = "" if row is None else f"{table.where(row)}: "
+    return IdentificationError(f"{path}: {where}{cause}")
+
+
+def _check_samples(path: Path, table: Table) -> None:
+    """Raise IdentificationError unless these can be samples of a sensor."""
+    if (bad := np.flatnonzero(~np.isfinite(table.values).all(axis=1))).size:
+        raise _error(path, table, int(bad[0]), "not a finite number")
+    t = table.values[:, 0]
+    if len(t) < 100:
+        raise _error(path, table, None, f"{len(t)} samples are too few; at least 100 are needed")
+    # in larger numbers a double no longer resolves microseconds
+    if np.abs(t[[0, -1]]).max() > 1e9:
+        raise _error(path, table, 0, "timestamps are not in seconds")
+    step = np.diff(t)
+    if (bad := np.flatnonzero(step <= 0.0)).size:
+        raise _error(path, table, int(bad[0]) + 1, "time does not increase")
+    period = float(np.median(step))
+    if period > 1.0 / 300.0:  # slower sampling cannot show 100 Hz
+        cause = f"{1.0 / period:.3g} samples a second are too few; 300 are needed"
+        raise _error(path, table, None, f"{cause}. Check that time is in seconds")
+    if (bad := np.flatnonzero(step > 5.0 * period)).size:
+        k = int(bad[0])
+        cause = f"samples are missing: {step[k]:.4g} s between neighbours at {t[k]:.6g} s"
+        raise _error(path, table, k + 1, f"{cause}, {period:.3g} s elsewhere. Record again")
+
+
+def _check_clipping(path: Path, table: Table, a: Array) -> None:
+    """Raise IdentificationError if a (n, 3), mm/s², reached the end of the sensor's range."""
+    for axis, values in zip(AXES, a.T, strict=True):
+        at = _clipped(values)
+        if at is not None:
+            cause = f"acceleration in the sensor's {axis} is clipped at {values[at]:.6g} mm/s²"
+            raise _error(
+                path, table, at, f"{cause}. Lower sweep.amplitude in the profile and record again"
+            )
 
 
 def _clipped(values: Array) -> int | None:
-    """Where a signal (n,) first stays at its greatest or least value as only clipping does.
+    """Return where a signal (n,) first clips: it jumps to an extreme value and stays there.
 
-    Quantised, a slow sine stays there too, but comes to it by single steps.
+    A slow sine in coarse steps stays at its peak, too, but reaches it by single steps; near its
+    rounded peak it jumps by 2.25 steps at most.
     """
     beyond = np.flatnonzero(np.abs(values) >= FULL_SCALE)
     if beyond.size:
@@ -149,182 +129,68 @@ def _clipped(values: Array) -> int | None:
     levels = np.unique(values)
     if len(levels) < 3:
         return None
-    jump = EDGE * float(np.diff(levels).min())
+    jump = 3.0 * float(np.diff(levels).min())
     found = []
     for extreme in (levels[0], levels[-1]):
         first, last = _runs(values == extreme)
-        flat = last - first >= FLAT
+        flat = last - first >= 5
         before = np.abs(values[np.maximum(first - 1, 0)] - extreme)
         after = np.abs(values[np.minimum(last, len(values) - 1)] - extreme)
         found += first[flat & (np.maximum(before, after) > jump)].tolist()
     return min(found, default=None)
 
 
-def _runs(flags: Any) -> tuple[Integers, Integers]:
-    """First indices of runs of true flags (n,), and those after their ends."""
+def _runs(flags: Flags) -> tuple[Integers, Integers]:
+    """Return where runs of true flags (n,) begin, and the indices after their ends."""
     edge = np.diff(flags.astype(np.int8), prepend=0, append=0)
     return np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
 
 
-# ---------------------------------------------------------------------- files
-
-
-def _csv(path: Path, text: bytes, columns: Sequence[str] | None) -> _Table:
-    """Text with one line of names and then numbers."""
-    first, _, _ = text.lstrip().partition(b"\n")
-    if not first:
-        raise IdentificationError(f"{path}: the file is empty")
-    head = first.decode("utf-8-sig", "replace").strip()
-    delimiter = max(DELIMITERS, key=head.count)
-    names = [name.strip().strip("\"'") for name in head.split(delimiter)]
-    if "psd_xyz" in names:
-        raise IdentificationError(
-            f"{path}: line 1: this is a spectrum that Klipper has computed, not a recording: take "
-            "the file that ACCELEROMETER_MEASURE wrote, which begins with #time"
-        )
-    if columns is None and tuple(names) != KLIPPER:
-        raise IdentificationError(
-            f"{path}: line 1: this is no accelerometer file of Klipper's; "
-            f"say which columns hold time and x, y, z; {_there(names)}"
-        )
-    places = [_place(path, names, name) for name in columns or KLIPPER]
-    try:
-        if b"\n" not in text.strip():
-            values = np.zeros((0, 4))
-        else:
-            values = read_table(
-                io.BytesIO(text), delimiter=delimiter, skiprows=_before(text), usecols=places,
-                encoding="latin-1",
-            )  # fmt: skip
-    except ValueError:
-        raise _bad_line(path, text, delimiter, places) from None
-    return _Table(path, values, text)
-
-
-def _before(text: bytes) -> int:
-    """Lines up to that of the names."""
-    return text[: len(text) - len(text.lstrip())].count(b"\n") + 1
-
-
-def _bad_line(
-    path: Path, text: bytes, delimiter: str, places: Sequence[int]
-) -> IdentificationError:
-    """The error of the first line that holds no numbers."""
-    lines = text.splitlines()
-    for number, line in enumerate(lines[_before(text) :], _before(text) + 1):
-        parts = line.decode("latin-1").split(delimiter)
-        if not line.strip():
-            continue
-        shown = repr(line.strip()[:LONGEST_NAME].decode("latin-1"))
-        if len(parts) <= max(places):
-            last = " (the file is cut off?)" if number == len(lines) else ""
-            return IdentificationError(f"{path}: line {number}: too few columns: {shown}{last}")
-        try:
-            [float(parts[place]) for place in places]
-        except ValueError:
-            return IdentificationError(f"{path}: line {number}: this is no number: {shown}")
-    return IdentificationError(f"{path}: this cannot be read as numbers")
-
-
-def _npz(path: Path) -> Mapping[str, Any]:
-    content = io.BytesIO(path.read_bytes())
-    try:
-        with np.load(content, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except Exception as error:  # a broken file fails in many ways
-        cause = str(error)[:LONGEST_CAUSE]
-        raise IdentificationError(f"{path}: this cannot be read as .npz: {cause}") from None
-
-
-def _mat(path: Path) -> Mapping[str, Any]:
-    from scipy.io import loadmat
-
-    content = io.BytesIO(path.read_bytes())
-    try:
-        found = loadmat(content)
-    except NotImplementedError:
-        cause = "MATLAB 7.3 files cannot be read; save with -v7"
-        raise IdentificationError(f"{path}: {cause}") from None
-    except Exception as error:  # as above
-        cause = str(error)[:LONGEST_CAUSE]
-        raise IdentificationError(f"{path}: this cannot be read as .mat: {cause}") from None
-    return {name: value for name, value in found.items() if not name.startswith("__")}
-
-
-def _chosen(path: Path, arrays: Mapping[str, Any], columns: Sequence[str] | None) -> Array:
-    """The four named arrays side by side, (n, 4)."""
-    if columns is None:
-        raise IdentificationError(
-            f"{path}: say which arrays hold time and x, y, z; {_there(list(arrays))}"
-        )
-    chosen = []
-    for name in columns:
-        _place(path, list(arrays), name)
-        array = np.squeeze(np.asarray(arrays[name]))
-        if array.ndim != 1 or array.dtype.kind not in "fiu":
-            raise IdentificationError(f"{path}: {name} is no list of real numbers")
-        chosen.append(array.astype(np.float64))
-    if len({len(array) for array in chosen}) > 1:
-        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns, chosen, strict=True))
-        raise IdentificationError(f"{path}: the arrays differ in length ({sizes})")
-    return np.column_stack(chosen)
-
-
-def _place(path: Path, names: list[str], name: str) -> int:
-    if names.count(name) != 1:
-        cause = f"there is no column {name}" if name not in names else f"{name} occurs twice"
-        raise IdentificationError(f"{path}: {cause}; {_there(names)}")
-    return names.index(name)
-
-
-def _there(names: list[str]) -> str:
-    return "there are: " + ", ".join(name[:LONGEST_NAME] for name in names[:10])
-
-
-# ----------------------------------------------------------------------- axes
+# ---------------------------------------------------------------------- axes and gravity
 
 
 def diagnose(recording: Recording, quiet: float) -> list[str]:
-    """Warnings in words about a recording as it was read; quiet: s of rest at its start."""
+    """Return warnings about a recording as it was read; quiet: s of rest at its start."""
     gravity = float(np.linalg.norm(_at_rest(recording, quiet)))
     if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
         return []
     return [
-        f"at rest the sensor shows {gravity / 1000.0:.4g} m/s², not gravity's 9.81: is the unit "
-        "wrong? Its tilt is not removed"
+        f"at rest the sensor shows {gravity / 1000.0:.4g} m/s² instead of gravity, 9.81 m/s². "
+        "Its tilt is not removed. Check its unit, and that the printer stood still at the start"
     ]
 
 
 def oriented(recording: Recording, axes: str = "x=x,y=y,z=z", quiet: float = 1.0) -> Recording:
-    """The recording along the printer's axes, without gravity, tilt and offset.
+    """Return the recording along the printer's axes, without gravity, tilt and offset.
 
-    axes: each axis of the printer as the sensor names it, such as ``x=-y,y=x,z=z``. Tilt is
-    how gravity lies in the first ``quiet`` seconds, in which the printer must stand; where the
-    sensor shows none (``diagnose``) only the map and the offset count. A turn about the vertical
-    stays: see ``alignment.heading``. Raises IdentificationError.
+    axes: each axis of the printer as the sensor names it, such as ``x=-y,y=x,z=z``. The tilt is
+    the direction of gravity in the first ``quiet`` seconds, in which the printer must stand
+    still; without gravity (``diagnose``) only the map and the offset are applied. A rotation
+    about the vertical remains: see ``alignment.heading``. Raises IdentificationError.
     """
     matrix = axis_map(axes)
     rest = matrix @ _at_rest(recording, quiet)
     strength = float(np.linalg.norm(rest))
-    turn = np.eye(3)
+    rotation = np.eye(3)
     if PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
         tilt = np.degrees(np.arccos(np.clip(rest[2] / strength, -1.0, 1.0)))
-        if tilt > STEEPEST:
+        if tilt > 45.0:
             raise IdentificationError(
-                f"by the axis map {axes} the sensor is tilted by {tilt:.0f}°: z must name the "
+                f"with --axes {axes} the sensor would be tilted by {tilt:.0f}°. z must name the "
                 "sensor's axis that points up"
             )
-        turn = _upright(rest / strength)
-    a = recording.a @ (turn @ matrix).T
-    return replace(recording, a=a - turn @ rest)
+        rotation = _upright(rest / strength)
+    a = recording.a @ (rotation @ matrix).T
+    return replace(recording, a=a - rotation @ rest)
 
 
 def axis_map(axes: str) -> Array:
-    """The rotation (3, 3) that a map such as ``x=-y,y=x,z=z`` stands for.
+    """Return the rotation (3, 3) for a map such as ``x=-y,y=x,z=z``.
 
-    Raises IdentificationError for what is none.
+    Raises IdentificationError if the map is invalid.
     """
-    parts = [_MAP.fullmatch(part.strip()) for part in axes.lower().split(",")]
+    parts = [re.fullmatch(r"([xyz])=([-+]?)([xyz])", part.strip())
+             for part in axes.lower().split(",")]  # fmt: skip
     matrix = np.zeros((3, 3))
     for part in parts:
         if part is not None:
@@ -332,25 +198,64 @@ def axis_map(axes: str) -> Array:
             matrix[row, column] += -1.0 if part[2] == "-" else 1.0
     if None in parts or len(parts) != 3 or not np.array_equal(matrix @ matrix.T, np.eye(3)):
         raise IdentificationError(
-            f"{axes!r} is no axis map: x, y and z must each name one axis of the sensor, as in "
+            f"invalid axis map {axes!r}: x, y and z must each name one axis of the sensor, as in "
             "x=-y,y=x,z=z"
         )
     if np.linalg.det(matrix) < 0.0:
         raise IdentificationError(
-            f"the axis map {axes} is left-handed, which no sensor can be: a sign is wrong or two "
-            "axes are exchanged"
+            f"the axis map {axes} is left-handed, which no sensor is: a sign is wrong or two axes "
+            "are exchanged"
         )
     return matrix
 
 
 def _at_rest(recording: Recording, quiet: float) -> Array:
-    """What the sensor shows in its first ``quiet`` seconds, (3,)."""
+    """Return the mean acceleration (3,) of the first ``quiet`` seconds."""
     count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
     return np.asarray(recording.a[: max(count, 1)].mean(axis=0))
 
 
 def _upright(up: Array) -> Array:
-    """The shortest rotation (3, 3) that takes the unit vector ``up`` (3,) to z; up_z > −1."""
+    """Return the shortest rotation (3, 3) that takes a unit vector (3,) to z; up_z > −1."""
     x, y, z = up
     k = 1.0 / (1.0 + z)
     return np.array([[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], up])
+
+
+def gains_at_rest(readings: Array) -> Array:
+    """Return the sensor's gain along each of its axes, (3,), from readings at rest (n, 3), mm/s².
+
+    Axis i shows r_i = g_i·a_i + b_i, and at rest |a| is gravity G in any position:
+
+        Σ ((r_i − b_i) / g_i)² = G²
+
+    Raises IdentificationError unless each axis was turned up and down.
+    """
+    spans = np.ptp(readings, axis=0)
+    if len(readings) < 6 or (spans < 1.6 * GRAVITY).any():
+        which = AXES[int(np.argmin(spans))]
+        raise IdentificationError(
+            f"the {len(readings)} --at-rest readings do not show the sensor's gains: {which} "
+            f"spans {spans.min():.0f} mm/s² instead of about {2.0 * GRAVITY:.0f}. Point each axis "
+            "of the sensor up once and down once"
+        )
+    middle = (readings.max(axis=0) + readings.min(axis=0)) / 2.0
+    start = np.concatenate([spans / (2.0 * GRAVITY), middle / GRAVITY])
+
+    def residuals(x: Array) -> Array:
+        a = (readings / GRAVITY - x[3:]) / x[:3]
+        return np.asarray((a * a).sum(axis=1) - 1.0)
+
+    gains = np.asarray(optimize.least_squares(residuals, start).x[:3])
+    if (np.abs(gains - 1.0) > 0.15).any():
+        raise IdentificationError(
+            "by its --at-rest readings the sensor is more than 15 % off. Check that it stood "
+            "still and that the readings are in mm/s²"
+        )
+    return gains
+
+
+def gains_along_printer(gains: Array, axes: str) -> tuple[float, float]:
+    """Return the gains along the printer's x and y from those along the sensor's axes (3,)."""
+    x, y, _ = np.abs(axis_map(axes)) @ gains
+    return float(x), float(y)

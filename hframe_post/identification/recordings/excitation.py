@@ -1,80 +1,84 @@
-"""A motion along one axis from which its transfer function can be measured.
+"""The motion of a sweep along one axis, and its file.
 
-    quiet, mark, quiet, own mark, sweep, quiet, mark, quiet
+    quiet, mark, quiet, extra rest, sweep, quiet, mark, quiet
 
-The own mark is a rest that tells the run's place (`place_mark`).
+The length of the extra rest encodes the run's place (``place_mark``).
 
 The sweep is a sine of acceleration whose frequency grows at a constant rate. The two marks are
 one short chirp, equal bit by bit: the response to the second is that to the first, later, so
-their distance on a sensor's clock tells how fast that clock runs. A displacement, not an
-acceleration, is what is windowed, so position, speed and acceleration are 0 at both ends of
-every part, with no residue.
+their distance on a sensor's clock gives that clock's rate. The window is applied to the
+displacement, not to the acceleration, so position, speed and acceleration are exactly 0 at both
+ends of every part.
 
-Under the sweep lies a slow sway. A motor steps by 20 µm, the sweep at 80 Hz moves by 20 µm: at
-rest on one place each peak would be rounded alike, and the rounding would pass for the
-printer's gain. Swaying across many steps turns it into noise (and keeps the printer sliding).
+Under the sweep lies a slow sway. A motor steps by 20 µm, and the sweep at 80 Hz moves by 20 µm:
+without the sway each peak would be rounded alike, and the rounding would look like the printer's
+gain. Swaying across many steps turns the rounding into noise and keeps the printer sliding.
 From the default sweep to the steps of 20.6 µm that the Klipper host makes of it, over 5 to
-80 Hz and weighted by input power, the gain of one run came out wrong by 1.5 to 2.4 % without
-the sway and by 0.4 to 0.5 % with it; that of five places together by 0.6 and 0.25 %.
+80 Hz and weighted by input power, the gain of one run was wrong by 1.5 to 2.4 % without the
+sway and by 0.4 to 0.5 % with it; that of five places together by 0.6 and 0.25 %.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
 from hframe_post.arrays import TS, Array
+from hframe_post.errors import IdentificationError
 from hframe_post.printer.settings import Sweep
+from hframe_post.writers.stream import digits
 
-LONGEST_REST = 300  # samples of an own mark: what is less comes after the sweep
+LONGEST_REST = 300  # samples; the remainder of an extra rest follows the sweep
 MARK_HZ = (10.0, 100.0)
-MARK_SAMPLES = 401  # 0.4 s
-RAMP = 500  # samples over which the sweep fades in and out, or a quarter of a short one
-SHARPNESS = 4.0  # of the passage from one limit to the next; finite, so that it is smooth
-SWAY_HZ = 0.5  # or a quarter of the lowest frequency of a sweep that begins below 2 Hz
-SWAY_SHARE = 0.25  # of the room to move, at most
+MARK_SAMPLES = 401
+CSV_HEAD = "t,x,y"
 
 
 def amplitude(sweep: Sweep, hz: Array, speed: float, room: float) -> Array:
-    """Acceleration (k,), mm/s², that the frequencies ``hz`` (k,) are given.
+    """Return the acceleration (k,), mm/s², that is commanded at the frequencies ``hz`` (k,).
 
-    At low ones it is what leaves the speed (mm/s) within ``speed`` and the displacement within
-    the stroke and what the sway leaves of ``room`` (mm).
+    At low frequencies it keeps the speed (mm/s) within ``speed``, and the displacement within
+    the stroke and within what the sway leaves of ``room`` (mm).
     """
     w = 2.0 * np.pi * hz
-    stroke = min(sweep.stroke, room - _swayed(sweep, room))
+    stroke = min(sweep.stroke, room - _sway(sweep, room))
     limits = np.stack([np.full(len(hz), sweep.amplitude), w * speed, w * w * stroke])
-    return np.asarray((limits**-SHARPNESS).sum(axis=0) ** (-1.0 / SHARPNESS))
+    # a minimum of the three, but smooth
+    return np.asarray((limits**-4.0).sum(axis=0) ** (-1.0 / 4.0))
 
 
-def _swayed(sweep: Sweep, room: float) -> float:
-    return min(sweep.sway, SWAY_SHARE * room)
+def _sway(sweep: Sweep, room: float) -> float:
+    return min(sweep.sway, 0.25 * room)
 
 
 def trajectory(sweep: Sweep, speed: float, room: float, rest: int = 0) -> Array:
-    """Displacement (n,), mm, every 1 ms, from rest at 0 to rest at 0.
+    """Return the displacement (n,), mm, every 1 ms, from rest at 0 to rest at 0.
 
-    Never beyond the sweep's amplitude and its stroke and sway, nor beyond ``speed`` (mm/s) and
-    ``room`` (mm), as differences of the samples tell. rest: samples of its own mark.
+    Differences of the samples never exceed the sweep's amplitude, its stroke plus sway, ``speed``
+    (mm/s) and ``room`` (mm). rest: samples of extra rest before the sweep.
     """
     bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
     quiet = np.zeros(round(sweep.quiet / TS))
     mark = alignment_mark(sweep, speed, room)
     samples = round(sweep.seconds / TS) + 1
     sine = _chirp(sweep, sweep.start_hz, sweep.end_hz, samples, speed, room)
-    slow = 2.0 * np.pi * min(SWAY_HZ, sweep.start_hz / 4.0) * np.arange(samples) * TS
-    sine = _bounded(sine + _swayed(sweep, room) * _window(samples) * np.sin(slow), bounds)
+    # the sway is at 0.5 Hz, or below a sweep that begins lower than 2 Hz
+    slow = 2.0 * np.pi * min(0.5, sweep.start_hz / 4.0) * np.arange(samples) * TS
+    sine = _bounded(sine + _sway(sweep, room) * _window(samples) * np.sin(slow), bounds)
     before, after = np.zeros(rest), np.zeros(LONGEST_REST - rest)
     return np.concatenate([quiet, mark, quiet, before, sine, after, quiet, mark, quiet])
 
 
 def alignment_mark(sweep: Sweep, speed: float, room: float) -> Array:
-    """The short chirp, (n,) mm every 1 ms, by two of which a recording is aligned."""
+    """Return the short chirp, (n,) mm every 1 ms, of which two align a recording."""
     bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
     return _bounded(_chirp(sweep, *MARK_HZ, MARK_SAMPLES, speed, room), bounds)
 
 
 def peaks(displacement: Array) -> tuple[float, float, float]:
-    """Greatest displacement (mm), speed (mm/s) and acceleration (mm/s²) of samples (n,)."""
+    """Return the greatest displacement (mm), speed (mm/s) and acceleration (mm/s²) of (n,)."""
     orders = [np.diff(displacement, n=order) / TS**order for order in range(3)]
     d, v, a = (float(np.abs(values).max(initial=0.0)) for values in orders)
     return d, v, a
@@ -83,23 +87,65 @@ def peaks(displacement: Array) -> tuple[float, float, float]:
 def _chirp(
     sweep: Sweep, start_hz: float, end_hz: float, n: int, speed: float, room: float
 ) -> Array:
-    """A sine from one frequency to another, (n,), mm, 0 at both ends."""
+    """Return a sine from one frequency to another, (n,), mm, 0 at both ends."""
     t = np.arange(n) * TS
     rate = (end_hz - start_hz) / t[-1]
     hz = start_hz + rate * t
-    given = amplitude(sweep, hz, speed, room) / np.square(2.0 * np.pi * hz)
+    size = amplitude(sweep, hz, speed, room) / np.square(2.0 * np.pi * hz)
     phase = 2.0 * np.pi * (start_hz + rate * t / 2.0) * t
-    return np.asarray(_window(n) * given * np.sin(phase))
+    return np.asarray(_window(n) * size * np.sin(phase))
 
 
 def _bounded(wave: Array, bounds: tuple[float, float, float]) -> Array:
-    """The wave (n,), smaller if need be: changing amplitudes and the sway add to the sine's."""
+    """Return the wave (n,), scaled down if needed: windows and sway add to the sine's peaks."""
     share = min(1.0, *(b / p for b, p in zip(bounds, peaks(wave), strict=True) if p > 0.0))
     return np.asarray(share * wave)
 
 
 def _window(n: int) -> Array:
-    """0 at both ends, 1 between, (n,), with continuous second derivative."""
-    edge = min(RAMP, n // 4)
+    """Return 0 at both ends and 1 between, (n,), with continuous second derivative."""
+    edge = min(500, n // 4)
     u = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / edge, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - u * (15.0 - 6.0 * u)))
+
+
+# ---------------------------------------------------------------------- files
+
+
+def command_csv(command: Array) -> Iterator[bytes]:
+    """Yield a command (m, 2) as CSV: ``t,x,y`` in s and mm, one row a millisecond, t from 0."""
+    yield CSV_HEAD.encode() + b"\n"
+    t = np.arange(len(command)) * TS
+    comma = digits.column(b",", len(command))
+    parts = [digits.fixed(values, 6) for values in (t, *command.T)]
+    yield digits.rows(
+        [parts[0], comma, parts[1], comma, parts[2], digits.column(b"\n", len(command))]
+    )
+
+
+def read_command(path: Path) -> Array:
+    """Read x and y (m, 2) in mm from a command's CSV file.
+
+    Raises OSError, and IdentificationError with the line and the cause.
+    """
+    lines = path.read_bytes().decode("latin-1").splitlines()
+    if not lines or lines[0].strip().lower() != CSV_HEAD:
+        raise IdentificationError(
+            f"{path}: line 1: not the command of a sweep, which begins with {CSV_HEAD!r}"
+        )
+    if sum(bool(line.strip()) for line in lines[1:]) < 1000:
+        raise IdentificationError(f"{path}: too short for a command: at least 1000 rows are needed")
+    try:
+        rows = np.loadtxt(lines[1:], delimiter=",", comments=None, ndmin=2)
+    except ValueError as error:
+        raise IdentificationError(f"{path} cannot be read as numbers: {error}") from None
+    if rows.shape[1] != 3:
+        raise IdentificationError(f"{path}: rows must have three columns, {CSV_HEAD}")
+    if not np.isfinite(rows).all():
+        raise IdentificationError(f"{path} has values that are not finite")
+    late = np.abs(rows[:, 0] - rows[0, 0] - np.arange(len(rows)) * TS) > 1e-6
+    if late.any():
+        raise IdentificationError(
+            f"{path}: line {int(np.argmax(late)) + 2}: rows must be 1 ms apart"
+        )
+    return np.asarray(rows[:, 1:])

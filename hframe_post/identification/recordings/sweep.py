@@ -1,16 +1,16 @@
-"""Runs of a sweep as G-code for Klipper, each with a recording by its accelerometers.
+"""Runs of a sweep as G-code for Klipper, which records its accelerometers during each run.
 
 Klipper stamps both calls of ACCELEROMETER_MEASURE with the print time at which the motion
-before them ends, and keeps the samples between the two stamps. Print time advances by just
-what a motion or a G4 takes as long as Klipper's queue does not run empty. So a recording
+before them ends, and keeps the samples between the two stamps. As long as Klipper's queue does
+not run empty, print time advances by exactly the duration of each motion or G4. So a recording
 begins with the first row of its command and ends with the last, if
 
-- a dwell comes right before the first call, to be still going on while the sensor is set up;
+- a dwell precedes the first call and still lasts while the sensor is being set up;
 - no M400 comes between the calls: the stream must have begun before the first.
 
-Of several accelerometers the first one's second call waits for the motion to end, so the
-recordings of the others last longer. Klipper plays straight lines between the samples: what
-moves is the command times sinc²(f·1 ms), 2 % less at 80 Hz, as in a print of every sample.
+With several accelerometers the first one's second call waits for the end of the motion, so the
+other recordings are longer. Klipper plays straight lines between the samples: the motion is the
+command times sinc²(f·1 ms), 2 % less at 80 Hz, as in a print of every sample.
 """
 
 from __future__ import annotations
@@ -43,28 +43,28 @@ from hframe_post.version import __version__
 from hframe_post.writers.stream.deferred import Output
 from hframe_post.writers.stream.gcode import GcodeWriter
 
-AROUND = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
+OFFSETS = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
 APPROACH = 100.0  # mm/s, to the place of a run
-LIKELY = 20.0  # times, up to which a resonance of a printer may amplify
 LIFT = 5.0  # mm/s
-FINER = 2  # digits more than a print's: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration
-IN_TIME = 200  # segments over which the motion may be late; over 16 s it would be by 0.2 ms
-SETTLED = 2000  # samples of standstill before a recording, while which sensors are set up
-NAME = re.compile(r"[A-Za-z0-9_-]+")
+SETTLED = 2000  # samples of standstill before a recording, in which the sensors are set up
+CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 STATE = "hframe_post_sweep"
 HEAD = """\
 ; sweeps for the identification of printer {printer}, {version}
-; Before it: home (G28), clear the bed, leave hotend and bed as cold or warm as is wanted,
-; see that the accelerometers answer (ACCELEROMETER_QUERY).
-; It takes the nozzle to z {z} mm and moves in x and y; nothing is extruded.
+; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature
+; at which you print, and check that the accelerometers answer (ACCELEROMETER_QUERY).
+; The nozzle rises to z {z} mm and moves in x and y; nothing is extruded.
 SAVE_GCODE_STATE NAME={state}
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One recording. position: x and y in the middle of it, mm; command (n, 2): x and y every
-    1 ms, the first row at the first call, the last at the second."""
+    """One recording of a sweep.
+
+    position: the x and y around which the axis moves, mm. command (n, 2): x and y every 1 ms,
+    the first row at the first call of ACCELEROMETER_MEASURE, the last at the second.
+    """
 
     name: str
     axis: int
@@ -73,42 +73,48 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """From the first call to the second."""
+        """Return the duration of the recording."""
         return (len(self.command) - 1) * TS
 
 
 def positions(printer: Printer) -> list[tuple[float, float]]:
-    """Where to measure if nothing is said: the paper's places around x_c, y in the middle.
+    """Return the default places (x, y) in mm: the paper's, around x_c and in the middle of y.
 
-    A printer that does not rack has no x_c: around the middle of x.
+    A printer that does not rack has no x_c; its places lie around the middle of x.
     """
     low, high = printer.travel.x
     racks = printer.plant.Gxtheta is not None
     centre = printer.plant.x_c if racks else (low + high) / 2.0
     reach = printer.sweep.stroke + printer.sweep.sway
     y = round(sum(printer.travel.y) / 2.0, 3)
-    x = [round(centre + offset, 3) for offset in AROUND]
+    x = [round(centre + offset, 3) for offset in OFFSETS]
     inside = [p for p in x if low + reach <= p <= high - reach]
     return [(p, y) for p in inside] or [(round((low + high) / 2.0, 3), y)]
 
 
 def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list[Run]:
-    """One run along the axis (0, 1) at each place, checked whole. Raises HframeError."""
+    """Return one run along the axis (0: x, 1: y) at each place (x, y) in mm.
+
+    Raises HframeError, and LimitError if a run would leave the travel or outrun a motor.
+    """
     names = _names("xy"[axis], places)
     return [_run(printer, axis, *each) for each in zip(names, places, strict=True)]
 
 
 def _names(axis: str, places: list[tuple[float, float]]) -> list[str]:
-    """``x-at-110``, and with y where x does not tell the places apart."""
+    """Return names such as ``x-at-110``, with y added if two places have the same x."""
     if len(set(places)) < len(places):
-        raise HframeError("a position is given twice")
+        raise HframeError("the same --position is given twice")
     shown = [tuple(plain(p, 3).replace("-", "m").replace(".", "_") for p in at) for at in places]
     alone = len({x for x, _ in shown}) == len(shown)
     return [f"{axis}-at-{x}" if alone else f"{axis}-at-{x}-{y}" for x, y in shown]
 
 
 def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
-    """mm to the nearer edge of the travel along the axis. Raises LimitError beyond an edge."""
+    """Return the distance (mm) along the axis to the nearer edge of the travel.
+
+    Raises LimitError at an edge and beyond.
+    """
     for name, at, (low, high) in zip("xy", position, _travel(printer), strict=True):
         if not low <= at <= high:
             bound = low if at < low else high
@@ -145,26 +151,27 @@ def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) 
     return Run(name, axis, position, frozen(command))
 
 
-def told(printer: Printer, run: Run) -> str:
-    """One line for a person: how long, how far, how fast, and where less than asked."""
+def summary(printer: Printer, run: Run) -> str:
+    """Return one line about a run: its duration and peaks, and where it stays below the profile."""
     sweep = printer.sweep
     d, v, a = peaks(run.command[:, run.axis] - run.position[run.axis])
     left = room(printer, run.axis, run.position)
     hz = np.geomspace(sweep.start_hz, sweep.end_hz, 1000)
-    given = amplitude(sweep, hz, printer.limits.velocity, left)
+    commanded = amplitude(sweep, hz, printer.limits.velocity, left)
     line = f"{run.name}: {run.seconds:.3f} s, at most {d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
-    less = given < 0.9 * sweep.amplitude
-    if less.any():
-        until = hz[np.flatnonzero(less)[-1]]
+    reduced = commanded < 0.9 * sweep.amplitude
+    if reduced.any():
+        until = hz[np.flatnonzero(reduced)[-1]]
         line += (
-            f"; LESS than the amplitude of {sweep.amplitude:g} mm/s² below {until:.1f} Hz, where "
-            f"stroke, travel or speed limit it ({given[0]:.0f} mm/s² at {hz[0]:g} Hz)"
+            f"; below {until:.1f} Hz the acceleration stays below sweep.amplitude "
+            f"({sweep.amplitude:g} mm/s²), limited by stroke, travel or speed "
+            f"({commanded[0]:.0f} mm/s² at {hz[0]:g} Hz)"
         )
-    clips = FULL_SCALE / float(given.max())
-    if clips < LIKELY:
+    clips = FULL_SCALE / float(commanded.max())
+    if clips < 20.0:  # resonances of printers may amplify as much
         line += (
             f"; a resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
-            "takes a sensor of 16 g to its end: lower sweep.amplitude if it clips"
+            "exceeds the range of a 16 g sensor: lower sweep.amplitude if the recording clips"
         )
     return line
 
@@ -175,23 +182,22 @@ def told(printer: Printer, run: Run) -> str:
 def gcode(
     printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
-    """The file of all runs. chips: Klipper's names of the accelerometers; z: mm."""
+    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm."""
     stamp = f"{__version__}, printer {printer.name}, settings {printer.digest}"
     yield b"%s %s\n" % (STAMP, stamp.encode())
     height = plain(z, 3)
     head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
-    yield from _writer(printer).write(_samples(planned, chips, z))
+    # Two digits more than a print: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration. Kept in
+    # time over 200 segments: a motion that is late at one frequency would look like the printer's
+    # own delay. Over 16 s it would be late by 0.2 ms.
+    writer = GcodeWriter("none", Klipper.from_printer(printer), 2, steady=200)
+    yield from writer.write(_samples(planned, chips, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 
-def _writer(printer: Printer) -> GcodeWriter:
-    """One that keeps time: what it is late by at one frequency would pass for the printer's lag."""
-    return GcodeWriter("none", Klipper.from_printer(printer), FINER, steady=IN_TIME)
-
-
 def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:
-    """What the writer takes: approach, standstill, the recorded motion, handing back."""
+    """Yield the samples of each run: approach, standstill, the recorded motion, release."""
     first = 0
     for run in planned:
         x, y = (plain(p, 3) for p in run.position)
@@ -202,12 +208,12 @@ def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[S
         measure = [f"ACCELEROMETER_MEASURE CHIP={chip}" for chip in chips]
         begun, end = first + len(still), first + len(command)
         events = (
-            _passed(first, approach, Handling.RELEASE),
-            # a move of no length: the stream, with its limits, begins here and not with the motion
+            _passthrough(first, approach, Handling.RELEASE),
+            # a move of zero length: the stream, with its limits, begins here, before the motion
             Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
-            _passed(begun, "\n".join(measure), Handling.REST),
-            _passed(end, "\n".join(f"{m} NAME={run.name}" for m in measure), Handling.REST),
-            _passed(end, "", Handling.RELEASE),
+            _passthrough(begun, "\n".join(measure), Handling.REST),
+            _passthrough(end, "\n".join(f"{m} NAME={run.name}" for m in measure), Handling.REST),
+            _passthrough(end, "", Handling.RELEASE),
         )
         xyze = np.zeros((len(command), 4))
         xyze[:, :2], xyze[:, 2] = command, z
@@ -218,6 +224,6 @@ def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[S
         first = end
 
 
-def _passed(index: int, text: str, handling: Handling) -> Pause:
+def _passthrough(index: int, text: str, handling: Handling) -> Pause:
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
     return Pause(index, 0, Passthrough(0, text.encode(), handling, state))

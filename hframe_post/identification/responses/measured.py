@@ -1,6 +1,6 @@
-"""Runs of a sweep, and what sensors heard of them: frequency responses by place.
+"""Frequency responses of single runs, aligned to one common delay.
 
-runs → aligned accelerations → frequency responses, each delayed alike
+    runs → accelerations on the command's clock → frequency responses → one delay for all
 
 A run moves one axis. A sensor on the nozzle gives Gxx from runs in x and Gyy from runs in y.
 Racking comes from two sensors at the ends of the bridge (eq. 3),
@@ -13,7 +13,7 @@ or from the nozzle's sensor alone, by runs in x at several places (``lever_arm``
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,21 +24,18 @@ from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
-    Method,
     advanced,
     delays,
     estimate,
 )
 from hframe_post.identification.responses.harmonics import Harmonics, harmonics
 
-STEP = 0.02  # mm of belt, of motors of which nothing is known
-
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One sweep. command (m, 2): x, y in mm, every 1 ms; the recordings in the printer's axes.
+    """One sweep. command (m, 2): x and y in mm, every 1 ms; recordings in the printer's axes.
 
-    bridge: the sensors at P1, of greater x, and at P2.
+    bridge: the recordings at P1 (the greater x) and at P2.
     """
 
     name: str
@@ -48,43 +45,43 @@ class Run:
 
     @property
     def axis(self) -> int:
-        """X or Y, the one that moves. Raises IdentificationError unless one does."""
+        """Return X or Y, the axis that moves. Raise IdentificationError unless exactly one does."""
         moving = np.flatnonzero(np.ptp(self.command, axis=0) > 0.0)
         if len(moving) != 1:
-            cause = "both axes move" if len(moving) else "nothing moves"
-            raise IdentificationError(f"{self.name}: {cause}; a run sweeps x or y alone")
+            cause = "both axes move" if len(moving) else "no axis moves"
+            raise IdentificationError(f"{self.name}: {cause}; a run must sweep x or y alone")
         return int(moving[0])
 
     @property
     def place(self) -> float:
-        """Where it was played, mm of x."""
+        """Return the mean x of the run in mm."""
         return float(self.command[:, X].mean())
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How to identify. L_G: mm between P1 and P2. orders: of what is not to be chosen.
+    """What `identify` needs to know about the measurement.
 
-    racks: whether the kinematics can. offset: from the nozzle to its sensor in x and y, mm.
-    step: mm of belt, of the motors. sensor: its gains along x and y, where gravity told them.
+    L_G: distance of P1 and P2, mm. racks: whether the kinematics can rack. offset: from the
+    nozzle to its sensor in x and y, mm. step: mm of belt for one motor step. sensor: gains of
+    the sensor along x and y if they were measured with gravity.
     """
 
     band_hz: tuple[float, float]
-    method: Method = "H1"
     L_G: float | None = None
-    orders: dict[str, int] = field(default_factory=dict)
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
-    step: float = STEP
+    step: float = 0.02
     sensor: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """One run as sensors heard it. late: half-width of what is not known of its start, s.
+class RunResponse:
+    """Frequency responses of one run.
 
-    y: across, where the nozzle's sensor heard it. command (m,): mm along the swept axis.
-    harmonics: None where they cannot be told.
+    response: along the swept axis, or racking. y: across, from the nozzle's sensor. place: x of
+    the sensor, mm. late: half-width of the uncertainty of the recording's start, s. command (m,):
+    mm along the swept axis. harmonics: None if the command has no marks.
     """
 
     place: float
@@ -96,87 +93,84 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Together:
-    """Runs with one delay in common, and the bounds (s) of it."""
+class RunGroup:
+    """Runs shifted to one common delay, and the bounds of that delay in s."""
 
-    runs: list[Heard]
-    late: tuple[float, float]
+    runs: list[RunResponse]
+    delay_bounds: tuple[float, float]
 
 
-def by_nozzle(runs: list[Run], settings: Settings) -> Together:
-    """What the nozzle's sensor heard, turned so that it looks along the swept axis.
+def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:
+    """Return the responses of runs of one axis that have a recording of the nozzle's sensor.
 
-    All runs of an axis are turned alike: at low frequencies racking, too, looks like a turn,
-    by another angle at each place. Raises IdentificationError.
+    All runs are rotated by the same angle so that the sensor looks along the swept axis: at low
+    frequencies racking looks like a rotation, too, by another angle at each place. Raises
+    IdentificationError.
     """
     commands = [acceleration(run.command[:, run.axis]) for run in runs]
-    found = [
+    recorded = [
         aligned(u, run.nozzle, run.axis)
         for u, run in zip(commands, runs, strict=True)
         if run.nozzle is not None
     ]
-    answers = [
-        place_mark.answer(u, one.acceleration[:, run.axis])
-        for u, one, run in zip(commands, found, runs, strict=True)
-    ]
-    _check_places(runs, answers)
-    angles = [
-        heading(u, one.acceleration, run.axis)
-        for u, one, run in zip(commands, found, runs, strict=True)
-    ]
-    heard = []
-    for u, one, run in zip(commands, found, runs, strict=True):
+    triples = list(zip(commands, recorded, runs, strict=True))
+    place_mark.check(
+        [run.name for run in runs],
+        [float(run.command[0, X]) for run in runs],
+        [place_mark.answer(u, one.acceleration[:, run.axis]) for u, one, run in triples],
+    )
+    angles = [heading(u, one.acceleration, run.axis) for u, one, run in triples]
+    responses = []
+    for u, one, run in triples:
         a = turned(one.acceleration, float(np.mean(angles)))
-        along, y = (
-            estimate(u, a[:, channel], settings.method).within(settings.band_hz)
-            for channel in (run.axis, Y)
-        )
-        orders = harmonics(u, a[:, run.axis])
-        own = run.command[:, run.axis]
+        along, y = (estimate(u, a[:, k]).within(settings.band_hz) for k in (run.axis, Y))
         place = run.place + settings.offset[X]
-        heard.append(Heard(place, along, y, one.uncertainty, own, orders))
-    return together(heard)
+        swept = run.command[:, run.axis]
+        orders = harmonics(u, a[:, run.axis])
+        responses.append(RunResponse(place, along, y, one.uncertainty, swept, orders))
+    return with_common_delay(responses)
 
 
-def _check_places(runs: list[Run], answers: list[place_mark.Answer | None]) -> None:
-    places = [float(run.command[0, X]) for run in runs]
-    place_mark.check([run.name for run in runs], places, answers)
+def bridge_responses(runs: list[Run], settings: Settings) -> RunGroup:
+    """Return the racking of runs in x by eq. 3, from the two recordings of the bridge.
 
-
-def by_bridge(runs: list[Run], settings: Settings) -> Together:
-    """Eq. 3, of two sensors that may have heard a run one after the other."""
-    heard, answers = [], []
+    The two may have been recorded one after the other. Raises IdentificationError.
+    """
+    responses, answers = [], []
     for run in runs:
         if settings.L_G is None:
             raise IdentificationError(
-                f"{run.name}: the distance of the bridge's sensors is not given"
+                f"{run.name}: the distance of the bridge's sensors is missing"
             )
         if run.axis != X:
-            raise IdentificationError(f"{run.name}: racking shows in a run of x, this one sweeps y")
+            raise IdentificationError(
+                f"{run.name}: this run sweeps y, but only a sweep of x makes the bridge rack"
+            )
         u = acceleration(run.command[:, X])
         assert run.bridge is not None
         P1, P2 = (aligned(u, recording, Y) for recording in run.bridge)
         answers.append(place_mark.answer(u, P1.acceleration[:, Y]))
         theta = (P1.acceleration[:, Y] - P2.acceleration[:, Y]) / settings.L_G
-        response = estimate(u, theta, settings.method).within(settings.band_hz)
+        response = estimate(u, theta).within(settings.band_hz)
         late = max(P1.uncertainty, P2.uncertainty)
-        heard.append(Heard(run.place, response, response, late, run.command[:, X]))
-    _check_places(runs, answers)
-    return together(heard)
+        responses.append(RunResponse(run.place, response, response, late, run.command[:, X]))
+    places = [float(run.command[0, X]) for run in runs]
+    place_mark.check([run.name for run in runs], places, answers)
+    return with_common_delay(responses)
 
 
-def together(heard: Sequence[Heard]) -> Together:
-    """The runs, each shifted to the delay of their mean.
+def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
+    """Shift each run to the mean delay of all, and bound that delay.
 
-    How much later one began than another is known far better than when any began. Each run's
-    bounds hold for all: the more runs, the closer.
+    How much later one run began than another is known far better than when any of them began.
+    Each run's bounds hold for all: the more runs, the closer the bounds.
     """
-    late = delays([run.response for run in heard])
+    late = delays([run.response for run in responses])
     runs = [
         replace(run, response=advanced(run.response, by), y=advanced(run.y, by))
-        for run, by in zip(heard, late, strict=True)
+        for run, by in zip(responses, late, strict=True)
     ]
-    low = max((-run.late - by for run, by in zip(heard, late, strict=True)), default=0.0)
-    high = min((run.late - by for run, by in zip(heard, late, strict=True)), default=0.0)
+    low = max((-run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
+    high = min((run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
     middle = (low + high) / 2.0
-    return Together(runs, (min(low, middle), max(high, middle)))
+    return RunGroup(runs, (min(low, middle), max(high, middle)))

@@ -1,7 +1,7 @@
 """The test motion of `verify`: a rectangle and a zigzag at the profile's limits, between marks.
 
-Played twice, plain and compensated. What of a command is the motion, and where its corners are,
-is read off the command again when recordings are judged.
+It is played twice, plain and compensated. When recordings are judged, the part of a command that
+is the motion, and its corners, are found again from the command itself.
 """
 
 from __future__ import annotations
@@ -16,19 +16,17 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import frozen
 
 NAMES = ("none", "racking")  # the strategies that are compared
-LENGTHS, LOOPS = (40.0, 20.0), 4  # mm; how often the motion is played
-LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and how many
+LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
+LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 QUIET = 1000  # samples of rest before, between and after the parts
-RINGING = 150  # samples after a corner
-TURN = 0.3  # radians that make one
 
 
 def path(printer: Printer) -> list[bytes]:
-    """The test motion as G-code, in the middle of the travel, at the printer's own limits."""
+    """Return the test motion as G-code, in the middle of the travel, at the printer's limits."""
     (x0, x1), (y0, y1) = printer.travel.x, printer.travel.y
     width, height = (min(length, (high - low) / 3.0) for length, (low, high) in zip(
         LENGTHS, ((x0, x1), (y0, y1)), strict=True))  # fmt: skip
-    # to one side of the middle, so that the lever arm of racking is long
+    # off the middle, so that racking has a long lever arm
     left, low = (x0 + x1) / 2.0 + (x1 - x0) / 6.0 - width / 2.0, (y0 + y1) / 2.0 - height / 2.0
     speed = f"F{60.0 * printer.limits.velocity:g}"
     lines = ["G28", "G90", "M83", f"G1 X{left:.3f} Y{low:.3f} {speed}", "G4 P500"]
@@ -42,22 +40,22 @@ def path(printer: Printer) -> list[bytes]:
 
 
 def runs(printer: Printer) -> list[Run]:
-    """Both runs, to be played and recorded one after the other. Raises HframeError."""
+    """Return the plain and the compensated run. Raises HframeError."""
     options = Options("racking", limits="printer")
     source = Commands(path(printer), printer, options, NAMES)
-    held = [chunk for chunk in source.computed() if len(chunk)]
-    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in held])
+    chunks = [chunk for chunk in source.computed() if len(chunk)]
+    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     begin = _begin(wanted)
     made = []
     for name, strategy in (("verify-plain", "none"), ("verify-compensated", "racking")):
-        motion = np.concatenate([chunk.commands[strategy] for chunk in held])[begin:]
+        motion = np.concatenate([chunk.commands[strategy] for chunk in chunks])[begin:]
         made.append(Run(name, X, (float(motion[0, X]), float(motion[0, Y])),
                         frozen(_framed(motion, printer))))  # fmt: skip
     return made
 
 
 def _begin(wanted: Array) -> int:
-    """Where the test motion begins: after the last long rest of the approach."""
+    """Return the sample at which the test motion begins: after the last rest of the approach."""
     still = np.flatnonzero((np.diff(wanted, axis=0) == 0.0).all(axis=1))
     ends = still[np.flatnonzero(np.diff(still, append=len(wanted) + 2) > 1)]
     first = np.flatnonzero((wanted == wanted[ends[0]]).all(axis=1)) if len(ends) else [0]
@@ -66,7 +64,7 @@ def _begin(wanted: Array) -> int:
 
 
 def _framed(motion: Array, printer: Printer) -> Array:
-    """The motion between two marks, with rests."""
+    """Return the motion between two marks, with rests."""
     limits = printer.limits
     left = min(room(printer, X, (float(p[X]), float(p[Y]))) for p in motion[[0, -1]])
     mark = alignment_mark(printer.sweep, limits.velocity, left)
@@ -80,19 +78,19 @@ def _framed(motion: Array, printer: Printer) -> Array:
 
 
 def motion_of(wanted: Array) -> slice:
-    """The test motion, without marks and rests."""
+    """Return which samples of a command (m, 2) are the test motion, without marks and rests."""
     moving = np.flatnonzero((np.diff(wanted, axis=0) != 0.0).any(axis=1))
     breaks = np.flatnonzero(np.diff(moving) > QUIET // 2)
     return slice(int(moving[breaks[0] + 1]), int(moving[breaks[-1]]) + 1)
 
 
 def after_corners(wanted: Array) -> Flags:
-    """Samples within RINGING of a corner of the path, (m,)."""
+    """Flag the samples (m,) within 150 ms after a corner of the path, a turn of over 0.3 rad."""
     step = np.diff(wanted, axis=0, append=wanted[-1:])
     moving = np.flatnonzero((step != 0.0).any(axis=1))
     heading = np.arctan2(step[moving, Y], step[moving, X])
     turn = np.abs(np.angle(np.exp(1j * np.diff(heading))))
     flags = np.zeros(len(wanted), dtype=bool)
-    for k in moving[1:][turn > TURN].tolist():
-        flags[k : k + RINGING] = True
+    for k in moving[1:][turn > 0.3].tolist():
+        flags[k : k + 150] = True
     return flags

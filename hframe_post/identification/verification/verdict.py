@@ -1,26 +1,49 @@
-"""What both recordings of a verification tell, and whether the profile stands."""
+"""Whether compensation helps the real machine, from recordings of a test motion.
+
+The motion is played plain and compensated. A sensor measures accelerations only, so the place of
+the nozzle is the model's prediction p, corrected by the recording,
+
+    place = p + ∬ (a_measured − a_predicted),
+
+without frequencies below LOW_HZ, where integrated noise would hide everything. The contour error
+of both runs follows, and from it the reduction, which does not rely on the model being right.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from hframe_post.arrays import Array
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-HELPS = 0.2  # reduction below which a profile is not worth its risk
-AS_PREDICTED = 0.6  # of the predicted reduction, at least
-UNEXPLAINED = 0.34  # of what the nozzle does beside its path, that the model may miss
-RACKS_ALIKE = 0.4  # relative, by which racking may differ from the model's,
-SURE = 3.0  # and standard deviations of it besides
+from hframe_post.arrays import TS, Array, X, Y, Z
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.alignment import acceleration, aligned
+from hframe_post.identification.verification.motion import QUIET, after_corners, motion_of
+from hframe_post.model.plant import Response
+from hframe_post.prediction.contour import contour_error
+from hframe_post.printer.settings import Printer
+
+LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # of what is integrated, completely from FLAT_HZ on
+GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
+RACKING_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
+
+LEAST_REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
+LEAST_OF_PREDICTED = 0.6  # of the predicted reduction
+MOST_UNEXPLAINED = 0.34  # of the nozzle's motion off its path
+MOST_RACKING_ERROR = 0.4  # relative, in addition to three standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What both recordings tell, µm RMS of contour error and mm/s² RMS of ringing after corners.
+    """What both recordings show; each pair is (plain, compensated).
 
-    Each pair: plain, compensated. unexplained: of what the nozzle does beside its path, the share
-    that the model did not predict. racking: what the gantry racks, of what the model says, and
-    its standard deviation; None where the model's racking is none. at (n,): s, of the errors (n,)
-    in µm along the motion.
+    measured, predicted: contour error, µm RMS. ringing: acceleration after corners, mm/s² RMS.
+    unexplained: share of the nozzle's motion off its path that the model did not predict.
+    racking: measured racking relative to the model's, and its standard deviation; None if the
+    model has no racking. at (n,): s, of the contour errors (n,) in µm along the motion.
     """
 
     measured: tuple[float, float]
@@ -34,46 +57,48 @@ class Verdict:
 
     @property
     def reduction(self) -> float:
-        """Of the measured contour error, by compensation; negative where it is worse."""
+        """Return the share of the measured contour error that compensation removes."""
         plain, compensated = self.measured
         return 1.0 - compensated / plain
 
     @property
     def expected(self) -> float:
-        """The same as the model predicts it."""
+        """Return the reduction that the model predicts."""
         plain, compensated = self.predicted
         return 1.0 - compensated / plain
 
     @property
     def fault(self) -> str | None:
-        """Why the profile does not stand; None if it does."""
+        """Return why the profile fails; None if it is good."""
         if self.reduction <= 0.0:
             return (
-                "compensation makes this printer WORSE: the profile is not that of this printer, "
+                "compensation makes this printer WORSE: the profile belongs to another printer, "
                 "or the printer has changed. Do not print with it; sweep and identify again"
             )
-        if self.unexplained > UNEXPLAINED:
+        if self.unexplained > MOST_UNEXPLAINED:
             return (
-                f"the model misses {100 * self.unexplained:.0f} % of what the nozzle does: the "
-                "profile is not that of this printer as it is now. Sweep and identify again"
+                f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
+                "path: the profile is not that of this printer as it is now. Sweep and identify "
+                "again"
             )
         if self.racking is not None:
-            times, unsure = self.racking
-            if abs(times - 1.0) > RACKS_ALIKE + SURE * unsure:
-                how = "the other way, " if times < 0.0 else ""
+            ratio, sd = self.racking
+            if abs(ratio - 1.0) > MOST_RACKING_ERROR + 3.0 * sd:
+                how = "the other way, " if ratio < 0.0 else ""
                 return (
-                    f"the gantry racks {how}{abs(times):.1f} times as far as the model says: "
-                    "exchanged files, another x_c, or another printer. Sweep and identify again"
+                    f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
+                    "files are exchanged, x_c is wrong, or this is another printer. Sweep and "
+                    "identify again"
                 )
-        if self.reduction < max(HELPS, AS_PREDICTED * self.expected):
+        if self.reduction < max(LEAST_REDUCTION, LEAST_OF_PREDICTED * self.expected):
             return (
-                f"compensation takes {100 * self.reduction:.0f} % off the error, not the "
-                f"{100 * self.expected:.0f} % that the model promises: sweep and identify again"
+                f"compensation removes {100 * self.reduction:.0f} % of the error, not the "
+                f"{100 * self.expected:.0f} % that the model predicts. Sweep and identify again"
             )
         return None
 
     def as_text(self) -> str:
-        """For a person."""
+        """Return a table for a person, with the verdict in its last line."""
         rows = [
             ("contour error measured", self.measured, "µm"),
             ("contour error predicted", self.predicted, "µm"),
@@ -81,24 +106,171 @@ class Verdict:
         ]
         lines = [f"{'RMS':26s}{'plain':>10s}{'compensated':>14s}"]
         lines += [f"{name:26s}{a:10.1f}{b:14.1f}  {unit}" for name, (a, b), unit in rows]
-        lines.append(f"{'the model misses':26s}{100 * self.unexplained:10.0f} %")
+        lines.append(f"{'model misses':26s}{100 * self.unexplained:10.0f} %")
         if self.racking is not None:
-            times, unsure = self.racking
-            lines.append(f"{'racking, of the model’s':26s}{times:10.2f} ± {unsure:.2f}")
-        word = self.fault or f"compensation takes {100 * self.reduction:.0f} % off the error"
-        return "\n".join([*lines, f"VERDICT     {'FAILED: ' if self.fault else 'good: '}{word}"])
+            ratio, sd = self.racking
+            lines.append(f"{'racking / model':26s}{ratio:10.2f} ± {sd:.2f}")
+        good = f"compensation removes {100 * self.reduction:.0f} % of the error"
+        verdict = f"FAILED: {self.fault}" if self.fault else f"good: {good}"
+        return "\n".join([*lines, f"VERDICT     {verdict}"])
 
     def as_json(self) -> dict[str, object]:
-        """Ready for ``json.dumps``."""
+        """Return the verdict ready for ``json.dumps``."""
         pairs = {"measured_um": self.measured, "predicted_um": self.predicted,
                  "ringing": self.ringing}  # fmt: skip
-        told = {
+        rounded = {
             name: {"plain": round(a, 3), "compensated": round(b, 3)}
             for name, (a, b) in pairs.items()
         }
         return {
-            **told, "reduction": round(self.reduction, 4), "expected": round(self.expected, 4),
+            **rounded, "reduction": round(self.reduction, 4), "expected": round(self.expected, 4),
             "unexplained": round(self.unexplained, 4),
             "racking": None if self.racking is None else [round(one, 4) for one in self.racking],
             "fault": self.fault,
         }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Measurement:
+    """One run: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
+
+    a_racking (m,): the part of a_predicted in y that is due to racking. noise: of a place, mm.
+    """
+
+    place: Array
+    predicted: Array
+    a: Array
+    a_predicted: Array
+    a_racking: Array
+    noise: float
+
+
+def judge(
+    printer: Printer, plain: tuple[Array, Recording], compensated: tuple[Array, Recording]
+) -> Verdict:
+    """Compare both runs: each a command (m, 2), mm every 1 ms, and the recording of the nozzle.
+
+    Raises IdentificationError if a recording does not belong to its command.
+    """
+    wanted = plain[0]
+    if len(wanted) != len(compensated[0]):
+        raise IdentificationError(
+            "the commands of --plain and --compensated differ in length: they were not written by "
+            "the same 'hframe-post verify --gcode'"
+        )
+    part = motion_of(wanted)
+    runs = [_measure(printer, *run) for run in (plain, compensated)]
+    inside = np.zeros(len(wanted), dtype=bool)
+    inside[part] = True
+    moving = np.zeros(len(wanted), dtype=bool)
+    moving[part] = (np.diff(wanted[part], axis=0, append=wanted[-1:]) != 0.0).any(axis=1)
+    at = np.arange(len(wanted))
+    a_path = np.column_stack([acceleration(wanted[:, k]) for k in (X, Y)])
+    after = after_corners(wanted) & inside
+    measured, predicted, ringing = [], [], []
+    errors = [
+        [1e3 * contour_error(wanted, place, at)[moving] for place in (run.place, run.predicted)]
+        for run in runs
+    ]
+    for run, (real, model) in zip(runs, errors, strict=True):
+        measured.append(float(np.sqrt(max((real**2).mean() - (1e3 * run.noise) ** 2, 0.0))))
+        predicted.append(float(np.sqrt((model**2).mean())))
+        ringing.append(float(np.sqrt(((run.a - a_path)[after] ** 2).sum(axis=1).mean())))
+    band = (GAIN_HZ[1], HIGH_HZ)
+    missed = _rms((runs[0].a - runs[0].a_predicted)[part], *band)
+    off_path = _rms((runs[0].a - a_path)[part], *band)
+    return Verdict(
+        (measured[0], measured[1]), (predicted[0], predicted[1]), (ringing[0], ringing[1]),
+        missed / max(off_path, 1e-9), _racking(runs, part), np.asarray(TS * np.flatnonzero(moving)),
+        (errors[0][0], errors[1][0]), (errors[0][1], errors[1][1]),
+    )  # fmt: skip
+
+
+def _measure(printer: Printer, command: Array, recording: Recording) -> _Measurement:
+    found = aligned(acceleration(command[:, X]), recording, X)
+    predicted = Response(printer.plant, command[0]).run(command)
+    without = Response(replace(printer.plant, Gxtheta=None), command[0]).run(command)
+    a_predicted = np.column_stack([acceleration(predicted[:, k]) for k in (X, Y)])
+    a = found.acceleration[:, :Z] @ _correction(found.acceleration[:, :Z], a_predicted)
+    late = _lag(a, a_predicted)
+    a = _shifted(a, -float(np.clip(late, -found.uncertainty, found.uncertainty)))
+    off = _integrated_twice(a - a_predicted)
+    quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
+    noise = float(np.sqrt((quiet**2).mean()))
+    a_racking = acceleration(predicted[:, Y] - without[:, Y])
+    return _Measurement(predicted + off, predicted, a, a_predicted, a_racking, noise)
+
+
+def _racking(runs: Sequence[_Measurement], part: slice) -> tuple[float, float] | None:
+    """Return the nozzle's racking relative to the prediction, and its standard deviation.
+
+    Found by least squares over both runs; other errors of the model in y count as noise.
+    """
+    rows = [(run.a_racking, (run.a - run.a_predicted)[:, Y]) for run in runs]
+    model, missed = (
+        np.concatenate([_within(values[part, None], *RACKING_HZ)[:, 0] for values in column])
+        for column in zip(*rows, strict=True)
+    )
+    power = float(model @ model)
+    if power == 0.0:
+        return None
+    excess = float(model @ missed) / power
+    residual = missed - excess * model
+    independent = 2.0 * (RACKING_HZ[1] - RACKING_HZ[0]) * TS  # share of a sample
+    sd = float(np.sqrt((residual @ residual) / power / (independent * len(model))))
+    return 1.0 + excess, sd
+
+
+def _correction(a: Array, wanted: Array) -> Array:
+    """Return the matrix (2, 2) that removes the sensor's gains and rotation, from slow motion.
+
+    Raises IdentificationError if it is too far from 1 for any sensor.
+    """
+    slow, true = (_within(values, *GAIN_HZ) for values in (a, wanted))
+    matrix = np.linalg.lstsq(slow, true, rcond=None)[0]
+    off = np.abs(matrix - np.eye(2)).max()
+    if off > 0.1 + np.sin(np.radians(10.0)):  # a gain 10 % off, rotated by 10°
+        raise IdentificationError(
+            f"the recording differs from the command by {100 * off:.0f} % in slow motion: --axes "
+            "is wrong, or it is the recording of another run"
+        )
+    return np.asarray(matrix)
+
+
+def _lag(a: Array, wanted: Array) -> float:
+    """Return the seconds by which a is late, by least squares over the phase."""
+    n = next_fast_len(len(a))
+    hz = rfftfreq(n, TS)
+    inside = (hz > GAIN_HZ[0]) & (hz < 40.0)
+    omega = 2.0 * np.pi * hz[inside]
+    cross = (rfft(a, n, axis=0) * rfft(wanted, n, axis=0).conj()).sum(axis=1)[inside]
+    weight = np.abs(cross)
+    return float(-(weight * omega * np.angle(cross)).sum() / (weight * omega**2).sum())
+
+
+def _shifted(a: Array, seconds: float) -> Array:
+    n = next_fast_len(len(a) + 64)
+    shift = np.exp(-2j * np.pi * rfftfreq(n, TS) * seconds)
+    return np.asarray(irfft(rfft(a, n, axis=0) * shift[:, None], n, axis=0)[: len(a)])
+
+
+def _integrated_twice(a: Array) -> Array:
+    """Return displacements (m, 2) in mm from accelerations in mm/s², without low frequencies."""
+    n = next_fast_len(2 * len(a))
+    hz = rfftfreq(n, TS)
+    u = np.clip((hz - LOW_HZ) / (FLAT_HZ - LOW_HZ), 0.0, 1.0)
+    kept = u * u * (3.0 - 2.0 * u) * (hz < HIGH_HZ)
+    spectrum = rfft(a, n, axis=0) * (-kept / np.maximum(2.0 * np.pi * hz, 1.0) ** 2)[:, None]
+    return np.asarray(irfft(spectrum, n, axis=0)[: len(a)])
+
+
+def _within(a: Array, low: float, high: float) -> Array:
+    n = next_fast_len(len(a))
+    hz = rfftfreq(n, TS)
+    spectrum = rfft(a, n, axis=0)
+    spectrum[(hz < low) | (hz > high)] = 0.0
+    return np.asarray(irfft(spectrum, n, axis=0)[: len(a)])
+
+
+def _rms(a: Array, low: float, high: float) -> float:
+    return float(np.sqrt((_within(a, low, high) ** 2).sum(axis=1).mean()))
