@@ -44,7 +44,7 @@ def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
     if strategy == "none":
         return passing
     n = STOPS[stops]
-    return replace(passing, before=n, after=n, aside=ASIDE, long=LONGEST)
+    return replace(passing, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
 
 
 def stop_solvers(

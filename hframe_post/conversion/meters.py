@@ -12,7 +12,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.timing import joined
+from hframe_post.stream.running import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
 
 RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)

@@ -43,8 +43,7 @@ from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.chunks import shifted
-from hframe_post.stream.prefetch import prefetch
-from hframe_post.stream.timing import StageTimes, joined
+from hframe_post.stream.running import StageTimes, joined, prefetch
 from hframe_post.stream.types import Item, Planned, Samples
 from hframe_post.version import __version__
 

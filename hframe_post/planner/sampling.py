@@ -43,7 +43,7 @@ SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
     """Yield the samples of the whole stream. A chunk ends where the machine is released."""
     sampler = _Sampler(limits, rests)
-    for item, motion in _with_motion_after(planned, rests.labels):
+    for item, motion in _with_motion_after(planned, rests.needs_rest):
         if isinstance(item, Plan):
             yield from sampler.run(item)
         elif isinstance(item, Standing):
@@ -157,7 +157,7 @@ class _Sampler:
             samples_until(self._clock) if stops else math.floor(self._clock / TS)
         )
         marks, end = list(plan.marks), len(plan.line)
-        self._labelled |= any(self._rests.labels(mark.text) for mark in marks)
+        self._labelled |= any(self._rests.needs_rest(mark.text) for mark in marks)
         self._acceleration = float(plan.acceleration[-1])
         if stops:
             self._waiting_lines = [mark.text for mark in marks if mark.index == end]
@@ -192,7 +192,9 @@ class _Sampler:
         if self._rested:
             self._labelled = False
             aside = self._state is _State.ASIDE
-            yield from self._rest(plan.points[0], self._rests.aside if aside else self._rests.after)
+            yield from self._rest(
+                plan.points[0], self._rests.long_rest if aside else self._rests.after
+            )
         if self._state is not _State.MOVING:
             self._section, self._clock = self.output.index - 1, 0.0
             self._state = _State.MOVING
@@ -217,7 +219,7 @@ class _Sampler:
 
     def mark(self, text: bytes) -> None:
         """Add a pass-through line at the present sample, or to those that wait for rest."""
-        self._labelled |= self._rests.labels(text)
+        self._labelled |= self._rests.needs_rest(text)
         if self._waiting_lines:
             self._waiting_lines.append(text)
         else:
@@ -225,10 +227,10 @@ class _Sampler:
 
     def wait(self, action: Passthrough) -> Iterator[Samples]:
         """Add a pass-through line that needs the machine at rest."""
-        self._labelled |= self._rests.labels(action.text)
+        self._labelled |= self._rests.needs_rest(action.text)
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
-        yield from self._come_to_rest(released or n >= self._rests.long)
+        yield from self._come_to_rest(released or n >= self._rests.long_from)
         out.line = action.line
         if out.last is None:  # nothing to sample where the position is unknown
             out.events.append(Pause(out.index, 0, action))
@@ -244,8 +246,10 @@ class _Sampler:
         out = self.output
         if out.last is None:
             yield from out.stand(np.array(move.start), 1)
-        if motion is not None and self._rests.moving and not self._rested:
-            moving = TravelRetraction.if_it_fits(move, motion, self._limits, self._rests.moving)
+        if motion is not None and self._rests.retract_acceleration and not self._rested:
+            moving = TravelRetraction.if_it_fits(
+                move, motion, self._limits, self._rests.retract_acceleration
+            )
             if moving is not None:
                 self._retraction = moving
                 return
@@ -255,7 +259,7 @@ class _Sampler:
         if motion is not None and not self._labelled and self._state is not _State.ASIDE:
             leaving = self._corner_speed(float(motion.acceleration[0]))
         profile = StandingProfile.from_move(move, self._limits, entry, leaving)
-        if long := profile.samples >= self._rests.long:
+        if long := profile.samples >= self._rests.long_from:
             profile = StandingProfile.from_move(move, self._limits)
         entry, leaving = profile.trapezoid.v_s, profile.trapezoid.v_e
         yield from self._come_to_rest(long, needed=entry == 0.0)
@@ -277,7 +281,7 @@ class _Sampler:
 
         The motion's first segment is some 10 µm long and limits it to 0.05·√(mm/s²).
         """
-        return min(SPARED * self._rests.corner, 0.05 * math.sqrt(acceleration))
+        return min(SPARED * self._rests.lift_speed, 0.05 * math.sqrt(acceleration))
 
     def halt(self) -> Iterator[Samples]:
         """Bring the command to rest on the path."""
@@ -286,7 +290,7 @@ class _Sampler:
     def _come_to_rest(self, aside: bool, needed: bool = True) -> Iterator[Samples]:
         """Give the command time to come to rest if that is needed and it has had none."""
         if needed and not self._rested and self.output.last is not None:
-            samples = self._rests.aside if aside else self._rests.before
+            samples = self._rests.long_rest if aside else self._rests.before
             yield from self._rest(self.output.last, samples)
         self.pass_waiting_lines()
         aside = aside or self._state is _State.ASIDE

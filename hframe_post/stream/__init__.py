@@ -1,1 +1,1 @@
-"""What flows from stage to stage, and how it is cut, joined and prefetched."""
+"""Types that flow from stage to stage, cuts of a stream, and how stages are run and timed."""

@@ -1,4 +1,4 @@
-"""Chunks of a stream of samples: parts, joins, batches, neighbours, stretches."""
+"""Cuts of a stream of samples: stretches, batches, neighbours, parts and joins."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 
 def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
-    """The stream in parts, each ending where the machine may move on its own: state ends there too.
+    """Yield the stream in parts, each up to where the machine may move on its own.
 
-    Each part must be used up before the next one is asked for.
+    State of a stage ends there, too. Use up each part before you ask for the next.
     """
     source = iter(chunks)
 
@@ -33,23 +33,23 @@ def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
 
 
 def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """Contiguous chunks cut anew, ``n`` samples each, the last one what is left."""
-    held: list[Samples] = []
+    """Yield the same samples in chunks of ``n``, the last one with the remainder."""
+    waiting: list[Samples] = []
     for chunk in chunks:
-        held.append(chunk)
-        if sum(map(len, held)) < n:
+        waiting.append(chunk)
+        if sum(map(len, waiting)) < n:
             continue
-        whole = join(held)
+        whole = join(waiting)
         cuts = range(0, len(whole) - n + 1, n)
         yield from (part(whole, k, k + n) for k in cuts)
         done = cuts[-1] + n
-        held = [part(whole, done, len(whole))] if done < len(whole) else []
-    if held:
-        yield join(held)
+        waiting = [part(whole, done, len(whole))] if done < len(whole) else []
+    if waiting:
+        yield join(waiting)
 
 
 def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """The same stream in chunks of at most ``n`` samples."""
+    """Yield the same stream in chunks of at most ``n`` samples."""
     for chunk in chunks:
         for start in range(0, len(chunk), n):
             yield part(chunk, start, min(start + n, len(chunk)))
@@ -60,32 +60,22 @@ def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
 def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
-    """Each chunk, a wider one with up to so many samples around it, and where it lies there."""
+    """Yield each chunk, a wider one with up to so many samples around it, and its slice there."""
     past: list[Samples] = []
-    held: list[Samples] = []
+    waiting: list[Samples] = []
     for chunk in chain(chunks, [None]):
         if chunk is not None:
-            held.append(chunk)
-        while held and (chunk is None or sum(map(len, held[1:])) >= after):
-            current = held.pop(0)
-            wide = join([*past, current, *_beginning(held, after)])
+            waiting.append(chunk)
+        while waiting and (chunk is None or sum(map(len, waiting[1:])) >= after):
+            current = waiting.pop(0)
+            wide = join([*past, current, *_first(waiting, after)])
             start = sum(map(len, past))
             end = start + len(current)
-            past = list(_ending([*past, current], before))
+            past = list(_last([*past, current], before))
             yield current, wide, slice(start, end)
 
 
-def _ending(chunks: list[Samples], n: int) -> Iterator[Samples]:
-    """The last n samples."""
-    more = sum(map(len, chunks)) - n
-    for chunk in chunks:
-        if more <= len(chunk):
-            yield part(chunk, max(more, 0), len(chunk))
-        more -= len(chunk)
-
-
-def _beginning(chunks: list[Samples], n: int) -> Iterator[Samples]:
-    """The first n samples."""
+def _first(chunks: list[Samples], n: int) -> Iterator[Samples]:
     for chunk in chunks:
         if n <= 0:
             return
@@ -93,8 +83,16 @@ def _beginning(chunks: list[Samples], n: int) -> Iterator[Samples]:
         n -= len(chunk)
 
 
+def _last(chunks: list[Samples], n: int) -> Iterator[Samples]:
+    skip = sum(map(len, chunks)) - n
+    for chunk in chunks:
+        if skip <= len(chunk):
+            yield part(chunk, max(skip, 0), len(chunk))
+        skip -= len(chunk)
+
+
 def join(chunks: list[Samples]) -> Samples:
-    """Contiguous chunks as one."""
+    """Return contiguous chunks as one."""
     if len(chunks) == 1:
         return chunks[0]
     return Samples(
@@ -111,7 +109,7 @@ def join(chunks: list[Samples]) -> Samples:
 
 
 def part(chunk: Samples, start: int, stop: int) -> Samples:
-    """Samples start … stop − 1 of a chunk; the events of ``stop`` only if the chunk ends there."""
+    """Return samples start … stop − 1; events at ``stop`` belong to it only at the chunk's end."""
     low, high = chunk.first + start, chunk.first + stop
     events = tuple(
         e for e in chunk.events if low <= e.index and (e.index < high or high >= chunk.end)
@@ -122,7 +120,7 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
 
 
 def shifted(chunk: Samples, samples: int) -> Samples:
-    """The chunk so much later."""
+    """Return the chunk with all indices increased by ``samples``."""
     if not samples:
         return chunk
     events = tuple(replace(event, index=event.index + samples) for event in chunk.events)
@@ -130,9 +128,9 @@ def shifted(chunk: Samples, samples: int) -> Samples:
 
 
 def branches(chunks: Iterable[T], count: int) -> list[Iterator[T]]:
-    """The same chunks ``count`` times over; held only until the slowest branch has taken them.
+    """Return ``count`` iterators over the same chunks, each kept until the slowest has taken it.
 
-    ``itertools.tee`` lets go of what has been taken by dozens only, and a chunk is megabytes.
+    ``itertools.tee`` releases items in groups of dozens only, and a chunk takes megabytes.
     """
     source, queues = iter(chunks), [deque[T]() for _ in range(count)]
 
@@ -142,8 +140,8 @@ def branches(chunks: Iterable[T], count: int) -> list[Iterator[T]]:
                 chunk = next(source, None)
                 if chunk is None:
                     return
-                for other in queues:
-                    other.append(chunk)
+                for each in queues:
+                    each.append(chunk)
             yield queue.popleft()
 
     return [branch(queue) for queue in queues]

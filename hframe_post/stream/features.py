@@ -1,4 +1,4 @@
-"""What slicers call layers and the parts of one, and which of a few kinds each name means."""
+"""Layers and features (walls, infill, …) of a print, from the comments of the slicers."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _FEATURE = re.compile(
     rb"|\s*;\s*'([^']+)', [\d.]+ \[feed"  # KISSlicer
 )
 
-TRAVEL = "travel"  # lays down nothing
-OTHER = "other"  # of no known name
+TRAVEL = "travel"  # extrudes nothing
+OTHER = "other"  # an unknown name
 
-# In this order: the first kind of which a word occurs in the name, without its punctuation
+# The first kind whose word occurs in the name without punctuation counts.
 _KINDS = (
     ("ironing", ("ironing",)),
     ("bridge", ("bridge", "overhang")),
@@ -38,13 +38,13 @@ KINDS = tuple(kind for kind, _ in _KINDS)
 
 
 def kind(name: str) -> str:
-    """The kind of a feature by the name that a slicer gives it; ``OTHER`` if that says nothing."""
+    """Return the kind of a feature by its slicer's name; ``OTHER`` if the name is unknown."""
     plain = re.sub(r"[^a-z]", "", name.lower())
     return next((kind for kind, words in _KINDS if any(w in plain for w in words)), OTHER)
 
 
 def feature(text: bytes) -> str | None:
-    """The name of the feature that a line says begins; None if it says nothing of it."""
+    """Return the name of the feature that begins at a line; None if none does."""
     if match := _FEATURE.match(text):
         return (match[1] or match[2]).decode("utf-8", "replace")
     return None
@@ -52,11 +52,11 @@ def feature(text: bytes) -> str | None:
 
 @dataclass
 class Place:
-    """Where in a print: its layer, by place in the print from 1, and its feature.
+    """The present layer and feature in a print.
 
-    layer: 0 before the first. name: of the layer, its number as the slicer gives it, or counted
-    from 0 where it only says that a layer begins (``;LAYER_CHANGE``). Printed one object at a
-    time, several layers have one name. feature: as the slicer calls it.
+    layer: counted from 1 in the order of printing; 0 before the first. name: the number that the
+    slicer gives the layer, or a count from 0 where it only marks the start (``;LAYER_CHANGE``).
+    If objects are printed one at a time, several layers have the same name. feature: its name.
     """
 
     layer: int = 0
@@ -64,7 +64,7 @@ class Place:
     feature: str = ""
 
     def mark(self, text: bytes) -> bool:
-        """Takes a line; whether it says where the print is."""
+        """Read a line; return whether it names a layer or feature."""
         if named := feature(text):
             self.feature = named
             return True

@@ -1,8 +1,8 @@
-"""What flows from stage to stage. Lengths are mm, times s; one sample is TS.
+"""The types that flow from stage to stage. Lengths are in mm, times in s; one sample is TS.
 
-Time is the integer index of a sample, never an accumulated float. A stage takes an
-iterator of these and yields another; what it yields does not depend on how its input was
-cut into pieces, and arrays are read-only once they have been yielded.
+Time is the integer index of a sample, never an accumulated float. A stage takes an iterator
+of these and yields another. What it yields does not depend on how its input was cut into
+pieces, and arrays are read-only once they have been yielded.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Position = tuple[float, float, float, float]  # x, y, z, e
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A line carried along without a stop, before the move or the sample ``index``."""
+    """A line that passes through without a stop, before the move or the sample ``index``."""
 
     index: int
     text: bytes
@@ -27,9 +27,10 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class FileLimits:
-    """Axis limits that the file asked for (M201, M203): (x, y, z, e), mm/s and mm/s².
+    """Axis limits that the file requested (M201, M203): (x, y, z, e), mm/s and mm/s².
 
-    travel: acceleration (mm/s²) that it asked for in travel alone (M204 T), whatever obeys it.
+    travel: acceleration (mm/s²) requested for travel alone (M204 T), whether the firmware obeys it
+    or not.
     """
 
     velocity: Position
@@ -39,11 +40,11 @@ class FileLimits:
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """n consecutive moves in which x or y travels, with the lines between them.
+    """n consecutive moves in which x or y changes, with the lines between them.
 
     line (n,): source lines. points (n + 1, 4): x, y, z, e from the start of the first move
-    to the end of the last. speed, acceleration, corner (n,): path speed asked, and the
-    file's acceleration and square-corner velocity (inf where it asks for none).
+    to the end of the last. speed, acceleration, corner (n,): requested path speed, acceleration
+    and square-corner velocity (inf where the file requests none).
     """
 
     line: Integers
@@ -57,7 +58,7 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A move in which x and y stand still: retraction or lift. start, end: x, y, z, e."""
+    """A move in which x and y stand still: a retraction or a lift. start, end: x, y, z, e."""
 
     line: int
     start: Position
@@ -67,7 +68,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class ModalState:
-    """What the file believes of the firmware: modes, e (mm), feed (mm/s), G92 offsets (mm)."""
+    """The firmware's state as the file assumes it: modes, e (mm), feed (mm/s), G92 offsets (mm)."""
 
     absolute: bool
     absolute_e: bool
@@ -79,17 +80,17 @@ class ModalState:
 class Handling(Enum):
     """How a line that is not a planned move must reach the machine."""
 
-    CARRY = "in mid-motion"
+    CARRY = "during motion"
     REST = "at rest, inside the stream"
     RELEASE = "at rest, with the user's limits and modes in force"
 
 
 @dataclass(frozen=True, slots=True)
 class Passthrough:
-    """A line that passes byte for byte.
+    """A pass-through line, which reaches the output byte for byte.
 
-    seconds: known duration. filament, path: mm that it extrudes and moves, as the file has it,
-    where it is a move that starts at an unknown place; cause: the command that made it so.
+    seconds: known duration. For a move from an unknown position, filament and path are what it
+    extrudes and moves (mm), and cause is the command that made the position unknown.
     """
 
     line: int
@@ -110,7 +111,7 @@ class Plan:
     """Moves whose speeds are final.
 
     line (n,), points (n + 1, 4), s (n + 1,): path length at the vertices. ends (r + 1,):
-    vertices where runs meet, speed (r + 1,) there. cruise, acceleration (r,): limits of each
+    vertices between runs, speed (r + 1,) there. cruise, acceleration (r,): limits of each
     run. marks: index is a vertex.
     """
 
@@ -126,39 +127,41 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """The command comes to rest on the path here: what follows is computed on its own."""
+    """A place where the command comes to rest on the path: what follows is computed separately."""
 
 
 Planned = Plan | Standing | Passthrough | Halt
 
 
-def _no_line(_: bytes) -> bool:
-    return False
+def _never(_: bytes) -> bool:
+    return False  # a function of the module, since rules are pickled for other processes
 
 
 @dataclass(frozen=True, slots=True)
 class Rests:
-    """Samples of standstill that the command gets before and after what happens at rest.
+    """Rules for stops: how many samples of standstill the command gets, and where it needs none.
 
-    aside: instead of both where it is ``long`` samples or longer, and at the ends of a stretch.
-    corner: mm/s at which z passes from motion in x and y into a lift and the other way round, where
-    none of these is needed; 0: it comes to rest there. labels: whether a carried line is one after
-    which the machine must set out from rest. moving: mm/s², with which filament is retracted on the
-    travel that follows, where there is time; 0: before it.
+    before, after: samples around what happens at rest. long_rest: samples instead of both where it
+    takes ``long_from`` samples or longer, and at the ends of a stretch.
+    lift_speed: mm/s of z between a lift and motion in x and y that directly precedes or follows it,
+    if neither needs samples of standstill; 0: z comes to rest there.
+    needs_rest: whether motion must start from rest after a pass-through line.
+    retract_acceleration: mm/s² with which filament is retracted during the travel that follows, if
+    it lasts long enough; 0: retract before it.
     """
 
     before: int = 0
     after: int = 0
-    aside: int = 0
-    long: int = 1 << 60
-    corner: float = 0.0
-    labels: Callable[[bytes], bool] = _no_line
-    moving: float = 0.0
+    long_rest: int = 0
+    long_from: int = 1 << 60
+    lift_speed: float = 0.0
+    needs_rest: Callable[[bytes], bool] = _never
+    retract_acceleration: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """From sample ``index`` on the path stands for ``samples``; the command may move."""
+    """A standstill of the path for ``samples`` from ``index`` on; the command may move."""
 
     index: int
     samples: int
@@ -166,10 +169,10 @@ class Rest:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """From sample ``index`` on the machine does ``action`` for ``samples``, x and y still.
+    """``samples`` from ``index`` on in which the machine does ``action`` while x and y stand still.
 
     exact: duration (s) that the machine takes; samples·TS is the next millisecond. entry, leaving:
-    speeds of z (mm/s) that are surely had where motion in x and y comes directly before and after.
+    speeds of z (mm/s) that are certain where motion in x and y directly precedes and follows.
     """
 
     index: int
@@ -187,10 +190,10 @@ Event = Mark | Rest | Pause
 class Samples:
     """Motion at samples first … first + n − 1.
 
-    xyze (n, 4): the path, as desired. line (n,): source line of each. events: in order of
-    their index, which lies in [first, first + n] (n: after the last sample). commands:
-    strategy → (n, 2), the x and y for the motors; empty until ``compensate`` has run.
-    ends_stretch: the machine is out of our hands after these, and may move itself.
+    xyze (n, 4): the desired path. line (n,): source line of each. events: in order of their
+    index, which is in [first, first + n] (first + n: after the last sample). commands:
+    strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
+    ends_stretch: the machine may move on its own after these samples.
     """
 
     first: int
@@ -205,11 +208,11 @@ class Samples:
 
     @property
     def end(self) -> int:
-        """Index of the sample after the last."""
+        """Return the index of the sample after the last."""
         return self.first + len(self.xyze)
 
 
 def frozen(array: Array) -> Array:
-    """The array itself, made read-only."""
+    """Return the array itself, made read-only."""
     array.flags.writeable = False
     return array

@@ -34,17 +34,17 @@ def test_player_is_that_of_the_profile() -> None:
 
 def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:
     paper, marlin = load("paper"), load("paper-marlin")
-    corner = player(paper, 0.014).rests.corner
+    corner = player(paper, 0.014).rests.lift_speed
     assert 2.0 < corner < paper.limits.square_corner_velocity
     gentle = replace(paper, limits=replace(paper.limits, square_corner_velocity=1.0))
-    assert player(gentle, 0.014).rests.corner == 0.0
-    assert player(paper, None).rests.corner == player(marlin, 0.014).rests.corner == 0.0
+    assert player(gentle, 0.014).rests.lift_speed == 0.0
+    assert player(paper, None).rests.lift_speed == player(marlin, 0.014).rests.lift_speed == 0.0
 
 
 def test_only_klipper_retracts_in_motion() -> None:
     moving = player(load("paper"), 0.014, retract_moving=True)
-    assert moving.rests.moving == pytest.approx(300.0)
-    assert player(load("paper"), 0.014).rests.moving == 0.0
+    assert moving.rests.retract_acceleration == pytest.approx(300.0)
+    assert player(load("paper"), 0.014).rests.retract_acceleration == 0.0
     with pytest.raises(HframeError, match="Marlin does not retract in motion"):
         player(load("paper-marlin"), 0.014, retract_moving=True)
 

@@ -49,8 +49,8 @@ from tests.planner.planning import (
     seeds,
 )
 
-RESTS = Rests(before=7, after=3, aside=5)
-FIRST = 1 + RESTS.aside  # samples from where the first motion starts
+RESTS = Rests(before=7, after=3, long_rest=5)
+FIRST = 1 + RESTS.long_rest  # samples from where the first motion starts
 DRIFT = 1.5e-6  # mm; what a run may miss its end by
 BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
 
@@ -248,7 +248,7 @@ def there(start: float = 0.0) -> Moves:
 def test_motion_and_pauses_have_standstill_between_them() -> None:
     events = whole(sampled([there(), RETRACT]))[1]
     first, before, pause = events
-    assert first == Rest(1, RESTS.aside)
+    assert first == Rest(1, RESTS.long_rest)
     assert isinstance(before, Rest)
     assert before.samples == RESTS.before
     assert isinstance(pause, Pause)
@@ -261,7 +261,7 @@ def test_nothing_is_added_where_the_command_needs_none() -> None:
     assert [type(e) for e in events] == [Pause]
     rested, with_rests = whole(sampled([there(), DWELL, there(50.0)]))
     added = sum(e.samples for e in with_rests if isinstance(e, Rest))
-    assert added == RESTS.aside + RESTS.before + RESTS.after
+    assert added == RESTS.long_rest + RESTS.before + RESTS.after
     assert len(xyze) == len(rested) - added
 
 
@@ -304,7 +304,7 @@ def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() ->
     assert [b.ends_stretch for b in blocks].count(True) == 1
     first = next(k for k, b in enumerate(blocks) if b.ends_stretch)
     after = blocks[first + 1]
-    assert after.events[0] == Rest(after.first + 1, RESTS.aside)
+    assert after.events[0] == Rest(after.first + 1, RESTS.long_rest)
     np.testing.assert_array_equal(after.xyze[0], [70.0, 0, 0.2, 2])
 
 
@@ -312,7 +312,7 @@ def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() ->
 
 LIFT = Standing(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
 LABEL = b"; printing object a"
-PASSING = replace(RESTS, corner=2.0 / SPARED, labels=LABEL.__eq__)
+PASSING = replace(RESTS, lift_speed=2.0 / SPARED, needs_rest=LABEL.__eq__)
 
 
 def lift_of(items: Iterable[Item], rests: Rests = PASSING) -> tuple[Pause, Array, list[object]]:
@@ -356,7 +356,7 @@ def test_it_comes_to_rest_where_anything_else_is_next_to_it(
 
 
 def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
-    lift, _, _ = lift_of([there(), LIFT, there(50.0)], replace(PASSING, long=20))
+    lift, _, _ = lift_of([there(), LIFT, there(50.0)], replace(PASSING, long_from=20))
     assert (lift.entry, lift.leaving) == (0.0, 0.0)
     primed = replace(LIFT, end=(50, 0, 0.6, 2.1))
     (pause,) = (
@@ -386,7 +386,7 @@ def test_a_short_lift_passes_no_faster_than_it_can() -> None:
 
 # ---------------------------------------------------------------------- retractions on the way
 
-MOVING = replace(RESTS, moving=300.0)
+MOVING = replace(RESTS, retract_acceleration=300.0)
 
 
 def taken_back(length: float, rests: Rests = MOVING, size: int = 100) -> tuple[Array, list[object]]:

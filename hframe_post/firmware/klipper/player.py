@@ -91,12 +91,12 @@ class Klipper:
         share = 0.3
         moving = share * self.limits.extruder_corner_velocity / TS if self.retract_moving else 0.0
         if self.tolerance is None:
-            return Rests(moving=moving)
+            return Rests(retract_acceleration=moving)
         corner = self.limits.lift_corner
         return Rests(
-            corner=corner if corner <= self.users_corner else 0.0,
-            labels=labels_object,
-            moving=moving,
+            lift_speed=corner if corner <= self.users_corner else 0.0,
+            needs_rest=labels_object,
+            retract_acceleration=moving,
         )
 
     @property

@@ -1,0 +1,68 @@
+"""Stages run in a thread of their own, and the processor time that each stage takes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+T = TypeVar("T")
+
+DEPTH = 2  # items that are computed, or being computed, before they are asked for
+
+
+def prefetch(items: Iterable[T]) -> Iterator[T]:
+    """Yield the same items; a thread computes up to DEPTH of them before they are asked for.
+
+    An exception of the source is raised here, after the items before it. When the consumer stops,
+    no further item is begun. numpy releases the interpreter, so both threads make progress.
+    """
+    source, end = iter(items), object()
+    worker = ThreadPoolExecutor(1, "prefetch")
+    try:
+        waiting = deque(worker.submit(next, source, end) for _ in range(DEPTH))
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(worker.submit(next, source, end))
+            yield item  # type: ignore[misc]  # only the end is not a T
+    finally:
+        worker.shutdown(cancel_futures=True)
+
+
+class StageTimes:
+    """Processor time of each stage: ``seconds``, in the order in which they were first asked.
+
+    A stage's own time is what passes in its thread while it is asked for an item, without the
+    stages before it. Time in which it only waits does not count.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._earlier = threading.local()  # per thread: a stack of seconds of earlier stages
+
+    def timed(self, stage: str, items: Iterable[T]) -> Iterator[T]:
+        """Yield the same items and measure their time. Several streams may share a stage."""
+        source, end = iter(items), object()
+        while (item := self._next(stage, source, end)) is not end:
+            yield item  # type: ignore[misc]  # only the end is not a T
+
+    def _next(self, stage: str, source: Iterator[T], end: object) -> T | object:
+        stack: list[float] = self._earlier.__dict__.setdefault("stack", [])
+        stack.append(0.0)
+        begun = time.thread_time()
+        try:
+            return next(source, end)
+        finally:
+            spent = time.thread_time() - begun
+            earlier = stack.pop()
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent - earlier
+            if stack:
+                stack[-1] += spent
+
+
+def joined(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+    """Return the sums of the seconds by stage."""
+    stages = {**one, **other}
+    return {stage: one.get(stage, 0.0) + other.get(stage, 0.0) for stage in stages}
