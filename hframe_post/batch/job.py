@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from hframe_post.conversion.pipeline import Options, stamp
 from hframe_post.errors import HframeError
-from hframe_post.gcode.commands import STAMP
-from hframe_post.printer.profile import load
 
 State = Literal["waiting", "running", "done", "skipped", "failed"]
 
@@ -87,11 +84,3 @@ def jobs_for(sources: Sequence[Path], folder: Path, first_line: bytes) -> list[J
 def _begins_with(path: Path, first_line: bytes) -> bool:
     with path.open("rb") as file:
         return file.readline(len(first_line) + 1) == first_line
-
-
-def first_line(printer: str, compensation: str | None, limits: Any, on_limit: str) -> bytes:
-    """Return the first line of a file converted with these options."""
-    profile = load(printer)
-    strategy = compensation or profile.compensation.strategy
-    options = Options(strategy, limits=limits, clamp=on_limit == "clamp", speed=profile.asked_speed)
-    return b"%s %s\n" % (STAMP, stamp(profile, options).encode())

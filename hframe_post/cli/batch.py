@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from hframe_post import library
+from hframe_post.batch.cluster import Cluster
+from hframe_post.batch.job import Job, jobs_for
+from hframe_post.batch.local import LocalProcesses
+from hframe_post.batch.run import Converter, run
+from hframe_post.batch.watch import watch_folder
 from hframe_post.cli.options import (
-    LazyChoice,
     files_read,
     force_option,
     json_option,
@@ -20,12 +24,12 @@ from hframe_post.cli.options import (
     printer_option,
     removed_option,
     say,
-    strategies,
 )
-
-if TYPE_CHECKING:
-    from hframe_post.batch.job import Job
-    from hframe_post.batch.run import Converter
+from hframe_post.errors import HframeError
+from hframe_post.gcode.options import LimitSource
+from hframe_post.model.strategies import STRATEGIES
+from hframe_post.printer.profile import check_identified
+from hframe_post.writers.files.atomic_file import Outputs
 
 CLEAR_LINE = "\r\x1b[K"
 
@@ -50,7 +54,7 @@ def address(text: str) -> str:
 )  # fmt: skip
 @printer_option
 @click.option(
-    "-c", "--compensation", type=LazyChoice(strategies),
+    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
     help="Compensate racking and ringing (racking), ringing only (fbs), or nothing (none). "
     "Default: compensation.strategy of the profile.",
 )  # fmt: skip
@@ -76,8 +80,8 @@ def address(text: str) -> str:
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, compensation: str | None, limits: str, on_limit: str, force: bool, resume: bool,
-    watched: Path | None, scheduler: str | None, json_file: Path | None, quiet: bool,
+    printer: str, compensation: str | None, limits: LimitSource, on_limit: str, force: bool,
+    resume: bool, watched: Path | None, scheduler: str | None, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert many files. A file that fails does not stop the others.
 
@@ -89,32 +93,27 @@ def batch(
       hframe-post batch --watch uploads/ -d printable/
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
-    from hframe_post.batch.cluster import Cluster
-    from hframe_post.batch.job import first_line, jobs_for
-    from hframe_post.batch.local import LocalProcesses
-    from hframe_post.batch.watch import watch_folder
-    from hframe_post.errors import HframeError
-    from hframe_post.printer.profile import check_identified, load
-    from hframe_post.writers.files.atomic_file import Outputs
-
     _check_usage(sources, watched, folder, json_file)
-    stamped = first_line(printer, compensation, limits, on_limit)
+    profile = library.load_printer(printer)
+    first_line = library.first_line(
+        profile, strategy=compensation, limits=limits, clamp=on_limit == "clamp"
+    )
     if compensation != "none" and not force:
-        check_identified(load(printer))
+        check_identified(profile)
     folder.mkdir(parents=True, exist_ok=True)
     options = ["--limits", limits, "--on-limit", on_limit, *(["--force"] if force else [])]
     options += ["-c", compensation] if compensation else []
     converter: Converter = LocalProcesses(jobs, ["-p", printer, *options])
     if scheduler is not None:
-        converter = Cluster(scheduler, jobs, printer, options, stamped)
+        converter = Cluster(scheduler, jobs, printer, options, first_line)
     if watched is not None:
         if not quiet:
             say(f"watching {watched}; stop with Ctrl-C")
-        for arrived in watch_folder(watched, folder, stamped):
+        for arrived in watch_folder(watched, folder, first_line):
             _convert(arrived, converter, quiet)
         return
     try:
-        todo = jobs_for(sources, folder, stamped if resume else b"")
+        todo = jobs_for(sources, folder, first_line if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     with Outputs(files_read(*sources, printer)) as outputs:
@@ -142,8 +141,6 @@ def _check_usage(
 
 def _convert(jobs: list[Job], converter: Converter, quiet: bool) -> None:
     """Convert the jobs in place; print each result, below them a progress bar on a terminal."""
-    from hframe_post.batch.run import run
-
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
     terminal = sys.stderr.isatty()
 

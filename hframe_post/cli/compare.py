@@ -1,4 +1,4 @@
-"""``hframe-post compare``: do two files ask a printer for the same?"""
+"""``hframe-post compare``: do two files make a printer do the same?"""
 
 from __future__ import annotations
 
@@ -6,81 +6,87 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import FirmwareChoice, files_read, json_option, open_json
+from hframe_post.cli.options import files_read, json_option, open_json, removed_option
+from hframe_post.firmware.registry import FIRMWARES
+from hframe_post.gcode.commands import dialect
+from hframe_post.studies.comparison.compare import Tolerance
+from hframe_post.studies.comparison.compare import compare as compare_files
+from hframe_post.writers.files.atomic_file import Outputs
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}
 TIMES = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
 FILE = click.Path(path_type=Path, allow_dash=True)
 
 
-def length(text: str) -> float:
-    """``1um`` in mm; a number alone is in mm."""
-    return _quantity(text, LENGTHS)
+def tolerance(text: str) -> Tolerance:
+    """Read ``1um``, or ``1um,1ms``. Numbers without a unit are mm and s."""
+    place, comma, slack = text.partition(",")
+    if not comma:
+        return Tolerance(quantity(place, LENGTHS))
+    return Tolerance(quantity(place, LENGTHS), quantity(slack, TIMES))
 
 
-def seconds(text: str) -> float:
-    """``1ms`` in s; a number alone is in s."""
-    return _quantity(text, TIMES)
-
-
-def _quantity(text: str, units: dict[str, float]) -> float:
+def quantity(text: str, units: dict[str, float]) -> float:
+    """Read a positive number with one of these units. Raises BadParameter."""
     unit = next((each for each in units if text.endswith(each)), "")
     try:
         value = float(text.removesuffix(unit)) * units.get(unit, 1.0)
     except ValueError:
         value = -1.0
     if not 0.0 < value < 1e3:
-        raise click.BadParameter(f"{text!r} is no positive number of {', '.join(units)}")
+        raise click.BadParameter(f"{text!r} is not a positive number of {', '.join(units)}")
     return value
+
+
+def slack(text: str) -> float:
+    """Read the value of the old option --slack."""
+    return quantity(text, TIMES)
 
 
 @click.command()
 @click.argument("a", type=FILE)
 @click.argument("b", type=FILE)
 @click.option(
-    "--tolerance", type=length, default="1um", show_default=True, metavar="LENGTH",
-    help="How far the paths may be apart, and filament (nm, um, mm).",
+    "--tolerance", type=tolerance, default="1um,1ms", show_default=True, metavar="LENGTH[,TIME]",
+    help="Allowed difference in position and filament (nm, um, mm), and in the time at which a "
+    "position is reached (us, ms, s).",
+)  # fmt: skip
+@removed_option(
+    "--slack", "use --tolerance LENGTH,TIME", type=slack, expose_value=True
 )  # fmt: skip
 @click.option(
-    "--slack", type=seconds, default="1ms", show_default=True, metavar="TIME",
-    help="How much earlier or later a place may be reached (us, ms, s).",
-)  # fmt: skip
-@click.option(
-    "--firmware", type=FirmwareChoice(), default="klipper", show_default=True,
-    help="Who reads the files: after G90 and G91, E means another thing to Marlin.",
+    "--firmware", type=click.Choice(tuple(FIRMWARES)), default="klipper", show_default=True,
+    help="Firmware that reads the files. G90 and G91 affect E in Marlin, but not in Klipper.",
 )  # fmt: skip
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing; the exit status tells.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing; see the exit status.")
 @click.pass_context
 def compare(
-    context: click.Context, a: Path, b: Path, tolerance: float, slack: float, firmware: str,
-    json_file: Path | None, quiet: bool,
+    context: click.Context, a: Path, b: Path, tolerance: Tolerance, slack: float | None,
+    firmware: str, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Compare two G-code files: the same motion, and the same lines otherwise?
+    """Compare the motion of two G-code files, and their other lines.
 
-    Motion is compared in place, filament and time (length over feed rate), however it is cut
-    into moves. The stamp of this tool is left out, and numbers of lines that tell of print
-    time may differ. Exit status 0: the same; 1: different, with the first difference; 2: wrong
-    usage.
+    The motion is the same if position, filament and time agree, however it is cut into moves. The
+    first line written by hframe-post is ignored, and so are numbers in lines that announce the
+    print time. Exit status: 0 if the files are the same, 1 if they differ (the first difference is
+    printed), 2 for wrong usage.
 
     \b
     Example:
       hframe-post compare golden/part.gcode out/part.gcode --tolerance 1um
     """
-    from hframe_post.gcode.commands import dialect
-    from hframe_post.studies.comparison.compare import Tolerance
-    from hframe_post.studies.comparison.compare import compare as compared
-    from hframe_post.writers.files.atomic_file import Outputs
-
     if str(a) == str(b) == "-":
-        raise click.UsageError("only one of the two can be standard input")
+        raise click.UsageError("only one of the two files can be standard input")
+    if slack is not None:
+        tolerance = Tolerance(tolerance.place, slack)
     with (
         click.open_file(str(a), "rb") as first,
         click.open_file(str(b), "rb") as second,
         Outputs(files_read(a, b)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
-        result = compared(first, second, dialect(firmware), Tolerance(tolerance, slack))
+        result = compare_files(first, second, dialect(firmware), tolerance)
         write_json(result.as_json())
     if not quiet:
         click.echo(result.as_text(), err=str(json_file) == "-")

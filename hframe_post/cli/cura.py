@@ -1,4 +1,4 @@
-"""``hframe-post cura-script``: a post-processing script for Cura, which runs no programs."""
+"""``hframe-post cura-script``: a script for Cura, which cannot run post-processing programs."""
 
 from __future__ import annotations
 
@@ -8,43 +8,43 @@ from importlib import resources
 from pathlib import Path
 
 import click
+from platformdirs import user_data_path
 
+from hframe_post.errors import HframeError
+from hframe_post.printer.profile import load, shipped
 from hframe_post.process import own_command
+from hframe_post.writers.files.atomic_file import Outputs
 
-NAME = "HframePost"  # of the file and of the class in it: Cura finds one by the other
-_VERSION = re.compile(r"\d+\.\d+")
+NAME = "HframePost"  # of the file and its class: Cura finds one by the other
+MENU = 'Extensions, Post Processing, Modify G-Code, Add a script, "Compensate racking and ringing"'
 
 
 @click.command("cura-script")
 @click.option(
     "-p", "--printer", default="", metavar="NAME|FILE",
-    help="Profile that the script starts with. Default: the one chosen with 'hframe-post use'.",
+    help="Profile that the script uses. Default: the one set with 'hframe-post use'.",
 )  # fmt: skip
 @click.option(
     "--folder", type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Cura's scripts folder, where it is not found. In Cura: Help, Show Configuration Folder.",
+    help="Cura's scripts folder, if it is not found: see Help, Show Configuration Folder in Cura.",
 )  # fmt: skip
 def cura_script(printer: str, folder: Path | None) -> None:
-    """Install a post-processing script into Cura, into every version found.
+    """Install a post-processing script into every version of Cura.
 
     Then, in Cura: Extensions, Post Processing, Modify G-Code, Add a script, "Compensate racking
-    and ringing". Run this again after an update of Cura or of hframe-post.
+    and ringing". Run this command again after updating Cura or hframe-post.
 
     \b
     Example:
       hframe-post cura-script -p my.toml
     """
-    from hframe_post.errors import HframeError
-    from hframe_post.printer.profile import load, shipped
-    from hframe_post.writers.files.atomic_file import Outputs
-
     if printer:
-        load(printer)  # whole and sound, before Cura gets to know it
+        load(printer)  # raises before anything is written
         printer = printer if printer in shipped() else str(Path(printer).absolute())
     folders = [folder] if folder is not None else script_folders()
     if not folders:
         raise HframeError(
-            "no configuration of Cura is found; start Cura once, or name its folder of scripts "
+            "no configuration folder of Cura found: start Cura once, or name its scripts folder "
             "with --folder"
         )
     text = script(program(), printer).encode()
@@ -54,13 +54,11 @@ def cura_script(printer: str, folder: Path | None) -> None:
             outputs.open(each / f"{NAME}.py").write(text)
     for each in folders:
         click.echo(each / f"{NAME}.py")
-    click.echo("restart Cura; then Extensions, Post Processing, Modify G-Code, Add a script")
+    click.echo(f"Restart Cura, then: {MENU}")
 
 
 def script_folders() -> list[Path]:
-    """The folder for scripts of each version of Cura that has run here, there or not."""
-    from platformdirs import user_data_path
-
+    """Return the scripts folder, which may not exist yet, of each Cura version that has run."""
     roots = [
         user_data_path("cura", appauthor=False, roaming=True),
         Path.home() / ".var/app/com.ultimaker.cura/data/cura",  # Flatpak
@@ -70,20 +68,20 @@ def script_folders() -> list[Path]:
         for root in dict.fromkeys(roots)
         if root.is_dir()
         for version in sorted(root.iterdir())
-        if _VERSION.fullmatch(version.name) and version.is_dir()
+        if re.fullmatch(r"\d+\.\d+", version.name) and version.is_dir()
     ]
 
 
 def program() -> str:
-    """How another process runs this tool: one word, or a command with quotes."""
+    """Return how another process runs this tool: a path, or a command with quotes."""
     for name in ("hframe-post", "hframe-post.exe"):
-        if (own := Path(sys.executable).parent / name).is_file():
-            return str(own)
+        if (installed := Path(sys.executable).parent / name).is_file():
+            return str(installed)
     python, *rest = own_command()
     return " ".join((f'"{python}"', *rest)) if rest else python
 
 
 def script(program: str, printer: str) -> str:
-    """The script's text, with what its settings start with."""
+    """Return the script's text with this program and default profile."""
     text = (resources.files(__package__) / f"{NAME}.py.in").read_text("utf-8")
     return text.replace("@PROGRAM@", repr(program)).replace("@PROFILE@", repr(printer))

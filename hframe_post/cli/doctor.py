@@ -1,4 +1,4 @@
-"""``hframe-post doctor``: is all there that a conversion needs, and does the printer agree?"""
+"""``hframe-post doctor``: check the installation, a profile and printer.cfg."""
 
 from __future__ import annotations
 
@@ -11,72 +11,77 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import chosen_printer, printer_option
+from hframe_post.cli.options import chosen_printer, printer_option, removed_option
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.errors import HframeError
+from hframe_post.printer.klipper_cfg import KlipperConfig, check
+from hframe_post.printer.profile import load, shipped
 from hframe_post.version import __version__
 
 PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
 EXTRAS = ("matplotlib", "pyarrow", "zstandard", "watchfiles", "distributed")
 
 
-class _Told:
-    """Lines as they are found, and how many of them are wrong."""
+class _Findings:
+    """Prints findings, and counts the problems among them."""
 
     def __init__(self) -> None:
-        self.wrong = 0
+        self.problems = 0
 
     def ok(self, text: str) -> None:
-        click.echo(f"ok     {text}")
+        click.echo(f"ok       {text}")
 
     def note(self, text: str) -> None:
-        click.echo(f"note   {text}")
+        click.echo(f"note     {text}")
 
-    def bad(self, text: str) -> None:
-        self.wrong += 1
-        click.echo(f"WRONG  {text}")
+    def problem(self, text: str) -> None:
+        self.problems += 1
+        click.echo(f"PROBLEM  {text}")
 
 
 @click.command()
 @printer_option
 @click.option(
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Klipper's printer.cfg, to be checked against the profile.",
+    metavar="FILE", help="Compare Klipper's printer.cfg with the profile.",
 )  # fmt: skip
-@click.option(
-    "--folder", type=click.Path(path_type=Path, file_okay=False), default=Path(),
-    help="Where converted files are to be written. Default: here.",
+@removed_option(
+    "--folder", "run doctor in that folder instead", default=".", expose_value=True,
+    type=click.Path(path_type=Path, file_okay=False),
 )  # fmt: skip
 @click.pass_context
 def doctor(context: click.Context, printer: str, config: Path | None, folder: Path) -> None:
-    """Check installation, profile, permission to write, and Klipper's printer.cfg.
+    """Check the installation, the profile, and whether files can be written here.
 
-    Exit status 0: all is well; 1: something is WRONG. The output belongs in a bug report.
+    Exit status: 0 if there are no problems, 1 if there are. Please add the output to bug reports.
 
     \b
     Example:
       hframe-post doctor -p my.toml --printer-cfg printer.cfg
     """
-    told = _Told()
-    _installation(told)
-    _writable(told, folder)
-    _profile(told, printer, config)
-    click.echo("all is well" if not told.wrong else f"{told.wrong} wrong")
-    context.exit(1 if told.wrong else 0)
+    findings = _Findings()
+    _check_installation(findings)
+    _check_folders(findings, folder)
+    _check_profile(findings, printer, config)
+    n = findings.problems
+    click.echo("no problems found" if not n else f"{n} problem{'s' * (n > 1)}")
+    context.exit(1 if n else 0)
 
 
-def _installation(told: _Told) -> None:
-    told.ok(
+def _check_installation(findings: _Findings) -> None:
+    findings.ok(
         f"hframe-post {__version__}, Python {platform.python_version()}, {platform.platform()}, "
         f"{os.cpu_count()} processors"
     )
-    told.ok(f"runs from {Path(__file__).parents[1]} with {sys.executable}")
+    findings.ok(f"installed in {Path(__file__).parents[1]}, runs with {sys.executable}")
     found = {name: _version(name) for name in (*PACKAGES, *EXTRAS)}
-    told.ok(", ".join(f"{name} {version}" for name, version in found.items() if version))
+    findings.ok(", ".join(f"{name} {version}" for name, version in found.items() if version))
     for name in PACKAGES:
         if not found[name]:
-            told.bad(f"the package {name} is missing: install hframe-post again")
+            findings.problem(f"the package {name} is missing: install hframe-post again")
     if absent := [name for name in EXTRAS if not found[name]]:
         names = ", ".join(absent)
-        told.note(f"not installed; figures, some formats, --watch and --scheduler need: {names}")
+        findings.note(f"not installed, needed for some figures, formats and options: {names}")
 
 
 def _version(name: str) -> str:
@@ -86,54 +91,48 @@ def _version(name: str) -> str:
         return ""
 
 
-def _writable(told: _Told, folder: Path) -> None:
+def _check_folders(findings: _Findings, folder: Path) -> None:
     for place in (folder.resolve(), Path(tempfile.gettempdir())):
         try:
             with tempfile.TemporaryFile(dir=place):
-                told.ok(f"{place} can be written")
+                findings.ok(f"files can be written in {place}")
         except OSError as error:
-            told.bad(f"{place} cannot be written: {error.strerror or error}")
+            findings.problem(f"files cannot be written in {place}: {error.strerror or error}")
 
 
-def _profile(told: _Told, printer: str, config: Path | None) -> None:
-    """The profile whole and its compensator certified; then printer.cfg, and a conversion."""
-    from hframe_post.conversion.pipeline import prepared
-    from hframe_post.errors import HframeError
-    from hframe_post.printer.klipper_cfg import KlipperConfig, check
-    from hframe_post.printer.profile import load, shipped
-
-    chosen = chosen_printer()
+def _check_profile(findings: _Findings, printer: str, config: Path | None) -> None:
     try:
         profile = load(printer)
-        prepared(profile)
+        prepared(profile)  # raises where the compensation would be unstable
     except HframeError as error:
-        told.bad(str(error))
+        findings.problem(str(error))
         if "unknown key" in str(error):
-            told.note(
-                f"hframe-post {__version__} does not know that key: if a newer one wrote the "
-                "profile, install that; if an older one did, CHANGELOG.md says what became of it"
+            findings.note(
+                f"hframe-post {__version__} does not know that key. If a newer version wrote the "
+                "profile, install that version; if an older one did, see CHANGELOG.md"
             )
         return
-    told.ok(f"profile {printer} ({chosen.why}): {profile.description or 'no description'}")
+    why = chosen_printer().why
+    findings.ok(f"profile {printer} ({why}): {profile.description or 'no description'}")
     if profile.invented:
-        told.note(
+        findings.note(
             "its plant is not measured, so nothing is compensated until 'hframe-post identify' "
-            "has written yours: docs/identify.md"
+            "has written your printer's: see docs/identify.md"
         )
     if printer in shipped():
-        told.note(
-            f"{printer} comes with hframe-post and is not your printer: "
-            "'hframe-post printers new', then docs/identify.md"
+        findings.note(
+            f"{printer} comes with hframe-post and is not your printer: run "
+            "'hframe-post printers new', then see docs/identify.md"
         )
     if config is None:
-        told.note("printer.cfg was not checked: give it with --printer-cfg")
+        findings.note("printer.cfg is not checked: name it with --printer-cfg")
         return
     try:
-        findings = list(check(KlipperConfig(config), profile))
+        differences = list(check(KlipperConfig(config), profile))
     except HframeError as error:
-        told.bad(str(error))
+        findings.problem(str(error))
         return
-    for finding in findings:
-        (told.bad if finding.wrong else told.note)(finding.text)
-    if not any(finding.wrong for finding in findings):
-        told.ok(f"{config} agrees with the profile")
+    for difference in differences:
+        (findings.problem if difference.wrong else findings.note)(difference.text)
+    if not any(difference.wrong for difference in differences):
+        findings.ok(f"{config} agrees with the profile")

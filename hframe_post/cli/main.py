@@ -1,4 +1,4 @@
-"""The command line: the only place that opens files, prints and exits."""
+"""The command line. Only this package prints and ends the process."""
 
 from __future__ import annotations
 
@@ -6,59 +6,69 @@ import contextlib
 import os
 import sys
 import traceback
+from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 
 from hframe_post import process
+from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 
-COMMANDS = {  # module of hframe_post.cli, its function
-    "convert": "convert.convert",
-    "batch": "batch.batch",
-    "compare": "compare.compare",
-    "simulate": "simulate.simulate",
-    "paper": "paper.paper",
-    "sweep": "sweep.sweep",
-    "tune": "tune.tune",
-    "calibrate-marlin": "calibrate.calibrate_marlin",
-    "klipper-macros": "klipper_macros.klipper_macros",
-    "identify": "identify.identify",
-    "verify": "verify.verify",
-    "use": "use.use",
-    "cura-script": "cura.cura_script",
-    "doctor": "doctor.doctor",
-    "printers": "printers.printers",
+COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
+    "convert": ("convert.convert", "Convert a sliced file. This is the default command."),
+    "batch": ("batch.batch", "Convert many files, here or on a cluster."),
+    "compare": ("compare.compare", "Compare the motion of two G-code files."),
+    "simulate": ("simulate.simulate", "Predict what compensation does for a print."),
+    "tune": ("tune.tune", "Recommend a profile's window, weight and acceleration."),
+    "use": ("printers.use", "Set or show the default profile."),
+    "printers": ("printers.printers", "List, show and create printer profiles."),
+    "doctor": ("doctor.doctor", "Check the installation, a profile and printer.cfg."),
+    "sweep": ("sweep.sweep", "Write the G-code that measures a printer."),
+    "identify": ("identify.identify", "Compute a profile from the measurement."),
+    "verify": ("verify.verify", "Measure whether a profile helps on the printer."),
+    "klipper-macros": ("firmware.klipper_macros", "Print macros for Klipper's printer.cfg."),
+    "calibrate-marlin": ("firmware.calibrate_marlin", "Find out a Marlin board's planner."),
+    "cura-script": ("cura.cura_script", "Install a post-processing script into Cura."),
+    "paper": ("paper.paper", "Reproduce the paper's tables and figures."),
 }
 
 
 class _Commands(click.Group):
-    """What is no command's name belongs to ``convert``; errors become one line and status 1.
-
-    A command is imported where it is called for: a slicer waits for it.
-    """
+    """The commands. Each is imported when it is called, since slicers wait for the tool."""
 
     def list_commands(self, context: click.Context) -> list[str]:
-        return sorted(COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module, _, function = COMMANDS[name].rpartition(".")
+        module, _, function = COMMANDS[name][0].partition(".")
         command: click.Command = getattr(import_module(f"hframe_post.cli.{module}"), function)
         return command
+
+    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
     def resolve_command(
         self, context: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Take what is no command for arguments of ``convert``, unless it looks mistyped."""
         if args[0] not in COMMANDS:
+            similar = get_close_matches(args[0], COMMANDS, n=1, cutoff=0.75)
+            if similar and not Path(args[0]).exists():
+                raise click.UsageError(
+                    f"there is no command and no file {args[0]!r}; did you mean "
+                    f"'hframe-post {similar[0]}'?"
+                )
             args = ["convert", *args]
         return super().resolve_command(context, args)
 
     def invoke(self, context: click.Context) -> Any:
-        from hframe_post.errors import HframeError
-
+        """Turn errors of users and files into one line and status 1."""
         try:
             return super().invoke(context)
         except HframeError as error:
@@ -81,8 +91,8 @@ def main() -> None:
 
     \b
     hframe-post in.gcode -o out.gcode     convert a file
-    hframe-post in.gcode                  convert it in place (slicers' hook)
-    hframe-post convert --help            all options of it
+    hframe-post in.gcode                  convert it in place, as slicers need it
+    hframe-post COMMAND --help            show a command's options and an example
     """
 
 
@@ -115,7 +125,7 @@ def _fail(message: str) -> int:
 
 
 def _bug_report(error: Exception) -> str:
-    """One line from which the fault can be found."""
+    """Return one line from which the bug can be found."""
     frames = traceback.extract_tb(error.__traceback__)[-3:]
     places = ", ".join(f"{os.path.basename(f.filename)}:{f.lineno}" for f in reversed(frames))
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]

@@ -1,4 +1,4 @@
-"""What commands share: options, files, JSON."""
+"""Options and files that several commands share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from hframe_post.cli.progress import progress
+from hframe_post.cli.progress import progress_bar
 from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
@@ -22,109 +22,13 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 _CHOICE = "hframe_post.choice"  # in a context's meta
 
 
-class LazyChoice(click.Choice[str]):
-    """A choice among names that are known only where they are asked for: imports take time."""
-
-    def __init__(self, names: Callable[[], Iterable[str]]) -> None:
-        super().__init__(())
-        self._names = names
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """The names."""
-        return tuple(self._names())
-
-    @choices.setter
-    def choices(self, given: tuple[str, ...]) -> None:
-        """Click's constructor has none to give."""
-
-
-class FirmwareChoice(LazyChoice):
-    """A firmware that the output can be written for."""
-
-    def __init__(self) -> None:
-        super().__init__(firmwares)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name. Raises PrinterError for a firmware that is not supported any more."""
-        if value == "reprapfirmware":
-            from hframe_post.printer.firmware_tables import named
-
-            named(value, "--firmware")
-        return super().convert(value, param, ctx)
-
-
-def firmwares() -> Iterable[str]:
-    """Those that the output can be written for."""
-    from hframe_post.firmware.registry import FIRMWARES
-
-    return FIRMWARES
-
-
-def strategies() -> Iterable[str]:
-    """From doing nothing to doing all."""
-    from hframe_post.model.strategies import STRATEGIES
-
-    return STRATEGIES
-
-
-def kinds() -> Iterable[str]:
-    """Of kinematics."""
-    from hframe_post.model.kinematics import ROWS
-
-    return ROWS
-
-
-def formats() -> Iterable[str]:
-    """Those that the output can have."""
-    from hframe_post.conversion.files import FORMATS
-
-    return FORMATS
-
-
-def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
-    choice = choose(requested, os.environ)
-    context.meta[_CHOICE] = choice
-    return choice.profile
-
-
-def chosen_printer() -> Choice:
-    """Return which profile the running command uses, and why."""
-    choice: Choice = click.get_current_context().meta[_CHOICE]
-    return choice
-
-
-printer_option = click.option(
-    "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
-    help="Printer profile: a shipped one's name, or a TOML file. Default: the variable "
-    "HFRAME_PRINTER, then the profile set with 'hframe-post use', then 'paper'.",
-)  # fmt: skip
-
-limits_option = click.option(
-    "--limits", type=click.Choice(["file", "file-all", "printer"]), default="file",
-    show_default=True, help="Which limits in the file lower the profile's: those that the "
-    "firmware obeys (Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all of "
-    "them, or none.",
-)  # fmt: skip
-
-extrusion_option = click.option(
-    "--extrusion", type=click.Choice(["absolute", "relative"]),
-    help="What E is before the first M82 or M83, where a macro of the printer sets it.",
-)  # fmt: skip
-
-on_limit_option = click.option(
-    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
-    help="Where a command would leave the bed or outrun a motor: stop, or compensate less.",
-)  # fmt: skip
-
-
 def renamed_option(
     old: str, new: str, value: Any = None, advice: str = "", **settings: Any
 ) -> Callable[[Command], Command]:
     """Return the decorator for an option's old name: it warns and is otherwise the new option.
 
-    new: the option, or its parameter's name where that is another. value: what a flag means for
-    the new option, if that is more than the flag. advice: what to type instead, if not ``new``.
+    new: the option, or its parameter's name where that differs. value: what the old flag means
+    for the new option. advice: what to use instead, if it is not ``new``.
     """
 
     def use_new(context: click.Context, _: click.Parameter, given: Any) -> None:
@@ -141,22 +45,69 @@ def renamed_option(
     )
 
 
-def removed_option(old: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
-    """Return the decorator for an option that does nothing any more but print this advice."""
+def removed_option(
+    old: str, advice: str, *more: str, expose_value: bool = False, **settings: Any
+) -> Callable[[Command], Command]:
+    """Return the decorator for an option that will be removed: it is hidden, and warns.
 
-    def warn(context: click.Context, _: click.Parameter, given: Any) -> None:
-        if given is not None and given is not False:
+    advice: what to do instead. expose_value: whether the command still receives the value.
+    """
+
+    def warn(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is click.core.ParameterSource.COMMANDLINE:
             say(f"Warning: {old} will be removed: {advice}")
+        return given
 
-    return click.option(old, hidden=True, expose_value=False, callback=warn, **settings)
+    return click.option(
+        old, *more, hidden=True, expose_value=expose_value, callback=warn, **settings
+    )
+
+
+def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
+    choice = choose(requested, os.environ)
+    context.meta[_CHOICE] = choice
+    return choice.profile
+
+
+def chosen_printer() -> Choice:
+    """Return which profile the running command uses, and why."""
+    choice: Choice = click.get_current_context().meta[_CHOICE]
+    return choice
+
+
+printer_option = click.option(
+    "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
+    help="Printer profile: the name of a shipped one, or a TOML file. Default: the variable "
+    "HFRAME_PRINTER, then the profile set with 'hframe-post use', then 'paper'.",
+)  # fmt: skip
+
+limits_option = click.option(
+    "--limits", type=click.Choice(["file", "file-all", "printer"]), default="file",
+    show_default=True, help="Which limits set in the file lower the profile's: those that the "
+    "firmware obeys (Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all "
+    "(file-all), or none (printer).",
+)  # fmt: skip
+
+extrusion_option = click.option(
+    "--extrusion", type=click.Choice(["absolute", "relative"]),
+    help="Meaning of E before the first M82 or M83 in the file, if a start macro of the printer "
+    "sets it.",
+)  # fmt: skip
+
+on_limit_option = click.option(
+    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
+    help="If the compensated motion would leave the bed or exceed a motor's limits: stop with an "
+    "error, or compensate less there.",
+)  # fmt: skip
 
 
 def force_option(command: Command) -> Command:
-    """Add ``--force``."""
+    """Add ``--force`` to a command."""
     command = renamed_option("--i-know", "--force", is_flag=True)(command)
     return click.option(
         "--force", is_flag=True,
-        help="Compensate even though the profile's plant was not measured on your printer.",
+        help="Compensate even if the profile's plant was not measured on your printer.",
     )(command)  # fmt: skip
 
 
@@ -169,17 +120,16 @@ json_option = click.option(
     metavar="FILE", help="Write the summary as JSON; '-' for standard output.",
 )  # fmt: skip
 
-
 page_option = click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.HTML", help="Write a page for a browser, with all that can be drawn.",
+    metavar="FILE.HTML", help="Write a report with plots, for a browser.",
 )  # fmt: skip
 
 
 def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]], None]:
-    """What writes a summary, indented, to a file or standard output; None: nowhere.
+    """Return the function that writes a summary to a file or standard output; None: nowhere.
 
-    The file is opened at once, so that one which cannot be written is told of before any work.
+    The file is opened at once, so that a file that cannot be written is reported before any work.
     """
     if path is None:
         return lambda summary: None
@@ -192,23 +142,23 @@ def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]],
 
 
 def say(text: str) -> None:
-    """Tells a person how it went. That nobody can be told does not undo what was done."""
+    """Print to standard error. That it cannot be printed does not undo what was done."""
     with suppress(OSError):
         click.echo(text, err=True)
 
 
-def files_read(*given: str | Path | None) -> list[Path]:
-    """Of sources and profiles, as they were given: the files among them."""
-    return [Path(name) for name in given if name is not None and Path(name).is_file()]
+def files_read(*names: str | Path | None) -> list[Path]:
+    """Return the files among names of sources and profiles."""
+    return [Path(name) for name in names if name is not None and Path(name).is_file()]
 
 
 def dashed(path: Path | None) -> Path | None:
-    """A path as it was given; None for '-', standard output."""
+    """Return the path; None for '-', standard output."""
     return None if str(path) == "-" else path
 
 
 def share(text: str) -> float:
-    """A percentage, ``5%`` or ``0.05``, as a number."""
+    """Read ``5%`` or ``0.05`` as 0.05."""
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:
@@ -219,74 +169,63 @@ def share(text: str) -> float:
 
 
 def position(text: str) -> tuple[float, float]:
-    """``X,Y`` in mm."""
+    """Read ``X,Y`` in mm."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
         raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
     if not (abs(x) < 1e4 and abs(y) < 1e4):
-        raise click.BadParameter(f"{text!r} is not on any bed")
+        raise click.BadParameter(f"{text!r} is more than 10 m away")
     return round(x, 3), round(y, 3)
 
 
-def weight(text: str) -> float:
-    """A number from 0 to below ``LARGEST``."""
-    from hframe_post.printer.schema import LARGEST
-
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < LARGEST:
-        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
-    return value
-
-
-source_argument = click.argument(
-    "source", metavar="[IN.GCODE]", required=False,
-    type=click.Path(path_type=Path, allow_dash=True),
-)  # fmt: skip
-
-path_option = click.option(
-    "--path", type=click.Choice(["rectangle"]),
-    help="Instead of a file: the paper's 120 × 20 mm rectangle (Fig. 7).",
-)  # fmt: skip
-
-
 def print_options(command: Command) -> Command:
-    """A print to study: where it is, for which printer, and how it is read."""
-    options = (source_argument, path_option, printer_option, limits_option, extrusion_option)
+    """Add the options of a print to study: the file, its printer, and how it is read."""
+    options = (
+        click.argument(
+            "source", metavar="[IN.GCODE]", required=False,
+            type=click.Path(path_type=Path, allow_dash=True),
+        ),
+        removed_option(
+            "--path", "without a file the rectangle is taken", type=click.Choice(["rectangle"])
+        ),
+        printer_option, limits_option, extrusion_option,
+    )  # fmt: skip
     for option in reversed(options):
         command = option(command)
     return command
 
 
 @contextmanager
-def opened(
-    source: Path | None, path: str | None, printer: Printer, quiet: bool
-) -> Iterator[Iterable[bytes]]:
-    """The lines of the file or of the path."""
+def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Iterable[bytes]]:
+    """Yield the lines of the file; without one, of the paper's rectangle."""
+    from hframe_post.gcode.lines import lines_of
     from hframe_post.studies.simulation.reference_path import rectangle
 
-    if (source is None) == (path is None):
-        raise click.UsageError("give either a file or --path")
     if source is None:
         yield rectangle(printer)
-    else:
-        with click.open_file(str(source), "rb") as file, progress(file, source, quiet) as lines:
-            yield lines
+        return
+    with click.open_file(str(source), "rb") as file, progress_bar(source, quiet) as advance:
+
+        def lines() -> Iterator[bytes]:
+            for line in lines_of(file):
+                if advance is not None:
+                    advance(len(line))
+                yield line
+
+        yield lines()
 
 
 def figure_option(what: str) -> Callable[[Command], Command]:
-    """``--figure FILE``, which draws that."""
+    """Return the decorator for ``--figure``, which draws ``what``."""
     return click.option(
         "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
-        help=f"Draw {what} (.png or .svg); needs matplotlib.",
+        help=f"Draw {what} (.png or .svg). Needs matplotlib: pip install 'hframe-post[plot]'.",
     )  # fmt: skip
 
 
 def check_figure(figure: Path | None) -> None:
-    """Says at once that it cannot be drawn."""
+    """Raise an error if the figure cannot be drawn, before any work is done."""
     from hframe_post import plotting
 
     if figure is not None:

@@ -1,4 +1,4 @@
-"""``hframe-post paper``: the paper's figures, computed anew."""
+"""``hframe-post paper``: reproduce the paper's tables and figures."""
 
 from __future__ import annotations
 
@@ -8,70 +8,68 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
+from hframe_post import plotting
 from hframe_post.cli.options import files_read, printer_option
+from hframe_post.errors import PrinterError
+from hframe_post.paper import plots, results, tables
+from hframe_post.paper.printed import coefficients_off
+from hframe_post.paper.widths import widths
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.files.atomic_file import Outputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from hframe_post.printer.settings import Printer
 
 
 @click.command()
 @printer_option
 @click.option(
     "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for the drawings (PNG and SVG) and tables.md; it is made if need be. "
-    "Needs matplotlib: pip install 'hframe-post[plot]'.",
+    help="Folder for the figures (PNG and SVG) and tables.md, created if necessary. Needs "
+    "matplotlib: pip install 'hframe-post[plot]'.",
 )  # fmt: skip
 @click.option(
     "--prism", type=click.Path(path_type=Path), metavar="GCODE",
-    help="Slice of the paper's prism for Fig. 11, such as sample_gcode/prism.gcode.",
+    help="A slice of the paper's prism, for Fig. 11: sample_gcode/prism.gcode.",
 )  # fmt: skip
 def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     """Reproduce the paper's tables and figures with a printer's model.
 
-    Prints the paper's numbers beside those computed here, and says which were calibrated.
+    Prints the paper's numbers next to the computed ones, and marks the calibrated ones.
 
     \b
     Example:
       hframe-post paper
     """
-    from hframe_post import plotting
-    from hframe_post.errors import PrinterError
-    from hframe_post.printer.profile import load
-    from hframe_post.writers.files.atomic_file import Outputs
-
     profile = load(printer)
     if profile.plant.Gxtheta is None:
-        raise PrinterError("the printer does not rack: nothing to reproduce", "plant", printer)
+        raise PrinterError(
+            "this printer does not rack, so there is nothing to reproduce", "plant", printer
+        )
     lines = prism.read_bytes().splitlines(keepends=True) if prism is not None else None
     if folder is not None:
         plotting.ready(folder)
-    told, drawings = _computed(profile, lines)
-    click.echo(told, nl=False)
+    text, drawings = _compute(profile, lines)
+    click.echo(text, nl=False)
     if folder is not None:
         with Outputs(files_read(printer, prism)) as outputs:
             drawn = {name: draw() for name, draw in drawings.items()}
             plotting.save_all(drawn, lambda name: outputs.open(folder / name))
-            outputs.open(folder / "tables.md").write(told.encode())
+            outputs.open(folder / "tables.md").write(text.encode())
 
 
-def _computed(
+def _compute(
     profile: Printer, prism: list[bytes] | None
 ) -> tuple[str, dict[str, Callable[[], Figure]]]:
-    """The tables, and what draws each figure. prism: its lines."""
-    import numpy as np
-
-    from hframe_post.paper import plots, results, tables
-    from hframe_post.paper.printed import coefficients_off
-    from hframe_post.paper.widths import widths
-
+    """Return the tables, and a function that draws each figure. prism: the slice's lines."""
     responses = results.frequency_responses(profile.plant, np.geomspace(1.0, 200.0, 400))
     xy = results.path(profile)
     approximations = results.approximations(profile.plant, xy)
     time_responses = results.time_responses(profile.plant, xy)
-    told = [
+    texts = [
         tables.coefficients(coefficients_off(profile.plant)),
         tables.approximation(approximations),
         tables.time_response(time_responses),
@@ -86,6 +84,6 @@ def _computed(
     }
     if prism is not None:
         prisms = [widths(profile, prism, printed) for printed in (False, True)]
-        told.append(tables.width_errors(prisms))
+        texts.append(tables.width_errors(prisms))
         drawings["fig11"] = partial(plots.width_errors, prisms)
-    return "\n".join(told), drawings
+    return "\n".join(texts), drawings

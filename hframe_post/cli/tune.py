@@ -1,14 +1,14 @@
-"""``hframe-post tune``: which λ and L for this printer and this kind of print."""
+"""``hframe-post tune``: recommend a profile's window, weight and acceleration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from hframe_post import library, plotting
 from hframe_post.cli.options import (
     check_figure,
     figure_option,
@@ -19,20 +19,39 @@ from hframe_post.cli.options import (
     print_options,
     seed_option,
     share,
-    weight,
 )
-
-if TYPE_CHECKING:
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.gcode.options import Extrusion, LimitSource
-    from hframe_post.library import Tuning
-    from hframe_post.printer.settings import Printer
-    from hframe_post.studies.tuning.pareto import Pareto
-    from hframe_post.studies.tuning.tune import Trial
-
-NO_CANDIDATE = (
-    "no candidate stays within the motors' limits: try larger --effort, or a slower print"
+from hframe_post.conversion.pipeline import Options
+from hframe_post.errors import HframeError
+from hframe_post.gcode.options import Extrusion, LimitSource
+from hframe_post.printer.edit import with_windows
+from hframe_post.printer.schema import LARGEST
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.shapers.report import shapings_as_json, shapings_as_text
+from hframe_post.studies.shapers.shapers import calibrated, error, paths, search
+from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.simulation.uncertainty import draws as random_plants
+from hframe_post.studies.tuning import pareto
+from hframe_post.studies.tuning.plots import trade_off
+from hframe_post.studies.tuning.report import (
+    pace_as_json,
+    pace_table,
+    stops_table,
+    summary,
+    trials_table,
 )
+from hframe_post.studies.tuning.tune import EFFORTS, KNOTS, Trial
+from hframe_post.writers.files.atomic_file import Outputs
+
+
+def weight(text: str) -> float:
+    """Read a number from 0 that a profile can hold."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < LARGEST:
+        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
+    return value
 
 
 @click.command()
@@ -47,98 +66,99 @@ NO_CANDIDATE = (
 )  # fmt: skip
 @click.option(
     "--model-error", type=share, metavar="PERCENT",
-    help="Printers drawn around the model, on which the recommendation must be good too. Default: "
-    "the profile's plant.uncertainty, which `identify` measures, or 5%.",
+    help="How much the printer may differ from its model: the recommendation must also be good for "
+    "random printers within it. Default: plant.uncertainty of the profile, or 5%.",
 )  # fmt: skip
-@click.option("--draws", type=click.IntRange(0, 1000), default=10, show_default=True,
-              help="How many printers to draw; 0 for the model alone.")  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(0, 1000), default=10, show_default=True,
+    help="Number of random printers; 0 for the model alone.",
+)  # fmt: skip
 @seed_option
-@figure_option("the trade-off")
+@figure_option("error against motor effort, and against print time")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write a profile with the recommended values; may be the one given with -p.",
 )  # fmt: skip
-@click.option(
-    "--keep-limits", is_flag=True,
-    help="Choose window and weight alone: acceleration and jerk stay the profile's.",
-)  # fmt: skip
+@click.option("--keep-limits", is_flag=True, help="Do not recommend another acceleration and jerk.")
 @click.option(
     "--shaper", is_flag=True,
-    help="Instead, for those who want no dense stream: the [input_shaper] section for Klipper's "
-    "printer.cfg that serves this printer and print best.",
+    help="Instead, recommend an [input_shaper] section for Klipper's printer.cfg, to print files "
+    "without converting them.",
 )  # fmt: skip
 @json_option
 def tune(
-    source: Path | None, path: str | None, printer: str, limits: LimitSource,
-    extrusion: Extrusion | None, knots: tuple[int, ...], effort: tuple[float, ...],
-    model_error: float | None, draws: int, seed: int, figure: Path | None, output: Path | None,
-    keep_limits: bool, shaper: bool, json_file: Path | None,
+    source: Path | None, printer: str, limits: LimitSource, extrusion: Extrusion | None,
+    knots: tuple[int, ...], effort: tuple[float, ...], model_error: float | None, draws: int,
+    seed: int, figure: Path | None, output: Path | None, keep_limits: bool, shaper: bool,
+    json_file: Path | None,
 ) -> None:  # fmt: skip
-    """Try windows and weights on a print, and recommend the best the motors can follow.
+    """Try windows and weights on a print, and recommend the best that the motors can follow.
 
-    More weight (λ) drives the motors less hard and leaves more error; finer knots (small L)
-    can cancel faster ringing. Of those whose error, under model error, is within a tenth of the
-    best the gentlest is taken. Then acceleration and jerk are chosen with them, on half a minute
-    of the print: gentler ones as long as they halve the error for a tenth of the time.
-    The settings of compensation.stops are shown with the print time that each takes.
+    More weight (λ) spares the motors and leaves more error; closer knots (small L) can cancel
+    faster ringing. Of the settings with an error within a tenth of the smallest, the gentlest is
+    recommended. Acceleration and jerk are then chosen on half a minute of the print: lower ones,
+    as long as they halve the error for a tenth more time. Without a file, the paper's rectangle
+    of 120 x 20 mm is used. The last table shows the print time of each compensation.stops.
 
     \b
     Example:
       hframe-post tune in.gcode -p my.toml -o my.toml
     """
-    from hframe_post import library, plotting
-    from hframe_post.conversion.pipeline import Options
-    from hframe_post.errors import HframeError
-    from hframe_post.studies.tuning.plots import trade_off
-    from hframe_post.studies.tuning.report import (
-        pace_as_json,
-        pace_table,
-        stops_table,
-        summary,
-        trials_table,
-    )
-    from hframe_post.writers.files.atomic_file import Outputs
-
     profile = library.load_printer(printer)
     model_error = library.model_uncertainty(profile) if model_error is None else model_error
     reads = files_read(source, printer)
     if shaper:
         if figure is not None or output is not None:
-            raise click.UsageError("--shaper writes neither figure nor profile")
+            raise click.UsageError("--shaper writes neither --figure nor --output")
         options = Options("none", limits=limits, extrusion=extrusion)
-        with opened(source, path, profile, quiet=False) as lines, Outputs(reads) as findings:
-            _tell_shaper(lines, profile, options, open_json(findings, json_file), json_file)
+        with opened(source, profile, quiet=False) as lines, Outputs(reads) as outputs:
+            _recommend_shaper(lines, profile, options, open_json(outputs, json_file), json_file)
         return
     check_figure(figure)
-    asked = _Asked(knots, effort, model_error, draws, seed, limits, extrusion)
+    # The profile is written last: only if there is a recommendation, and after the findings.
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None
         with Outputs([*reads, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
             drawing = findings.open(figure) if figure is not None else None
-            with opened(source, path, profile, quiet=False) as lines:
-                tuned = asked.tuned(lines, profile)
-            windows_alone = keep_limits or str(source) == "-"
-            pace = None if windows_alone else asked.paced(source, tuned, profile)
-            told = summary(tuned.trials, tuned.best, model_error, draws, tuned.stops)
-            write_json(told | (pace_as_json(pace) if pace else {}))
+            with opened(source, profile, quiet=False) as lines:
+                tuned = library.tune(
+                    lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
+                    model_error=model_error, draws=draws, seed=seed, limits=limits,
+                    extrusion=extrusion,
+                )  # fmt: skip
+            best, pace = tuned.best, None
+            if best is not None and not keep_limits and str(source) != "-":
+                grid = pareto.windows(tuned.trials, best, profile.motors)
+                plants = random_plants(profile.plant, model_error, draws, seed)
+                pace = pareto.pareto(_pieces(source, profile), profile, grid, plants)
+            found = summary(tuned.trials, best, model_error, draws, tuned.stops)
+            write_json(found | (pace_as_json(pace) if pace else {}))
             if figure is not None and drawing is not None:
-                drawn = trade_off(tuned.trials, tuned.best, profile.motors, pace)
+                drawn = trade_off(tuned.trials, best, profile.motors, pace)
                 plotting.save(drawn, drawing, figure.suffix.removeprefix("."))
-        table = trials_table(tuned.trials, tuned.best) + (pace_table(pace) if pace else "")
+        table = trials_table(tuned.trials, best) + (pace_table(pace) if pace else "")
         if tuned.stops:
             table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
         click.echo(table, err=str(json_file) == "-")
-        if tuned.best is None:
-            raise HframeError(NO_CANDIDATE)
+        if best is None:
+            raise HframeError(
+                "no candidate stays within the motors' limits: try a larger --effort, or a slower "
+                "print"
+            )
         if file is not None:
-            file.write(_written(printer, tuned.best, pace).encode())
+            file.write(_recommended_profile(printer, best, pace).encode())
 
 
-def _written(printer: str, best: Trial, pace: Pareto | None) -> str:
-    """The profile with what is recommended."""
-    from hframe_post.printer.edit import with_windows
+def _pieces(source: Path | None, profile: Printer) -> Any:
+    """Return the parts of the print on which acceleration and jerk are chosen."""
+    if source is None:
+        return pareto.pieces(rectangle(profile), profile)
+    with source.open("rb") as lines:
+        return pareto.pieces(lines, profile)
 
+
+def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:
     if pace is None or pace.chosen is None:
         return with_windows(printer, best.windows)
     chosen = pace.chosen
@@ -146,55 +166,11 @@ def _written(printer: str, best: Trial, pace: Pareto | None) -> str:
     return with_windows(printer, chosen.trial.windows, limits)
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What is tried, and on which printers."""
-
-    knots: tuple[int, ...]
-    effort: tuple[float, ...]
-    model_error: float
-    draws: int
-    seed: int
-    limits: LimitSource
-    extrusion: Extrusion | None
-
-    def tuned(self, lines: Iterable[bytes], profile: Printer) -> Tuning:
-        """Windows and weights, as the profile plans the print."""
-        from hframe_post import library
-        from hframe_post.studies.tuning.tune import EFFORTS, KNOTS
-
-        return library.tune(
-            lines, profile, knots=self.knots or KNOTS, efforts=self.effort or EFFORTS,
-            model_error=self.model_error, draws=self.draws, seed=self.seed, limits=self.limits,
-            extrusion=self.extrusion,
-        )  # fmt: skip
-
-    def paced(self, source: Path | None, tuned: Tuning, profile: Printer) -> Pareto | None:
-        """The best windows with other accelerations and jerks; None if there is no best."""
-        from hframe_post.studies.simulation.reference_path import rectangle
-        from hframe_post.studies.simulation.uncertainty import draws
-        from hframe_post.studies.tuning import pareto
-
-        if tuned.best is None:
-            return None
-        grid = pareto.windows(tuned.trials, tuned.best, profile.motors)
-        plants = draws(profile.plant, self.model_error, self.draws, self.seed)
-        if source is None:
-            kept = pareto.pieces(rectangle(profile), profile)
-        else:
-            with source.open("rb") as lines:
-                kept = pareto.pieces(lines, profile)
-        return pareto.pareto(kept, profile, grid, plants)
-
-
-def _tell_shaper(
+def _recommend_shaper(
     lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
-    """The best input shaper there is, and what leaving it to Klipper would give."""
-    from hframe_post.studies.shapers.report import shapings_as_json, shapings_as_text
-    from hframe_post.studies.shapers.shapers import calibrated, error, paths, search
-
+    """Print the best input shaper, and next to it what Klipper's calibration would choose."""
     pieces = paths(lines, profile, options)
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)

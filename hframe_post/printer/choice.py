@@ -1,11 +1,12 @@
-"""Which printer's profile, and why: asked for, named by the slicer, by the environment, by `use`.
+"""Which profile is used, and why: -p, the slicer, the environment or the user's default.
 
-The user's default is a line of ``config.toml`` in the platform's configuration folder: the
-profile's place, not a copy, so that what `tune` or `identify` change is what is used.
+The default is a line of ``config.toml`` in the platform's configuration folder. It names the
+profile's file rather than copying it, so changes by ``tune`` and ``identify`` take effect.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import tomllib
@@ -14,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from platformdirs import user_config_path
+
 from hframe_post.errors import HframeError, one_line
 
 if TYPE_CHECKING:
@@ -21,8 +24,6 @@ if TYPE_CHECKING:
 
 VARIABLE = "HFRAME_PRINTER"
 FALLBACK = "paper"
-_NOTE = re.compile(r"^\s*HFRAME_PRINTER\s*=\s*(\S.*)", re.MULTILINE)
-_ESCAPE = re.compile(r"\\(.)")  # as the slicers write text of several lines into one
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,66 +34,72 @@ class Choice:
     why: str
 
     def as_text(self) -> str:
-        """A line of the summary."""
+        """Return a line for the summary."""
         return f"profile     {one_line(self.profile)} ({self.why})"
 
     def as_json(self) -> dict[str, str]:
-        """What the summary has of it."""
         return {"profile": self.profile, "profile_chosen_by": self.why}
 
 
 def config_file() -> Path:
-    """Where the user's default is kept."""
-    from platformdirs import user_config_path
-
+    """Return the file that holds the user's default."""
     return user_config_path("hframe-post", appauthor=False) / "config.toml"
 
 
-def users_default() -> str | None:
-    """What `use` has chosen, None if nothing. Raises HframeError."""
+def set_default(profile: str) -> None:
+    """Make a profile the user's default."""
+    path = config_file()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_suffix(".new")
+    new.write_text(f"printer = {json.dumps(profile, ensure_ascii=False)}\n", "utf-8")
+    new.replace(path)
+
+
+def _default() -> str | None:
     path = config_file()
     try:
         document = tomllib.loads(path.read_text("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise HframeError(f"{path}: cannot be read: {error}") from None
+        raise HframeError(f"{path} cannot be read: {error}; run 'hframe-post use' again") from None
     printer = document.get("printer")
     if not isinstance(printer, str):
-        raise HframeError(f"{path}: has no printer = \"…\"; run 'hframe-post use' again")
+        raise HframeError(f"{path} has no line printer = \"…\": run 'hframe-post use' again")
     return printer
 
 
-def choose(asked: str | None, environ: Mapping[str, str]) -> Choice:
-    """The most particular choice there is. Raises HframeError.
+def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
+    """Return the most specific choice there is. Raises HframeError.
 
-    A line ``HFRAME_PRINTER=my.toml`` in the notes of the slicer's printer is particular to that
-    printer, the variable of that name to the slicer or shell.
+    A line ``HFRAME_PRINTER=my.toml`` in the printer notes of the slicer holds for that printer, the
+    variable of that name for the whole slicer or shell.
     """
-    if asked is not None:
-        return Choice(asked, "as asked for with -p")
-    notes = _ESCAPE.sub(
+    if requested is not None:
+        return Choice(requested, "option -p")
+    notes = re.sub(  # slicers escape the line ends of notes
+        r"\\(.)",
         lambda match: {"n": "\n", "r": "\n"}.get(match[1], match[1]),
         environ.get("SLIC3R_PRINTER_NOTES", ""),
     )
-    if note := _NOTE.search(notes):
-        return Choice(note[1].strip().strip('"'), "the notes of the slicer's printer")
+    if note := re.search(rf"^\s*{VARIABLE}\s*=\s*(\S.*)", notes, re.MULTILINE):
+        return Choice(note[1].strip().strip('"'), "printer notes in the slicer")
     if environ.get(VARIABLE):
-        return Choice(environ[VARIABLE], f"the variable {VARIABLE}")
-    if default := users_default():
+        return Choice(environ[VARIABLE], f"environment variable {VARIABLE}")
+    if default := _default():
         if os.path.isabs(default) and not Path(default).is_file():
             raise HframeError(
-                f"{default}: the profile chosen with 'hframe-post use' is not there any more; "
-                "choose one again"
+                f"{default}: the default profile does not exist any more; choose another with "
+                "'hframe-post use'"
             )
-        return Choice(default, "chosen with 'hframe-post use'")
+        return Choice(default, "default set with 'hframe-post use'")
     return Choice(FALLBACK, "the paper's printer, NOT YOURS: see 'hframe-post use'")
 
 
-def proof(profile: Printer) -> str:
-    """A line of the summary: whether `verify` has shown what the profile does on the machine."""
-    mark = profile.verified
+def verification_as_text(printer: Printer) -> str:
+    """Return a line for the summary: what ``verify`` measured with this profile."""
+    mark = printer.verified
     if mark is None:
         return "NOT VERIFIED on a machine: 'hframe-post verify' shows whether this profile helps"
-    less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the machine"
+    less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the printer"
     return f"verified    {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"

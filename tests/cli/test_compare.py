@@ -25,6 +25,7 @@ def test_status_and_first_difference(moved: Path) -> None:
     assert different.returncode == 1
     assert b"b is elsewhere: X +0.0015 mm" in different.stdout
     assert run("compare", RECTANGLE, moved, "--tolerance", "2um").returncode == 0
+    assert run("compare", RECTANGLE, moved, "--tolerance", "2um,1s").returncode == 0
     assert run("compare", RECTANGLE, moved, "-q").stdout == b""
 
 
@@ -35,7 +36,7 @@ def test_standard_input_and_json(moved: Path) -> None:
     assert told["first_difference"]["what"].startswith("b is elsewhere")
 
 
-@pytest.mark.parametrize("bad", ["0", "-1um", "1 parsec", "nan", "um"])
+@pytest.mark.parametrize("bad", ["0", "-1um", "1 parsec", "nan", "um", "1um,", "1um,1mm"])
 def test_a_tolerance_must_be_a_length(bad: str) -> None:
     assert run("compare", RECTANGLE, RECTANGLE, "--tolerance", bad).returncode == 2
 

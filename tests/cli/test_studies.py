@@ -16,7 +16,8 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import main
-from hframe_post.cli.options import share, weight
+from hframe_post.cli.options import share
+from hframe_post.cli.tune import weight
 from hframe_post.printer.profile import load, shipped
 from tests.command_line import run
 from tests.conftest import SAMPLES
@@ -101,8 +102,8 @@ def test_simulate_reads_standard_input_and_is_quiet() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
-def test_the_path_is_the_sample_file_elsewhere_on_the_bed(simulation: Any) -> None:
-    path = told(run("simulate", "--path", "rectangle", "--json", "-", "-q"))
+def test_without_a_file_the_rectangle_is_simulated(simulation: Any) -> None:
+    path = told(run("simulate", "--json", "-", "-q"))
     assert set(path["contour_error_um"]) == STRATEGIES
     for name, figures in path["contour_error_um"].items():
         elsewhere = simulation["contour_error_um"][name]
@@ -113,7 +114,7 @@ def test_the_path_is_the_sample_file_elsewhere_on_the_bed(simulation: Any) -> No
 def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text('extends = "paper"\n[plant]\nx_c = 150.0\n')
-    arguments = ["simulate", "--path", "rectangle", "--model-error", "5%", "--model-error", "0.02"]
+    arguments = ["simulate", "--model-error", "5%", "--model-error", "0.02"]
     arguments += ["--draws", "3", "--steps", "--plant", str(other), "--json", "-"]
     first, again = run(*arguments), run(*arguments)
     assert first.stdout == again.stdout
@@ -136,7 +137,7 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     text = shipped()["paper"]
     mine.write_text(text, encoding="utf-8")
     done = run(
-        "tune", "--path", "rectangle", "-p", mine, "-L", "10", "--effort", "30", "--effort", "300",
+        "tune", "-p", mine, "-L", "10", "--effort", "30", "--effort", "300",
         "--draws", "2", "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", mine,
         "--keep-limits",
     )  # fmt: skip
@@ -161,7 +162,7 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
 def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
     done = run(
-        "tune", "--path", "rectangle", "-L", "8", "--effort", "10", "--draws", "2",
+        "tune", "-L", "8", "--effort", "10", "--draws", "2",
         "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", out,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr.decode()
@@ -186,8 +187,6 @@ def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path
 def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
     arguments = [
-        "--path",
-        "rectangle",
         "-L",
         "10",
         "--effort",
@@ -207,7 +206,7 @@ def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: P
 def test_tune_recommends_nothing_that_the_motors_cannot_follow(tmp_path: Path) -> None:
     weak, out = tmp_path / "weak.toml", tmp_path / "out.toml"
     weak.write_text('extends = "paper"\n[motors]\nbelt_acceleration = 100.0\n')
-    done = run("tune", "--path", "rectangle", "-p", weak, *SMALL_TUNE, "-o", out)
+    done = run("tune", "-p", weak, *SMALL_TUNE, "-o", out)
     refused(done, 1, "no candidate stays within the motors' limits")
     assert b"recommended" not in done.stdout
     assert not out.exists()
@@ -242,17 +241,15 @@ def test_a_bad_print_is_one_line_and_nothing_written(
 
 
 USAGE = [
-    (["simulate"], "give either a file or --path"),
     (["simulate", "--path", "circle"], "--path"),
-    (["simulate", "--path", "rectangle", "--model-error", "many"], "'many' is not a share"),
-    (["simulate", "--path", "rectangle", "--seed", "-1"], "--seed"),
-    (["tune"], "give either a file or --path"),
-    (["tune", "--path", "rectangle", "-L", "1"], "-L"),
-    (["simulate", "--path", "rectangle", "--draws", "0"], "--draws"),
-    (["tune", "--path", "rectangle", "--model-error", "200%"], "'200%' is not a share"),
-    (["tune", "--path", "rectangle", "--effort", "nan"], "'nan' is not a number"),
-    (["tune", "--path", "rectangle", "--figure", "a.pdf"], "--figure must end in"),
-    (["tune", "--path", "rectangle", "--seed", "-1"], "--seed"),
+    (["simulate", "--model-error", "many"], "'many' is not a share"),
+    (["simulate", "--seed", "-1"], "--seed"),
+    (["tune", "-L", "1"], "-L"),
+    (["simulate", "--draws", "0"], "--draws"),
+    (["tune", "--model-error", "200%"], "'200%' is not a share"),
+    (["tune", "--effort", "nan"], "'nan' is not a number"),
+    (["tune", "--figure", "a.pdf"], "--figure must end in"),
+    (["tune", "--seed", "-1"], "--seed"),
     (["paper", "extra"], "unexpected extra argument"),
 ]
 
@@ -264,11 +261,6 @@ def test_wrong_usage_is_status_2(arguments: list[str], cause: str) -> None:
     assert done.exit_code == 2
     assert cause in done.stderr
     assert not done.stdout
-
-
-@BOTH
-def test_a_file_and_a_path_at_once_are_wrong_usage(command: str) -> None:
-    refused(run(command, RECTANGLE, "--path", "rectangle"), 2, "give either a file or --path")
 
 
 @pytest.mark.parametrize(
@@ -314,7 +306,7 @@ def test_an_output_that_cannot_be_written_is_named(
     command: str, option: str, name: str, tmp_path: Path
 ) -> None:
     more = SMALL_TUNE if command == "tune" else ()
-    done = run(command, "--path", "rectangle", *more, option, tmp_path / "no" / name)
+    done = run(command, *more, option, tmp_path / "no" / name)
     refused(done, 1, "No such file or directory")
     assert str(tmp_path / "no") in done.stderr.decode()
     assert not list(tmp_path.iterdir())
@@ -323,7 +315,7 @@ def test_an_output_that_cannot_be_written_is_named(
 def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('extends = "paper" # mine\ncompensation.L = 5 # dotted\n')
-    done = run("tune", "--path", "rectangle", "-p", mine, *SMALL_TUNE, "-o", mine)
+    done = run("tune", "-p", mine, *SMALL_TUNE, "-o", mine)
     assert done.returncode == 0, done.stderr.decode()
     assert {'extends = "paper" # mine', "compensation.L = 10 # dotted"} <= set(
         mine.read_text().splitlines()

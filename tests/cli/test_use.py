@@ -25,7 +25,7 @@ def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> 
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
     assert at_home("use", own).returncode == 0
     used = at_home(RECTANGLE, "-n").stderr.decode()
-    assert used.startswith(f"profile     {own} (chosen with 'hframe-post use')\n")
+    assert used.startswith(f"profile     {own} (default set with 'hframe-post use')\n")
     assert str(own) in at_home("use").stdout.decode()
     told = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
     assert told["profile"] == str(own)
@@ -39,9 +39,9 @@ def test_what_is_more_particular_goes_first(own: Path, tmp_path: Path) -> None:
     varied = partial(at_home, HFRAME_PRINTER="paper-marlin")
     noted = partial(varied, SLIC3R_PRINTER_NOTES=r"2021\nHFRAME_PRINTER=paper-strong\nblue")
     chosen = {
-        "paper-marlin (the variable HFRAME_PRINTER)": varied(RECTANGLE, "-n"),
-        "paper-strong (the notes": noted(RECTANGLE, "-n"),
-        "paper (as asked": noted(RECTANGLE, "-n", "-p", "paper"),
+        "paper-marlin (environment variable HFRAME_PRINTER)": varied(RECTANGLE, "-n"),
+        "paper-strong (printer notes": noted(RECTANGLE, "-n"),
+        "paper (option -p": noted(RECTANGLE, "-n", "-p", "paper"),
     }
     for start, done in chosen.items():
         assert done.stderr.decode().startswith("profile     " + start)
@@ -58,7 +58,7 @@ def test_a_bad_profile_is_not_chosen_and_a_lost_one_not_passed_over(
     own.unlink()
     lost = at_home(RECTANGLE, "-n")
     assert lost.returncode == 1
-    assert b"not there any more" in lost.stderr
+    assert b"does not exist any more" in lost.stderr
     assert at_home(RECTANGLE, "-n", "-p", "paper").returncode == 0
 
 

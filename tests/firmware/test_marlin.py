@@ -408,7 +408,7 @@ def test_dialect_is_overridden_only_where_the_profile_knows_it(tmp_path: Path) -
     as_klipper = run(rectangle, "-o", out, "-p", "paper-marlin", "--firmware", "klipper")
     assert as_klipper.returncode == 0
     assert b"SET_VELOCITY_LIMIT" in out.read_bytes()
-    assert run(rectangle, "-p", "paper-marlin", "-n", "--every-sample").returncode == 2
+    assert run(rectangle, "-p", "paper-marlin", "-n", "--tolerance", "0").returncode == 2
 
 
 def test_settings_of_another_firmware_are_stamped_otherwise(marlin: Printer) -> None:

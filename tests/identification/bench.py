@@ -93,7 +93,7 @@ def off(found: TransferFunction | None, true: TransferFunction | None, motors: A
 def compensated(profile: Path, plant: Path, folder: Path) -> float:
     """Return the RMS contour error (µm) of the rectangle with that profile, on that plant."""
     summary = folder / "summary.json"
-    done = run("simulate", "--path", "rectangle", "-p", profile, "--plant", plant,
+    done = run("simulate", "-p", profile, "--plant", plant,
                "--on-limit", "clamp", "-q", "--json", summary)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return float(

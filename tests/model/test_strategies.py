@@ -44,7 +44,7 @@ def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_pat
     assert done.exit_code == 0, done.output
     assert "as it is, late: contour error" in done.output
     assert out.read_bytes() != b""
-    studied = CliRunner().invoke(main, ["simulate", "--path", "rectangle"])
+    studied = CliRunner().invoke(main, ["simulate"])
     assert "as it is, late" in studied.output
     assert "-c, --compensation [none|fbs|racking|late]" in _help()
 

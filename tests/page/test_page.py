@@ -66,7 +66,7 @@ def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
     part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
     assert run("simulate", part, "--plant", "paper", "--report", report).returncode == 0
     assert data_of(report.read_bytes())["name"] == "rectangle.gcode"
-    assert run("simulate", "--path", "rectangle", "--report", report).returncode == 2
+    assert run("simulate", "--report", report).returncode == 2
 
 
 def test_slider_strategies_click_and_zoom_change_what_they_should(

@@ -82,7 +82,7 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
 @pytest.mark.slow
 def test_simulate_against_shapers(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
-    done = run("simulate", "--path", "rectangle", "--against", "shapers", "--json", out)
+    done = run("simulate", "--shapers", "--json", out)
     assert done.returncode == 0
     assert "3hump_ei as calibrated" in done.stdout.decode()
     rivals = json.loads(out.read_text())["against"]
@@ -98,7 +98,7 @@ def test_simulate_against_shapers(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_tune_prints_the_section_for_klipper(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
-    done = run("tune", "--path", "rectangle", "--shaper", "--json", out)
+    done = run("tune", "--shaper", "--json", out)
     assert done.returncode == 0
     text = done.stdout.decode()
     section = text[text.index("[input_shaper]") :]
