@@ -1,29 +1,35 @@
-"""What the stages do not count themselves: each meter lets the stream pass and sums it up."""
+"""Meters let a stream pass and sum it up; their summaries make the report of a conversion."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from hframe_post.arrays import TS, E
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, lengths
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.printer.settings import Limits
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
 
-RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
+_RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
+
+# ---------------------------------------------------------------------- the file
 
 
 @dataclass(frozen=True, slots=True)
 class InputSummary:
-    """What a file holds: lines, moves at known places, filament (mm).
+    """What a file holds: lines, moves at known positions, filament (mm).
 
-    firmware_retractions: G10 and G11 that pass, of which only the firmware knows what they do.
+    firmware_retractions: G10 and G11 lines whose motion only the firmware knows.
     """
 
     lines: int = 0
@@ -33,18 +39,16 @@ class InputSummary:
 
 
 class InputMeter:
-    """Counts what is read."""
+    """Counts the lines of a file and what the reader made of them."""
 
     def __init__(self) -> None:
         self._lines, self._moves, self._filament, self._retractions = 0, 0, 0.0, 0
 
     def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
-        """The lines of the file."""
         for self._lines, line in enumerate(lines, 1):
             yield line
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
-        """What the reader made of them."""
         for item in items:
             if isinstance(item, Moves):
                 self._moves += len(item.line)
@@ -54,13 +58,113 @@ class InputMeter:
                 self._filament += item.end[E] - item.start[E]
             else:
                 self._filament += item.filament
-                self._retractions += RETRACTION.match(item.text) is not None
+                self._retractions += _RETRACTION.match(item.text) is not None
             yield item
 
     @property
     def summary(self) -> InputSummary:
-        """Of what has passed."""
+        """Return the summary of what has passed so far."""
         return InputSummary(self._lines, self._moves, self._filament, self._retractions)
+
+
+@dataclass
+class Uncompensated:
+    """Moves that are not compensated for one reason: their number, path and filament in mm."""
+
+    moves: int = 0
+    path: float = 0.0
+    filament: float = 0.0
+
+
+@dataclass
+class Limited:
+    """Path (mm) on which one limit is lower than another, and the range of that limit."""
+
+    path: float = 0.0
+    least: float = math.inf
+    greatest: float = 0.0
+
+    def add(self, where: Flags, path: Array, limit: Array) -> None:
+        """Add the moves ``where`` (n,) it applies: their path (n,) and their limit (n,)."""
+        if where.any():
+            self.path += float(path[where].sum())
+            self.least = min(self.least, float(limit[where].min()))
+            self.greatest = max(self.greatest, float(limit[where].max()))
+
+
+@dataclass
+class PathSummary:
+    """Path and filament of all travel (mm), what is not compensated, and what limits the speed.
+
+    acceleration (mm/s²) and corner (mm/s): limited by the file, or by the pace that was set for an
+    allowed error (paced); speed (mm/s): limited by the profile.
+    """
+
+    path: float = 0.0
+    filament: float = 0.0
+    uncompensated: dict[str, Uncompensated] = field(default_factory=dict)
+    acceleration: Limited = field(default_factory=Limited)
+    corner: Limited = field(default_factory=Limited)
+    speed: Limited = field(default_factory=Limited)
+    paced: bool = False
+
+    @property
+    def path_share(self) -> float:
+        """Return the share of the path that is not compensated."""
+        path = sum(part.path for part in self.uncompensated.values())
+        return path / self.path if self.path else 0.0
+
+    @property
+    def extrusion_share(self) -> float:
+        """Return the share of the filament, laid while travelling, that is not compensated."""
+        filament = sum(part.filament for part in self.uncompensated.values())
+        return filament / self.filament if self.filament else 0.0
+
+
+class PathMeter:
+    """Measures the path, and compares the limits of its moves with the profile's."""
+
+    def __init__(self, limits: Limits, paced: bool = False) -> None:
+        self._limits = limits
+        self.summary = PathSummary(paced=paced)
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        for item in items:
+            if isinstance(item, Moves):
+                self._add_moves(item)
+            elif isinstance(item, Passthrough) and item.cause:
+                self._add_uncompensated(item)
+            yield item
+
+    def _add_moves(self, moves: Moves) -> None:
+        limits, summary = self._limits, self.summary
+        delta = np.diff(moves.points, axis=0)
+        path = lengths(delta[:, :E])
+        summary.path += float(path.sum())
+        summary.filament += float(np.maximum(delta[:, E], 0.0).sum())
+        share = np.abs(delta[:, :E]) / path[:, None]
+        with np.errstate(divide="ignore"):
+            by_axis = (np.array(moves.limits.acceleration[:E]) / share).min(axis=1)
+        acceleration = np.minimum(moves.acceleration, by_axis)
+        summary.acceleration.add(acceleration < limits.acceleration, path, acceleration)
+        corner = limits.square_corner_velocity
+        summary.corner.add(moves.corner < corner, path, moves.corner)
+        velocity = np.full(len(path), limits.velocity)
+        summary.speed.add(moves.speed > limits.velocity, path, velocity)
+
+    def _add_uncompensated(self, move: Passthrough) -> None:
+        causes = self.summary.uncompensated
+        known = move.cause in causes or len(causes) < 200  # bounds the memory of odd files
+        part = causes.setdefault(move.cause if known else "others", Uncompensated())
+        part.moves += 1
+        part.path += move.path
+        self.summary.path += move.path
+        if move.path:
+            part.filament += max(move.filament, 0.0)
+            self.summary.filament += max(move.filament, 0.0)
+
+
+# ---------------------------------------------------------------------- the commands
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,57 +173,6 @@ class PrintTime:
 
     before: float = 0.0
     after: float = 0.0
-
-
-class Clock:
-    """Measures how long the print takes."""
-
-    def __init__(self) -> None:
-        self.end, self.resting = 0, 0  # samples, of all and of rests
-
-    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """The commands."""
-        for chunk in chunks:
-            self.resting += sum(e.samples for e in chunk.events if isinstance(e, Rest))
-            self.end = chunk.end
-            yield chunk
-
-
-class FilamentMeter:
-    """Measures the filament of samples and of lines passed on: ``total``, mm."""
-
-    def __init__(self) -> None:
-        self.total = 0.0
-
-    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """The commands."""
-        for stretch in stretches(chunks):
-            last: float | None = None
-            for chunk in stretch:
-                if len(chunk):
-                    start = float(chunk.xyze[0, E]) if last is None else last
-                    last = float(chunk.xyze[-1, E])
-                    self.total += last - start
-                for event in chunk.events:
-                    if isinstance(event, Pause) and isinstance(event.action, Passthrough):
-                        self.total += event.action.filament
-                yield chunk
-
-
-class ErrorMeter:
-    """Predicts how far the nozzle is off the path: ``contour``, by strategy."""
-
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-        self.contour: dict[str, ContourErrors] = {}
-
-    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """The commands."""
-        for judgement in judge(chunks, self._plant, JUDGED_EVERY):
-            for name, errors in judgement.contour.items():
-                contour = self.contour.setdefault(name, ContourErrors())
-                contour.add(errors, judgement.extruding)
-            yield judgement.chunk
 
 
 @dataclass(slots=True)
@@ -147,15 +200,61 @@ class MotionSummary:
         self.samples += later.samples
         self.resting += later.resting
         one, other = self.peaks, later.peaks
+        (x, y), (other_x, other_y) = one.axis_acceleration, other.axis_acceleration
         self.peaks = Peaks(
             max(one.belt_velocity, other.belt_velocity),
             max(one.belt_acceleration, other.belt_acceleration),
-            (
-                max(one.axis_acceleration[0], other.axis_acceleration[0]),
-                max(one.axis_acceleration[1], other.axis_acceleration[1]),
-            ),
+            (max(x, other_x), max(y, other_y)),
         )
         self.clamped = self.clamped.joined(later.clamped)
         for name, errors in later.contour.items():
             self.contour.setdefault(name, ContourErrors()).join(errors)
         self.seconds = joined(self.seconds, later.seconds)
+
+
+class Clock:
+    """Counts samples: all (``end``), and those in which the path rests (``resting``)."""
+
+    def __init__(self) -> None:
+        self.end, self.resting = 0, 0
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        for chunk in chunks:
+            self.resting += sum(e.samples for e in chunk.events if isinstance(e, Rest))
+            self.end = chunk.end
+            yield chunk
+
+
+class FilamentMeter:
+    """Measures the filament of samples and pass-through lines: ``total``, mm."""
+
+    def __init__(self) -> None:
+        self.total = 0.0
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        for stretch in stretches(chunks):
+            last: float | None = None
+            for chunk in stretch:
+                if len(chunk):
+                    start = float(chunk.xyze[0, E]) if last is None else last
+                    last = float(chunk.xyze[-1, E])
+                    self.total += last - start
+                for event in chunk.events:
+                    if isinstance(event, Pause) and isinstance(event.action, Passthrough):
+                        self.total += event.action.filament
+                yield chunk
+
+
+class ErrorMeter:
+    """Predicts how far the nozzle is off the path: ``contour``, by strategy."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self.contour: dict[str, ContourErrors] = {}
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        for judgement in judge(chunks, self._plant, JUDGED_EVERY):
+            for name, errors in judgement.contour.items():
+                contour = self.contour.setdefault(name, ContourErrors())
+                contour.add(errors, judgement.extruding)
+            yield judgement.chunk

@@ -28,8 +28,7 @@ from hframe_post.compensation.guard import (
     max_deviation,
 )
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
-from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary
-from hframe_post.conversion.path_meter import PathMeter
+from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError

@@ -1,4 +1,4 @@
-"""What is told of a conversion, as text and JSON: the summaries of its stages."""
+"""The report of a conversion, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hframe_post.compensation.guard import Clamped, Peaks
-from hframe_post.conversion.meters import InputSummary, PrintTime
-from hframe_post.conversion.path_meter import PathSummary
+from hframe_post.conversion.meters import (
+    InputSummary,
+    Limited,
+    PathSummary,
+    PrintTime,
+    Uncompensated,
+)
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.stream.print_time import duration
-
-GUESSED = 9  # G10 and G11 that may pass: one pair or a few, beside macros
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +33,9 @@ class StepReport:
 class Report:
     """What one conversion did: the summaries of its stages. Lengths in mm.
 
-    lines_written, filament_after: None where nothing is written; busiest_second: most lines of
-    motion in a second, of the lines_per_second that the firmware can take. seconds: of the
-    processor, by stage; no two conversions agree in them.
+    lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
+    motion in a second, compared with the firmware's lines_per_second. seconds: processor time by
+    stage, not compared. speed, speed_text: how accuracy was traded for speed.
     """
 
     strategy: str
@@ -52,7 +55,7 @@ class Report:
     speed_text: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, ready for ``json.dumps``."""
+        """Return all figures, ready for ``json.dumps``."""
         x, y = self.peaks.axis_acceleration
         filament = {"before": self.read.filament, "after": self.filament_after}
         written: dict[str, Any] = {
@@ -61,6 +64,7 @@ class Report:
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
         }
+        limited = self._limits_as_json()
         return {
             "compensation": self.strategy,
             "moves": self.read.moves,
@@ -75,14 +79,16 @@ class Report:
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             "firmware_retractions": self.read.firmware_retractions,
-            **self.path.as_json(),
+            "uncompensated": self._uncompensated_as_json(),
+            "limited_by": limited,
+            "held_back": limited,  # its name until 0.1
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
             **{name: value for name, value in written.items() if value is not None},
         }
 
     def as_text(self) -> str:
-        """A few lines for a person."""
+        """Return a few lines for a person, warnings first."""
         before, after = self.time.before, self.time.after
         change = 100.0 * (after / before - 1.0) if before else 0.0
         lines = [
@@ -101,36 +107,111 @@ class Report:
             f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
-        lines += self.path.as_text()
+        lines += self._path_as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
             lines.append(
                 f"steps       {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
-        lines += self.speed_text.splitlines()
-        return "\n".join(lines + self.warnings())
+        return "\n".join(self.warnings() + lines + self.speed_text.splitlines())
 
     def warnings(self) -> list[str]:
-        """What a person must not overlook."""
-        lines = []
+        """Return a line for everything that a person must not overlook."""
+        found = []
         if not self.read.moves:
-            lines.append("NOTHING     was compensated: no move starts at a known position")
-        lines += self.path.warnings()
-        if self.busiest_second > self.lines_per_second:
-            lines.append(
-                f"TOO DENSE   up to {self.busiest_second} lines in a second, and the profile's "
-                f"lines_per_second is {self.lines_per_second:g}: the printer may stutter there"
+            found.append(
+                "nothing was compensated, because no move starts at a known position: move to an "
+                "absolute X, Y and Z before printing"
             )
-        if (count := self.read.firmware_retractions) > GUESSED:
-            lines.append(
-                f"GUESSED     how long {count} G10 and G11 take: less is compensated beside them, "
-                "unless [retraction] of the profile tells what they do"
+        if self.path.extrusion_share > 0.005:
+            cause = max(self.path.uncompensated.items(), key=lambda item: item[1].filament)[0]
+            found.append(
+                f"{100.0 * self.path.extrusion_share:.1f} % of the extrusion is not compensated, "
+                f"mostly after {cause}. If {cause} does not move the head, add it to harmless in "
+                "[firmware] of the profile; if the head comes back, add it to returns"
+            )
+        if self.busiest_second > self.lines_per_second:
+            found.append(
+                f"up to {self.busiest_second} lines in a second; lines_per_second of the profile "
+                f"is {self.lines_per_second:g}, so the printer may stutter"
+            )
+        if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
+            found.append(
+                f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
+                "[retraction] of the profile what they do"
             )
         if self.clamped.samples:
-            lines.append(
-                f"CLAMPED     {self.clamped.samples} ms of motion at the printer's limits, first "
-                f"at line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
+            found.append(
+                f"clamped {self.clamped.samples} ms of motion at the printer's limits, first at "
+                f"line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
                 "compensated there"
             )
+        return [f"WARNING     {text}" for text in found]
+
+    # ------------------------------------------------------------------ the path
+
+    def _path_as_text(self) -> list[str]:
+        path, lines = self.path, []
+        if path.uncompensated:
+            causes = [cause for cause, _ in self._largest()]
+            more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
+            lines.append(
+                f"not compensated  {_percent(path.path_share)} of the path, "
+                f"{_percent(path.extrusion_share)} of the extrusion "
+                f"(after {', '.join(causes[:4])}{more})"
+            )
+        whose = "for the allowed error" if path.paced else "in the file"
+        limits = [
+            self._limit(f"acceleration {whose}", path.acceleration, "mm/s²"),
+            self._limit(f"speed at corners {whose}", path.corner, "mm/s"),
+            self._limit("speed in the profile", path.speed, "mm/s"),
+        ]
+        if any(limits):
+            lines.append(f"limited by       {'; '.join(filter(None, limits))}")
         return lines
+
+    def _limit(self, name: str, limited: Limited, unit: str) -> str:
+        """Return where a limit applies and its range; nothing if it applies nowhere."""
+        if not limited.path:
+            return ""
+        low, high = f"{limited.least:.4g}", f"{limited.greatest:.4g}"
+        share = _percent(limited.path / self.path.path)
+        where = "" if share == "100 %" else f" on {share} of the path"
+        return f"{name} ({low if low == high else f'{low} to {high}'} {unit}{where})"
+
+    def _uncompensated_as_json(self) -> dict[str, Any]:
+        return {
+            "path_percent": round(100.0 * self.path.path_share, 3),
+            "extrusion_percent": round(100.0 * self.path.extrusion_share, 3),
+            "by_cause": {
+                cause: {
+                    "moves": part.moves,
+                    "path_mm": round(part.path, 3),
+                    "filament_mm": round(part.filament, 5),
+                }
+                for cause, part in self._largest()
+            },
+        }
+
+    def _limits_as_json(self) -> dict[str, Any]:
+        path = self.path
+        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
+        return {
+            name: {
+                "path_percent": round(100.0 * limited.path / path.path, 2),
+                "least": round(limited.least, 3),
+                "greatest": round(limited.greatest, 3),
+            }
+            for name, limited in limits.items()
+            if limited.path
+        }
+
+    def _largest(self) -> list[tuple[str, Uncompensated]]:
+        """Return causes of uncompensated motion, the longest path first."""
+        return sorted(self.path.uncompensated.items(), key=lambda item: -item[1].path)
+
+
+def _percent(share: float) -> str:
+    percent = 100.0 * share
+    return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

@@ -45,7 +45,7 @@ def test_layers_of_every_slicer_are_told_apart(each: Slice) -> None:
     assert set(features) != {BEFORE} or each.name == "sailfish"
 
 
-def test_uncompensated_motion_is_told_by_its_cause(paper: Printer) -> None:
+def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     told = SLICES["prusaslicer"]
     known = converted(told, paper)[2]
     unknown = converted(replace(told, harmless=()), paper)[2]
@@ -66,12 +66,12 @@ def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
     list(conversion)
     report = conversion.report()
     assert report.path.extrusion_share == pytest.approx(1 / 3)
-    (warning,) = report.path.warnings()
+    (warning,) = report.warnings()
     assert "mostly after PARK" in warning
     assert "[firmware]" in warning
 
 
-def test_what_holds_a_print_back_is_told(paper: Printer) -> None:
+def test_what_limits_a_print_is_reported(paper: Printer) -> None:
     lines = [
         b"M83\n", b"G92 X100 Y100 Z1\n", b"M204 S700\n", b"SET_VELOCITY_LIMIT ACCEL=500\n",
         b"M201 X100\n", b"G1 X150 F60000\n", b"M204 S90000\n",
@@ -79,14 +79,17 @@ def test_what_holds_a_print_back_is_told(paper: Printer) -> None:
     ]  # fmt: skip
     conversion = GcodeConversion(lines, paper, Options("none"))
     list(conversion)
-    held = conversion.report().as_json()["held_back"]
-    assert held["acceleration"] == {"path_percent": 50.0, "least": 500.0, "greatest": 500.0}
-    assert held["speed"]["path_percent"] == 50.0
-    assert "acceleration by the file (500 mm/s²" in conversion.report().as_text()
+    figures = conversion.report().as_json()
+    limited = figures["limited_by"]
+    assert limited["acceleration"] == {"path_percent": 50.0, "least": 500.0, "greatest": 500.0}
+    assert limited["speed"]["path_percent"] == 50.0
+    assert figures["held_back"] == limited  # the old key
+    shown = conversion.report().as_text()
+    assert "limited by       acceleration in the file (500 mm/s² on 50 % of the path)" in shown
 
 
 def test_macros_that_return_keep_their_place(paper: Printer) -> None:
-    """They run with the user's limits in force, and nothing after them is left as it was."""
+    """They run with the user's limits in force, and everything after them is compensated."""
     lines = [
         b"M83\n", b"G92 X100 Y100 Z1 E0\n", b"G1 X120 E1 F6000\n", b"TIMELAPSE_TAKE_FRAME\n",
         b"G1 X140 E1\n",
