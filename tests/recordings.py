@@ -1,8 +1,8 @@
-"""Sweeps, and what accelerometers with all their faults make of them.
+"""Sweeps, and their recordings by accelerometers with all their faults.
 
 The nozzle moves as eq. 1 and 2 say; an end of the bridge, at x = x_P, moves in y only, by
 y' + (x_P − x_c) θ. Between the 1 ms samples the motion is a spline, whose second derivative a
-sensor sees at its own, uneven times.
+sensor samples at its own, uneven times.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
 
 
 def sweep(rate: float = 4.0, marks: bool = True, low: float = 2.0, high: float = 120.0) -> Array:
-    """Displacement (m,), mm every 1 ms: quiet, mark, quiet, sweep, quiet, mark, quiet."""
+    """Return displacements (m,), mm every 1 ms: quiet, mark, quiet, sweep, quiet, mark, quiet."""
     quiet = np.zeros(1000)
     mark = chirp(10.0, 100.0, 401, 100)
     samples = round((high - low) / rate / TS) + 1
@@ -34,7 +34,7 @@ def sweep(rate: float = 4.0, marks: bool = True, low: float = 2.0, high: float =
 
 
 def chirp(low: float, high: float, n: int, edge: int) -> Array:
-    """3000 mm/s², less where that would take more than 5 mm."""
+    """Return a chirp of 3000 mm/s², or less where that would move more than 5 mm."""
     t = np.arange(n) * TS
     rate = (high - low) / t[-1]
     omega = 2.0 * np.pi * (low + rate * t)
@@ -49,7 +49,7 @@ def fading(n: int, edge: int) -> Array:
 
 @dataclass(frozen=True)
 class Sensor:
-    """An accelerometer. turned: degrees about z, y, x; lead: s recorded before the command."""
+    """An accelerometer. turned: rotation in degrees about z, y, x; lead: s before the command."""
 
     turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drift: float = 0.0
@@ -61,8 +61,8 @@ class Sensor:
     clock: float = 1234.5
     offset: tuple[float, float, float] = (120.0, -80.0, 250.0)
 
-    def felt(self, motion: BSpline, seconds: float, seed: int = 0) -> Recording:
-        """What it records of a motion, mm of s."""
+    def record(self, motion: BSpline, seconds: float, seed: int = 0) -> Recording:
+        """Return its recording of a motion: x, y, z in mm as a function of time in s."""
         rng = np.random.default_rng(seed)
         t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.drift)))
         t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
@@ -76,7 +76,7 @@ class Sensor:
 
 
 def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
-    """The nozzle's motion in x, y, z when ``swept`` (m,) is commanded along an axis."""
+    """Return the nozzle's motion in x, y, z when ``swept`` (m,) is commanded along an axis."""
     still = np.zeros(len(swept))
     if axis == 1:
         return spline(still, LiftedFilter(plant.Gyy).run(swept))
@@ -86,7 +86,7 @@ def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
 
 
 def bridge_end(Gxtheta: TransferFunction, swept: Array, arm: float) -> BSpline:
-    """The motion of an end of the bridge, which is not free in x, in a run of x."""
+    """Return the motion of an end of the bridge, which cannot move in x, in a run of x."""
     return spline(np.zeros(len(swept)), arm * LiftedFilter(Gxtheta).run(swept))
 
 
@@ -96,9 +96,9 @@ def spline(x: Array, y: Array) -> BSpline:
 
 
 def moved(plant: Plant, command: Array, at: float | None) -> BSpline:
-    """The motion of a sensor while the printer plays ``command`` (m, 2) mm.
+    """Return the motion of a sensor while the printer plays ``command`` (m, 2) mm.
 
-    at: None on the nozzle, else the x (mm) of its place on the bridge.
+    at: None on the nozzle, otherwise the x (mm) of its place on the bridge.
     """
     motion = Response(plant, command[0]).motion(command)
     if at is None:
@@ -109,7 +109,7 @@ def moved(plant: Plant, command: Array, at: float | None) -> BSpline:
 
 
 def write_klipper(path: Path, recording: Recording) -> Path:
-    """Klipper's raw accelerometer file."""
+    """Write Klipper's raw accelerometer file."""
     rows = np.column_stack([recording.t, recording.a])
     np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
     return path

@@ -28,7 +28,7 @@ from hframe_post.model.transfer_function import TransferFunction
 RATE = 20000
 STEPS = 20  # a millisecond
 ADXL345 = 76.5  # mm/s², its least step at 16 g
-USUAL = 5000.0  # mm/s² at which the share of harmonics is that given
+USUAL = 5000.0  # mm/s² at which harmonics have the share that an Axis states
 
 SOURCE = r"""
 #include <math.h>
@@ -87,7 +87,7 @@ void simulate(const double *u, long m, int per, double dt, const axis *g, double
 
 @dataclass(frozen=True)
 class Mode:
-    """A resonance; ``share`` of the motion at rest that it carries."""
+    """A resonance; share: of the motion at rest."""
 
     hz: float
     damping: float
@@ -96,7 +96,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Axis:
-    """What lies between the motors and the nozzle along one axis.
+    """The dynamics between motors and nozzle along one axis.
 
     delay: s; friction: mm/s²; play: mm; second, third: share of harmonics where a resonance makes
     5000 mm/s² tenfold.
@@ -114,7 +114,7 @@ class Axis:
         return not any((self.friction, self.play, self.second, self.third))
 
     def response(self) -> signal.StateSpace:
-        """Without delay, continuous."""
+        """Return the continuous response without the delay."""
         total = None
         for mode in self.modes:
             w = 2.0 * np.pi * mode.hz
@@ -127,8 +127,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Machine:
-    """x, y, racking (rad per mm/s², 0: none) with its mode. along: relative change of all
-    frequencies per mm of x, from ``middle``."""
+    """A printer: its axes, and its racking (rad per mm/s², 0: none) with its mode.
+
+    along: relative change of all frequencies per mm of x, from ``middle``.
+    """
 
     x: Axis
     y: Axis
@@ -144,7 +146,7 @@ class Machine:
         return self.x.linear and self.y.linear and self.along == 0.0
 
     def exact(self) -> Plant:
-        """The plant of a linear machine, exactly discretised for straight lines of 1 ms."""
+        """Return the plant of a linear machine, exactly discretised for straight lines of 1 ms."""
         Gxx, Gyy = (_discrete(axis.response(), axis.delay) for axis in (self.x, self.y))
         if not self.racking:
             return Plant(Gxx, Gyy, None, self.x_c)
@@ -155,10 +157,10 @@ class Machine:
         return Plant(Gxx, Gyy, _discrete(both, self.x.delay, True), self.x_c)
 
     def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
-        """x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.
+        """Return x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.
 
         command (m, 2): mm every 1 ms, from rest. The first row is at one step after the start.
-        step: mm of belt, in whole steps of which the motors go; 0: along straight lines.
+        step: mm of belt for one motor step; 0: the motors follow straight lines.
         """
         start = command[0]
         u, per = np.ascontiguousarray(command - start), STEPS
@@ -178,7 +180,7 @@ class Machine:
         return out
 
     def _stepped(self, command: Array, step: float) -> Array:
-        """The command every 50 µs, with both motors on whole steps, as Klipper rounds them."""
+        """Return the command every 50 µs, with both motors rounded to whole steps like Klipper."""
         at = np.arange((len(command) - 1) * STEPS + 1) / STEPS
         x, y = (np.interp(at, np.arange(len(command)), one) for one in command.T)
         if self.kinematics == "cartesian":
@@ -191,8 +193,8 @@ class Machine:
 class Chip:
     """An accelerometer: gains by axis, cross-axis terms, tilt, steps, noise, uneven times.
 
-    rate_error: of its sampling, which its times tell; drift: of its times; offset: mm of the
-    nozzle's place to the sensor's (x, y).
+    rate_error: of its sampling, visible in its times; drift: of its times; offset: from the
+    nozzle to the sensor (x, y), mm.
     """
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -208,8 +210,8 @@ class Chip:
     lead: float = 0.0
     offset: tuple[float, float] = (0.0, 0.0)
 
-    def heard(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
-        """What it records while the machine plays the command. step: as of ``played``."""
+    def record(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
+        """Return its recording while the machine plays the command. step: as in ``played``."""
         rng = np.random.default_rng(seed)
         motion = machine.played(command, 1, step)
         seconds = len(motion) / RATE
@@ -273,7 +275,7 @@ def _sum(one: signal.TransferFunction, other: signal.TransferFunction) -> signal
 
 
 def _discrete(G: signal.TransferFunction, delay: float, racks: bool = False) -> TransferFunction:
-    """First-order hold of G, and its delay: whole samples, and an all-pass for the rest."""
+    """Return the first-order hold of G with its delay: whole samples and an all-pass."""
     A, B, C, D, _ = _foh(G)
     zeros, poles, _ = signal.ss2zpk(A, B, C, D)
     zeros = zeros[np.abs(zeros) < 1e4]
@@ -305,7 +307,7 @@ def _discrete(G: signal.TransferFunction, delay: float, racks: bool = False) -> 
 
 def _foh(G: signal.TransferFunction) -> tuple[Array, Array, Array, Array, float]:
     s = G.to_ss()
-    held: tuple[Array, Array, Array, Array, float] = signal.cont2discrete(
+    discrete: tuple[Array, Array, Array, Array, float] = signal.cont2discrete(
         (s.A, s.B, s.C, s.D), TS, method="foh"
     )
-    return held
+    return discrete

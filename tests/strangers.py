@@ -57,7 +57,7 @@ def swept(
     runs = []
     for axis, places in ((0, x), (1, y)):
         for k, run in enumerate(planned(profile, axis, [(place, 147.5) for place in places])):
-            recording = chip.heard(machine, run.command, 1000 * seed + 10 * axis + k, step)
+            recording = chip.record(machine, run.command, 1000 * seed + 10 * axis + k, step)
             runs.append(Run(run.name, run.command, oriented(recording, quiet=0.5)))
     return runs
 

@@ -19,7 +19,7 @@ from hframe_post.cli.options import (
     position,
     printer_option,
 )
-from hframe_post.cli.sensing import FILE, QUIET, obsolete_option, removed_option
+from hframe_post.cli.sensing import FILE, QUIET, old_option
 
 if TYPE_CHECKING:
     from hframe_post.identification.identify import Run
@@ -96,13 +96,13 @@ def _reading(text: str) -> tuple[float, float, float]:
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write the profile: that of -p with the plant, the window and λ found.",
 )  # fmt: skip
-@obsolete_option("--unit", "gravity in the recording shows its unit",
+@old_option("--unit", "gravity in the recording shows its unit",
                  type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
-@obsolete_option("--bridge-axes", "give --axes twice, first the nozzle's, then the bridge's",
+@old_option("--bridge-axes", "give --axes twice, first the nozzle's, then the bridge's",
                  metavar="MAP")  # fmt: skip
-@removed_option("--figures", "use --report page.html", metavar="FOLDER")
-@removed_option("--estimator", "the estimator is always H1")
-@removed_option("--order", "the order is always chosen from the recordings", multiple=True)
+@old_option("--figures", "use --report page.html", removed=True)
+@old_option("--estimator", "the estimator is always H1", removed=True)
+@old_option("--order", "the recordings determine the order", removed=True, multiple=True)
 def identify(
     printer: str, nozzle: tuple[tuple[Path, Path], ...],
     bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: tuple[str, ...],

@@ -18,28 +18,22 @@ FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 QUIET = 0.5  # s at the start of a recording in which the printer stands still
 
 
-def removed_option(name: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
-    """Return the decorator for an option that was removed: using it is an error with advice."""
+def old_option(
+    name: str, advice: str, removed: bool = False, **settings: Any
+) -> Callable[[Command], Command]:
+    """Return the decorator for a hidden option whose use is a warning, or an error if removed."""
 
-    def refuse(_: click.Context, __: click.Parameter, value: Any) -> None:
+    def check(_: click.Context, __: click.Parameter, value: Any) -> Any:
         if value not in (None, ()):
-            raise click.UsageError(f"{name} was removed: {advice}")
-
-    help_text = f"Removed: {advice}."
-    return click.option(
-        name, hidden=True, expose_value=False, callback=refuse, help=help_text, **settings
-    )
-
-
-def obsolete_option(name: str, advice: str, **settings: Any) -> Callable[[Command], Command]:
-    """Return the decorator for an option that still works but prints a warning with advice."""
-
-    def warn(_: click.Context, __: click.Parameter, value: Any) -> Any:
-        if value is not None:
+            if removed:
+                raise click.UsageError(f"{name} was removed: {advice}")
             say(f"Warning: {name} will be removed: {advice}")
         return value
 
-    return click.option(name, hidden=True, callback=warn, help=f"Obsolete: {advice}.", **settings)
+    return click.option(
+        name, hidden=True, callback=check, expose_value=not removed, help=f"Old: {advice}.",
+        **settings,
+    )  # fmt: skip
 
 
 def _chip(text: str) -> str:
@@ -58,7 +52,7 @@ chips_option = click.option(
     metavar="NAME", help="Accelerometer to record, by its name in Klipper; may be repeated.",
 )  # fmt: skip
 
-height_option = obsolete_option(
+height_option = old_option(
     "--z", "edit the height in the line 'G1 Z10' of the G-code", metavar="MM",
     type=click.FloatRange(0.0, 1e4),
 )  # fmt: skip

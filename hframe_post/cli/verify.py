@@ -20,7 +20,7 @@ from hframe_post.cli.sensing import (
     QUIET,
     chips_option,
     height_option,
-    removed_option,
+    old_option,
     write_motion,
 )
 
@@ -47,7 +47,7 @@ from hframe_post.cli.sensing import (
 @height_option
 @page_option
 @json_option
-@removed_option("--figure", "use --report page.html")
+@old_option("--figure", "use --report page.html", removed=True)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write the profile, marked as verified, if the verdict is good.",

@@ -6,21 +6,21 @@ const HEIGHT = 240, EDGE = { left: 52, right: 12, top: 10, bottom: 34 };
 
 // ------------------------------------------------------------------ small helpers
 
-function make(tag, text, kind) {  // what comes from a file is text, never markup
+function make(tag, text, kind) {  // text from a file is never parsed as markup
   const made = document.createElement(tag);
   if (text !== undefined) made.textContent = text;
   if (kind) made.className = kind;
   return made;
 }
 function add(parent, ...children) { parent.append(...children); return parent; }
-function drawn(parent, tag, attributes, text) {
+function addSvg(parent, tag, attributes, text) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
   if (text !== undefined) made.textContent = text;
   parent.append(made);
   return made;
 }
-function told(value) {  // three digits
+function rounded(value) {  // to three digits
   if (value === null || value === undefined) return "–";
   const size = Math.abs(value);
   return size >= 1e5 || (size > 0 && size < 1e-3) ? value.toExponential(1) : String(Number(value.toPrecision(3)));
@@ -61,30 +61,30 @@ function draw(figure, chart) {
   const box = figure.querySelector(".plot"), width = box.clientWidth;
   if (!width) return;
   box.replaceChildren();
-  const svg = drawn(box, "svg", { width, height: HEIGHT, role: "img", "aria-label": chart.title });
+  const svg = addSvg(box, "svg", { width, height: HEIGHT, role: "img", "aria-label": chart.title });
   const [right, bottom] = [width - EDGE.right, HEIGHT - EDGE.bottom];
   const xs = range(chart, "at", chart.log[0]), ys = range(chart, "y", chart.log[1]);
   const x = scale(xs, chart.log[0], EDGE.left, right), y = scale(ys, chart.log[1], bottom, EDGE.top);
   for (const at of ticks(xs, chart.log[0], width / 70)) {
-    drawn(svg, "line", { x1: x(at), x2: x(at), y1: EDGE.top, y2: bottom, class: "grid" });
-    drawn(svg, "text", { x: x(at), y: bottom + 15, "text-anchor": "middle" }, told(at));
+    addSvg(svg, "line", { x1: x(at), x2: x(at), y1: EDGE.top, y2: bottom, class: "grid" });
+    addSvg(svg, "text", { x: x(at), y: bottom + 15, "text-anchor": "middle" }, rounded(at));
   }
   for (const at of ticks(ys, chart.log[1], 5)) {
-    drawn(svg, "line", { x1: EDGE.left, x2: right, y1: y(at), y2: y(at), class: "grid" });
-    drawn(svg, "text", { x: EDGE.left - 7, y: y(at) + 4, "text-anchor": "end" }, told(at));
+    addSvg(svg, "line", { x1: EDGE.left, x2: right, y1: y(at), y2: y(at), class: "grid" });
+    addSvg(svg, "text", { x: EDGE.left - 7, y: y(at) + 4, "text-anchor": "end" }, rounded(at));
   }
-  drawn(svg, "text", { x: right, y: HEIGHT - 4, "text-anchor": "end" }, chart.x);
+  addSvg(svg, "text", { x: right, y: HEIGHT - 4, "text-anchor": "end" }, chart.x);
   for (const line of [...chart.lines].sort((a, b) => a.strong - b.strong)) {
     let path = "", lifted = true;
     line.at.forEach((at, k) => {
       if (line.y[k] === null) { lifted = true; return; }
       path += `${lifted ? "M" : "L"}${x(at).toFixed(1)} ${y(line.y[k]).toFixed(1)}`; lifted = false;
     });
-    const shown = drawn(svg, "path", { d: path, fill: "none", "stroke-width": line.strong ? 2.2 : 1.1, "stroke-linejoin": "round" });
+    const shown = addSvg(svg, "path", { d: path, fill: "none", "stroke-width": line.strong ? 2.2 : 1.1, "stroke-linejoin": "round" });
     shown.style.stroke = colour(chart, line);
     if (line.dashed) shown.setAttribute("stroke-dasharray", "6 4");
   }
-  const cursor = drawn(svg, "line", { y1: EDGE.top, y2: bottom, class: "cursor", visibility: "hidden" });
+  const cursor = addSvg(svg, "line", { y1: EDGE.top, y2: bottom, class: "cursor", visibility: "hidden" });
   const read = (event) => {
     const at = event.clientX - svg.getBoundingClientRect().left;
     if (at < EDGE.left || at > right) return;
@@ -99,12 +99,12 @@ function draw(figure, chart) {
 const colour = (chart, line) => line.colour || COLOURS[chart.lines.filter((each) => !each.colour).indexOf(line) % COLOURS.length];
 function legend(figure, chart, place) {  // names, and values where the pointer is
   const box = figure.querySelector(".key");
-  box.replaceChildren(make("span", place === null ? "" : `${told(place)} ${chart.x.split(", ")[1] || ""}`, "at"));
+  box.replaceChildren(make("span", place === null ? "" : `${rounded(place)} ${chart.x.split(", ")[1] || ""}`, "at"));
   for (const line of chart.lines) {
     const dot = make("i");
     dot.style.background = colour(chart, line);
     let text = line.label;
-    if (place !== null) text += ` ${told(line.y[nearest(line.at, place)])}`;
+    if (place !== null) text += ` ${rounded(line.y[nearest(line.at, place)])}`;
     add(box, add(make("span"), dot, text));
   }
 }
@@ -139,7 +139,7 @@ for (const note of data.notes) {
   add($("notes"), add(make("li", undefined, name === "WARNING" ? "warning" : ""), make("span", name), make("span", text)));
 }
 for (const [name, value] of data.facts) add($("facts"), make("dt", name), make("dd", value));
-function all() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }
-window.addEventListener("resize", all);
-all();
+function drawAll() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }
+window.addEventListener("resize", drawAll);
+drawAll();
 document.body.dataset.ready = "yes";

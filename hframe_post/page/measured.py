@@ -1,4 +1,4 @@
-"""A page of something that was measured: what it came to, charts, words."""
+"""A page of measurements for a browser: key figures, charts, notes and facts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hframe_post.arrays import Array
 from hframe_post.page.template import filled
 from hframe_post.version import __version__
 
-MOST_POINTS = 1500  # of a line: more than a screen has
+MOST_POINTS = 1500  # of a line; no screen shows more
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """x, y: (n,); NaN in y is a gap. colour: None takes one of the page's own.
+    """A line through x, y (n,); NaN in y is a gap. colour: None for one of the page's own.
 
-    strong: thick, above the others; dashed: a model, not a measurement.
+    strong: thick, above the others; dashed: for models, in contrast to measurements.
     """
 
     label: str
@@ -32,7 +32,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Lines over common axes. log: of x and of y."""
+    """Lines over common axes. x, y: labels of the axes; log: whether each is logarithmic."""
 
     title: str
     x: str
@@ -43,7 +43,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A figure at the head of the page. kind: ``best``, ``bad`` or nothing in particular."""
+    """A key figure at the top of the page. kind: ``best``, ``bad``, or empty."""
 
     what: str
     value: str
@@ -54,7 +54,7 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Charts that belong together; every point of their lines can be read."""
+    """A heading with charts."""
 
     title: str
     charts: Sequence[Chart]
@@ -64,7 +64,7 @@ def page(
     name: str, lead: str, cards: Sequence[Card], sections: Sequence[Section],
     notes: Sequence[str], facts: Sequence[tuple[str, str]],
 ) -> bytes:  # fmt: skip
-    """The page. lead: what it came to, a sentence; notes: in words, a line each."""
+    """Return the page as HTML. lead: the result in one sentence; facts: labels and texts."""
     data = {
         "name": name,
         "version": __version__,
@@ -90,9 +90,9 @@ def _chart(chart: Chart) -> dict[str, Any]:
 
 
 def _points(line: Line, log: tuple[bool, bool]) -> dict[str, Any]:
-    """Four digits; of too many points those that are evenly spread along the axis."""
-    drawn = np.isfinite(line.x) & ((line.x > 0.0) | (not log[0]))
-    x, y = line.x[drawn], line.y[drawn]
+    """Return a line's points rounded to four digits; of too many, evenly spread ones."""
+    valid = np.isfinite(line.x) & ((line.x > 0.0) | (not log[0]))
+    x, y = line.x[valid], line.y[valid]
     if len(x) > MOST_POINTS:
         along = np.log(x) if log[0] else x
         wanted = np.linspace(along[0], along[-1], MOST_POINTS)
@@ -101,6 +101,6 @@ def _points(line: Line, log: tuple[bool, bool]) -> dict[str, Any]:
     gap = ~np.isfinite(y) | ((y <= 0.0) & log[1])
     return {
         "at": [float(f"{value:.5g}") for value in x.tolist()],
-        "y": [None if lost else float(f"{value:.4g}")
-              for value, lost in zip(y.tolist(), gap.tolist(), strict=True)],
+        "y": [None if missing else float(f"{value:.4g}")
+              for value, missing in zip(y.tolist(), gap.tolist(), strict=True)],
     }  # fmt: skip

@@ -20,7 +20,7 @@ from tests.recordings import Sensor, spline, sweep, write_klipper
 def written(folder: Path) -> Path:
     """Two minutes of Klipper's samples."""
     swept = sweep(rate=1.0)
-    recording = Sensor(drift=0.005).felt(spline(0.0 * swept, swept), (len(swept) - 1) / 1000.0)
+    recording = Sensor(drift=0.005).record(spline(0.0 * swept, swept), (len(swept) - 1) / 1000.0)
     return write_klipper(folder / "raw.csv", recording)
 
 

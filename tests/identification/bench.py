@@ -75,7 +75,7 @@ def recorded(
     place = "nozzle" if at is None else f"at-{at:g}"
     path = folder / f"{played.command.stem}.{place}.{seed}.csv"
     seconds = (len(played.motors) - 1) * TS
-    return write_klipper(path, sensor.felt(moved(plant, played.motors, at), seconds, seed))
+    return write_klipper(path, sensor.record(moved(plant, played.motors, at), seconds, seed))
 
 
 def off(found: TransferFunction | None, true: TransferFunction | None, motors: Array) -> float:

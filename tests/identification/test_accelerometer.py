@@ -32,7 +32,7 @@ COLUMNS = ("t", "ax", "ay", "az")
 def rows() -> Array:
     """Return time and three accelerations of a moving sensor, (n, 4)."""
     swept = sweep(rate=60.0)
-    recording = Sensor(drift=0.004).felt(spline(swept, 0.0 * swept), (len(swept) - 1) / 1000.0)
+    recording = Sensor(drift=0.004).record(spline(swept, 0.0 * swept), (len(swept) - 1) / 1000.0)
     return np.column_stack([recording.t, recording.a])
 
 
@@ -215,7 +215,7 @@ def test_timestamps_that_are_not_in_seconds_are_refused(tmp_path: Path, rows: Ar
 @pytest.mark.parametrize("column", [1, 2])
 def test_clipping_is_refused(tmp_path: Path, step: float, column: int) -> None:
     swept = sweep(rate=60.0)
-    recording = Sensor(step=step).felt(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    recording = Sensor(step=step).record(spline(swept, swept), (len(swept) - 1) / 1000.0)
     rows = np.column_stack([recording.t, recording.a])
     level = round(0.8 * np.abs(rows[:, column]).max() / step) * step
     rows[:, column] = np.clip(rows[:, column], -level, level)
@@ -237,7 +237,7 @@ def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array
 def test_peaks_in_coarse_steps_are_not_clipping(tmp_path: Path, step: float, noise: float) -> None:
     swept = sweep(rate=20.0)
     sensor = Sensor(step=step, noise=noise)
-    recording = sensor.felt(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    recording = sensor.record(spline(swept, swept), (len(swept) - 1) / 1000.0)
     rows = np.column_stack([recording.t, recording.a])
     assert read(file(tmp_path, klipper(rows))).started
 

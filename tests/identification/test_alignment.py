@@ -57,7 +57,7 @@ def test_resampling_keeps_gain_and_phase(rate: float, hz: float) -> None:
     """The sine is added to the sweep, in z, and recorded at uneven times on a fast clock."""
     whole = sweep(rate=30.0)
     sensor = Sensor(noise=0.0, rate=rate, drift=0.005, step=1e-6)
-    recording = sensor.felt(spline(whole, 0.0 * whole), seconds(whole))
+    recording = sensor.record(spline(whole, 0.0 * whole), seconds(whole))
     true = (recording.t - sensor.clock) / (1.0 + sensor.drift)
     a = recording.a.copy()
     a[:, Z] = np.sin(2.0 * np.pi * hz * true)
@@ -71,7 +71,7 @@ def test_resampling_keeps_gain_and_phase(rate: float, hz: float) -> None:
 
 def test_resampling_does_not_alias(swept: Array) -> None:
     """A squeal at 990 Hz would alias to 10 Hz."""
-    recording = Sensor(noise=0.0).felt(spline(swept, 0.0 * swept), seconds(swept))
+    recording = Sensor(noise=0.0).record(spline(swept, 0.0 * swept), seconds(swept))
     a = recording.a.copy()
     a[:, Y] += 1000.0 * np.sin(2.0 * np.pi * 990.0 * (recording.t - recording.t[0]))
     found = aligned(acceleration(swept), oriented(replace(recording, a=a)), X)
@@ -95,7 +95,7 @@ def test_resampling_does_not_alias(swept: Array) -> None:
 def test_clock_is_found_from_the_marks(
     paper: Printer, swept: Array, command: Array, axis: int, sensor: Sensor
 ) -> None:
-    recording = sensor.felt(nozzle(paper.plant, swept, axis), seconds(swept))
+    recording = sensor.record(nozzle(paper.plant, swept, axis), seconds(swept))
     found = aligned(command, oriented(recording), axis)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert abs(found.start - sensor.clock) <= 0.6 / sensor.rate
@@ -108,7 +108,7 @@ def test_motion_comes_back(paper: Printer, swept: Array, command: Array) -> None
     """Without noise the only error is the part of a sample by which the start is unknown."""
     motion = nozzle(paper.plant, swept, X)
     sensor = Sensor(drift=0.005, noise=0.0, step=1e-6, offset=(0.0, 0.0, 0.0))
-    found = aligned(command, oriented(sensor.felt(motion, seconds(swept))), X)
+    found = aligned(command, oriented(sensor.record(motion, seconds(swept))), X)
     t = np.clip(np.arange(len(swept)) * TS + found.start - sensor.clock, 0.0, seconds(swept))
     error = found.acceleration - motion.derivative(2)(t)
     assert np.sqrt((error**2).mean()) < 2e-3 * np.sqrt((found.acceleration**2).mean())
@@ -121,7 +121,7 @@ def test_motor_steps_do_not_disturb_the_clock(
     """Steps of 0.02 mm shake the nozzle above the sweep's band."""
     steps = np.round(swept / 0.02) * 0.02
     sensor = Sensor(drift=0.005)
-    recording = sensor.felt(nozzle(paper.plant, steps, axis), seconds(swept))
+    recording = sensor.record(nozzle(paper.plant, steps, axis), seconds(swept))
     found = aligned(command, oriented(recording), axis)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert found.correlation > 0.95
@@ -134,7 +134,7 @@ def test_short_rests_are_enough(paper: Printer, axis: int, lead: float) -> None:
     swept = sweep()
     swept = swept[900 : len(swept) - 900]
     sensor = Sensor(drift=0.005, lead=lead)
-    recording = sensor.felt(nozzle(paper.plant, swept, axis), seconds(swept))
+    recording = sensor.record(nozzle(paper.plant, swept, axis), seconds(swept))
     found = aligned(acceleration(swept), oriented(recording, quiet=0.09), axis)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
 
@@ -160,7 +160,7 @@ def random_plants() -> list[TransferFunction]:
 def test_clock_is_found_on_any_plant(swept: Array, command: Array, kind: int, lead: float) -> None:
     G = random_plants()[kind]
     sensor = Sensor(drift=-0.004, lead=lead, step=THIRTEEN_BITS)
-    recording = sensor.felt(bridge_end(G, swept, 1.0 if kind < 4 else 5.0), seconds(swept), kind)
+    recording = sensor.record(bridge_end(G, swept, 1.0 if kind < 4 else 5.0), seconds(swept), kind)
     found = aligned(command, oriented(recording), Y)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert abs(found.start - sensor.clock) <= 1.05 * found.uncertainty
@@ -172,7 +172,7 @@ def test_clock_is_found_at_the_ends_of_the_bridge(
 ) -> None:
     assert paper.plant.Gxtheta is not None
     sensor = Sensor(drift=0.005, turned=(1.0, 2.0, -3.0))
-    recording = sensor.felt(bridge_end(paper.plant.Gxtheta, swept, arm), seconds(swept))
+    recording = sensor.record(bridge_end(paper.plant.Gxtheta, swept, arm), seconds(swept))
     found = aligned(command, oriented(recording), Y)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert found.correlation > 0.9
@@ -183,7 +183,7 @@ def test_start_is_found_where_it_is_not_known(
     paper: Printer, swept: Array, command: Array, axis: int
 ) -> None:
     sensor = Sensor(drift=0.005, lead=5.1)
-    recording = sensor.felt(nozzle(paper.plant, swept, axis), seconds(swept))
+    recording = sensor.record(nozzle(paper.plant, swept, axis), seconds(swept))
     found = aligned(command, oriented(recording), axis)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert found.uncertainty == pytest.approx(0.01)
@@ -193,7 +193,7 @@ def test_start_is_found_where_it_is_not_known(
 @pytest.mark.parametrize("lead", [0.0, 3.3])
 def test_without_marks_clocks_are_assumed_equal(paper: Printer, lead: float) -> None:
     swept = sweep(marks=False)
-    recording = Sensor(lead=lead).felt(nozzle(paper.plant, swept, Y), seconds(swept))
+    recording = Sensor(lead=lead).record(nozzle(paper.plant, swept, Y), seconds(swept))
     found = aligned(acceleration(swept), oriented(recording), Y)
     assert found.drift == 0.0
     assert abs(found.start - 1234.5) <= found.uncertainty
@@ -206,7 +206,7 @@ def test_without_marks_drift_is_no_better_known_than_the_plant(
 ) -> None:
     swept = sweep(marks=False)
     sensor = Sensor(drift=drift, lead=lead)
-    recording = sensor.felt(nozzle(paper.plant, swept, Y), seconds(swept))
+    recording = sensor.record(nozzle(paper.plant, swept, Y), seconds(swept))
     found = aligned(acceleration(swept), oriented(recording), Y)
     assert abs(found.drift - drift) * seconds(swept) <= found.uncertainty
     assert found.uncertainty >= 0.02
@@ -222,24 +222,24 @@ def refused(command: Array, recording: Recording, channel: int, words: str) -> N
 
 @pytest.mark.parametrize("lead", [0.0, 2.0])
 def test_sweep_that_was_never_played(swept: Array, command: Array, lead: float) -> None:
-    silent = Sensor(lead=lead).felt(spline(0.0 * swept, 0.0 * swept), seconds(swept))
+    silent = Sensor(lead=lead).record(spline(0.0 * swept, 0.0 * swept), seconds(swept))
     refused(command, oriented(silent), X, "that the sweep was played")
 
 
 def test_recording_of_the_other_axis(paper: Printer, swept: Array, command: Array) -> None:
     for axis, name in ((X, "x"), (Y, "y")):
-        recording = oriented(Sensor().felt(nozzle(paper.plant, swept, axis), seconds(swept)))
+        recording = oriented(Sensor().record(nozzle(paper.plant, swept, axis), seconds(swept)))
         refused(command, recording, 1 - axis, f"follows the command in {name}")
 
 
 def test_wrong_axis_map(paper: Printer, swept: Array, command: Array) -> None:
-    recording = Sensor().felt(nozzle(paper.plant, swept, X), seconds(swept))
+    recording = Sensor().record(nozzle(paper.plant, swept, X), seconds(swept))
     refused(command, oriented(recording, "x=-y,y=x,z=z"), X, "--axes is wrong")
 
 
 @pytest.mark.parametrize("axis", [X, Y])
 def test_wrong_sign(paper: Printer, swept: Array, command: Array, axis: int) -> None:
-    recording = Sensor().felt(nozzle(paper.plant, swept, axis), seconds(swept))
+    recording = Sensor().record(nozzle(paper.plant, swept, axis), seconds(swept))
     found = aligned(command, oriented(recording, "x=-x,y=-y,z=z"), axis)
     with pytest.raises(IdentificationError, match="rotated by 180°"):
         heading(command, found.acceleration, axis)
@@ -247,14 +247,14 @@ def test_wrong_sign(paper: Printer, swept: Array, command: Array, axis: int) -> 
 
 @pytest.mark.parametrize("other", [sweep(5.0), sweep(low=5.0, high=123.0), sweep(rate=3.0)])
 def test_recording_of_another_sweep(paper: Printer, command: Array, other: Array) -> None:
-    recording = Sensor().felt(nozzle(paper.plant, other, Y), seconds(other))
+    recording = Sensor().record(nozzle(paper.plant, other, Y), seconds(other))
     refused(command, oriented(recording), Y, "does not follow|shorter|after the recording")
 
 
 def test_recording_that_lacks_its_end_or_beginning(
     paper: Printer, swept: Array, command: Array
 ) -> None:
-    whole = oriented(Sensor().felt(nozzle(paper.plant, swept, Y), seconds(swept)))
+    whole = oriented(Sensor().record(nozzle(paper.plant, swept, Y), seconds(swept)))
     n = len(whole.t)
     for part, cause in (
         (slice(0, n // 2), "shorter than"),
@@ -271,12 +271,12 @@ def test_recording_that_lacks_its_end_or_beginning(
 
 
 def test_recording_that_was_started_by_hand(paper: Printer, swept: Array, command: Array) -> None:
-    recording = Sensor(lead=1.0).felt(nozzle(paper.plant, swept, Y), seconds(swept))
+    recording = Sensor(lead=1.0).record(nozzle(paper.plant, swept, Y), seconds(swept))
     refused(command, replace(oriented(recording), started=True), Y, "ACCELEROMETER_MEASURE")
 
 
 def test_command_without_motion_is_refused(swept: Array) -> None:
-    recording = Sensor().felt(spline(0.0 * swept, 0.0 * swept), seconds(swept))
+    recording = Sensor().record(spline(0.0 * swept, 0.0 * swept), seconds(swept))
     refused(np.zeros(5000), recording, X, "does not move")
     short = np.where(np.arange(5000) % 4000 == 3000, 1000.0, 0.0)
     refused(short, recording, X, "too short")
@@ -292,7 +292,7 @@ def test_command_without_motion_is_refused(swept: Array) -> None:
 def test_heading(paper: Printer, swept: Array, command: Array, axis: int, yaw: float) -> None:
     sensor = Sensor(turned=(yaw, 0.0, 0.0), drift=0.003)
     motion = nozzle(paper.plant, swept, axis)
-    found = aligned(command, oriented(sensor.felt(motion, seconds(swept))), axis)
+    found = aligned(command, oriented(sensor.record(motion, seconds(swept))), axis)
     angle = heading(command, found.acceleration, axis)
     assert abs(np.degrees(angle) - yaw) <= (0.4 if axis == X else 0.2)
     straight = turned(found.acceleration, np.radians(yaw))
@@ -305,7 +305,7 @@ def test_heading(paper: Printer, swept: Array, command: Array, axis: int, yaw: f
 def test_heading_needs_slow_motion(paper: Printer) -> None:
     swept = sweep(low=30.0, marks=False)
     command = acceleration(swept)
-    recording = oriented(Sensor().felt(nozzle(paper.plant, swept, Y), seconds(swept)))
+    recording = oriented(Sensor().record(nozzle(paper.plant, swept, Y), seconds(swept)))
     found = aligned(command, recording, Y)
     with pytest.raises(IdentificationError, match="lower frequency"):
         heading(command, found.acceleration, Y)

@@ -22,7 +22,7 @@ from tests.recordings import Sensor, spline, sweep
 def resampler(swept: Array, sensor: Sensor) -> Resampler:
     """Return a sensor's recording on a perfectly stiff machine, without delay of its own."""
     seconds = (len(swept) - 1) * TS
-    recording = sensor.felt(spline(swept, 0.0 * swept), seconds)
+    recording = sensor.record(spline(swept, 0.0 * swept), seconds)
     rest = recording.a[:500].mean(axis=0)
     return Resampler(recording.t, recording.a - rest)
 

@@ -42,8 +42,8 @@ def test_a_plant_that_answers_twice_is_accepted() -> None:
         modes = Mode(30.0, 0.11, 1.0 - share), Mode(80.0, 0.09, share)
         machine = Machine(Axis(modes, 0.0017), Axis(modes))
         (run,) = planned(printer(machine, 8.0), 0, [(place, 147.5)])
-        felt = machine.played(run.command)[:, 2]
-        answers.append(place_mark.answer(acceleration(run.command[:, 0]), felt))
+        motion = machine.played(run.command)[:, 2]
+        answers.append(place_mark.answer(acceleration(run.command[:, 0]), motion))
     left, right = answers
     assert left is not None
     assert right is not None

@@ -32,9 +32,9 @@ CHIP = Chip(gains=(1.03, 0.97, 1.0))
 def verdict(machine: Machine, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
     """Return the verdict and the true reduction."""
     both = runs(profile)
-    heard = [oriented(chip.heard(machine, run.command, 5 + k), quiet=0.5)
+    recorded = [oriented(chip.record(machine, run.command, 5 + k), quiet=0.5)
              for k, run in enumerate(both)]  # fmt: skip
-    found = judge(profile, (both[0].command, heard[0]), (both[1].command, heard[1]))
+    found = judge(profile, (both[0].command, recorded[0]), (both[1].command, recorded[1]))
     plain, compensated = (traced(machine, both[0].command, run.command) for run in both)
     return found, 1.0 - compensated / plain
 
@@ -101,7 +101,7 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     for k, name in enumerate(("plain", "compensated")):
         command = tmp_path / f"v.verify-{name}.csv"
         rows = np.loadtxt(command, delimiter=",", skiprows=1)
-        recording = write_klipper(tmp_path / f"{k}.csv", CHIP.heard(STRANGER, rows[:, 1:], k))
+        recording = write_klipper(tmp_path / f"{k}.csv", CHIP.record(STRANGER, rows[:, 1:], k))
         arguments += [f"--{name}", command, recording]
     report = tmp_path / "report.html"
     done = invoked("-p", mine, *arguments, "-o", marked, "--report", report)

@@ -1,4 +1,4 @@
-"""The page of something measured: charts in a real browser, read by pointing at them."""
+"""The page of measurements, in a real browser: values appear where the pointer is."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def built(name: str = "my printer") -> bytes:
                 [f"WARNING     {name}"], [("data", name)])  # fmt: skip
 
 
-def test_lines_are_short_and_gaps_stay() -> None:
+def test_lines_are_thinned_and_keep_their_gaps() -> None:
     first, second = data_of(built())["sections"][0]["charts"]
     (line,) = first["lines"]
     assert MOST_POINTS / 2 < len(line["at"]) <= MOST_POINTS
@@ -35,7 +35,7 @@ def test_lines_are_short_and_gaps_stay() -> None:
     assert second["lines"][0]["y"] == [1.0, None, 3.0, 4.0]
 
 
-def test_charts_are_read_by_pointing_and_files_say_nothing_but_text(
+def test_charts_show_values_at_the_pointer_and_text_is_never_markup(
     browser: Browser, tmp_path: Path
 ) -> None:
     path = tmp_path / "report.html"
