@@ -39,8 +39,8 @@ from hframe_post.version import __version__
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.steps.file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps.stepper import Stepper
-from hframe_post.writers.stream.deferred import SUMMARY, Output, later
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
+from hframe_post.writers.stream.print_time import SUMMARY, Output, later
 
 # ---------------------------------------------------------------------- G-code
 

@@ -8,7 +8,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import LimitError
 from hframe_post.printer.profile import load
-from hframe_post.writers.stream.deferred import DeferredLine
+from hframe_post.writers.stream.print_time import DeferredLine
 from tests.fuzz.machine import Machine
 
 PER_MM = 0.033  # filament

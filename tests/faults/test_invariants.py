@@ -18,7 +18,7 @@ from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
 from hframe_post.writers.files.atomic_file import Outputs
-from hframe_post.writers.stream import machine, motion
+from hframe_post.writers.stream import machine, segments
 
 PART = (
     b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\nG1 X200 Y100 E2\nM106 S9\nG1 X260 E2\n"
@@ -99,7 +99,7 @@ def test_filament_that_is_not_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: float, last: float, cause: str
 ) -> None:
     """Segments that have lost some of it on their way into the text."""
-    right = motion.segments
+    right = segments.segments
 
     def faulty(*of: Any) -> Any:
         made = right(*of)

@@ -24,7 +24,7 @@ from hframe_post.identification.recordings import accelerometer, excitation
 from hframe_post.planner.lookahead import MELTED
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.deferred import DURATION, ELAPSED, DeferredLine
+from hframe_post.writers.stream.print_time import DURATION, ELAPSED, DeferredLine
 from tests.conftest import SAMPLES
 from tests.fuzz import files, mutations, settings
 from tests.fuzz.arcs import arcs

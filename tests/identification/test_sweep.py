@@ -14,7 +14,7 @@ from hframe_post.identification.recordings.excitation import peaks
 from hframe_post.identification.recordings.sweep import Run, gcode, positions, runs, summary
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.deferred import DeferredLine
+from hframe_post.writers.stream.print_time import DeferredLine
 from tests.command_line import run
 from tests.klipper.host import play
 

@@ -14,7 +14,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction
-from hframe_post.writers.stream.deferred import DeferredLine
+from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few
 
 from .host import Playback, play

@@ -15,7 +15,7 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.gcode.options import LimitSource
 from hframe_post.printer import profile
-from hframe_post.writers.stream.deferred import DeferredLine
+from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 
 from .host import Playback, play

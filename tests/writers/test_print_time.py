@@ -8,8 +8,16 @@ from pathlib import Path
 import pytest
 
 from hframe_post.writers.files.atomic_file import Outputs
-from hframe_post.writers.stream.deferred import SUMMARY, DeferredLine, Output, carried
-from hframe_post.writers.stream.print_time import commented, duration, told_anew, write_output
+from hframe_post.writers.stream.print_time import (
+    SUMMARY,
+    DeferredLine,
+    Output,
+    commented,
+    duration,
+    passed_on,
+    with_times,
+    write_output,
+)
 
 
 @pytest.mark.parametrize(
@@ -29,11 +37,11 @@ def test_duration(seconds: float, text: str) -> None:
         (b"M73 Q10 S85 ; silent", 1000.0, b"M73 Q50 S17 ; silent"),
     ],
 )  # fmt: skip
-def test_print_times_are_told_anew(line: bytes, elapsed: float, told: bytes) -> None:
-    assert told_anew(DeferredLine(line, elapsed), 2000.2) == told
+def test_print_times_are_with_times(line: bytes, elapsed: float, told: bytes) -> None:
+    assert with_times(DeferredLine(line, elapsed), 2000.2) == told
 
 
-def test_told_anews_are_filled_in_at_their_place(tmp_path: Path) -> None:
+def test_with_timess_are_filled_in_at_their_place(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
     with Outputs() as outputs:
         lines: list[Output] = [b"a\n", DeferredLine(b";TIME:9", 0.0), b"b\n"]
@@ -64,9 +72,9 @@ def test_told_anews_are_filled_in_at_their_place(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_print_times_are_told_in_the_words_of_every_slicer(line: bytes, told: bytes) -> None:
-    deferred = carried(line, 1000.0)
+    deferred = passed_on(line, 1000.0)
     assert isinstance(deferred, DeferredLine)
-    assert told_anew(deferred, 2000.2) == told
+    assert with_times(deferred, 2000.2) == told
 
 
 @pytest.mark.parametrize(
@@ -78,7 +86,7 @@ def test_print_times_are_told_in_the_words_of_every_slicer(line: bytes, told: by
     ],
 )  # fmt: skip
 def test_what_tells_no_duration_passes_byte_for_byte(line: bytes) -> None:
-    assert carried(line, 1000.0) == line + b"\n"
+    assert passed_on(line, 1000.0) == line + b"\n"
 
 
 def test_the_summary_is_comments_that_fit_their_place() -> None:

@@ -40,8 +40,8 @@ from hframe_post.stream.types import (
     frozen,
 )
 from hframe_post.version import __version__
-from hframe_post.writers.stream.deferred import Output
 from hframe_post.writers.stream.gcode import GcodeWriter
+from hframe_post.writers.stream.print_time import Output
 
 OFFSETS = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
 APPROACH = 100.0  # mm/s, to the place of a run

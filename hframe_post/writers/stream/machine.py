@@ -1,250 +1,283 @@
-"""The machine as the stream has told it: where it stands, and what to tell it next."""
+"""First pass: samples → typed commands, by where the machine stands and whose limits hold."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z
-from hframe_post.firmware.player import Dwelling, Player
+from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.firmware.player import Player
 from hframe_post.gcode.lexer import Line, command
-from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Standing
-from hframe_post.writers.stream.deferred import Output, carried
-from hframe_post.writers.stream.filament_check import check_filament
-from hframe_post.writers.stream.ledger import Ledger
-from hframe_post.writers.stream.motion import Segments, Units, lines, segments, standing_line
-from hframe_post.writers.stream.pace import Pace
-from hframe_post.writers.stream.sample_buffer import Batch
+from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples, Standing
+from hframe_post.writers.stream.print_time import Output, passed_on
+from hframe_post.writers.stream.segments import (
+    SAMPLES_AT_ONCE,
+    Batch,
+    SampleBuffer,
+    Units,
+    check_filament,
+    segments,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Lines without a speed. labels: the firmware may leave out the moves next to them."""
+
+    output: Output
+    labels: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Segments (k,) in which something moves.
+
+    at (k + 1, 4): places, in output units; T (k,): seconds that each is to last; dwell (k,):
+    samples of standstill before each; between: lines, each with the segment that it precedes.
+    stops: whether the machine stands after the last; after: greatest speed, mm/s, at its end.
+    """
+
+    at: Integers
+    T: Array
+    dwell: Integers
+    between: tuple[tuple[int, Text], ...]
+    stops: bool
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class StandingMove:
+    """A retraction or a lift from start to end, (4,) each, in output units."""
+
+    pause: Pause
+    speed: float
+    lifts: bool
+    start: Integers
+    end: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """A standstill after motion, in samples."""
+
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The machine stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Lines with which the machine goes back to the user's limits and modes."""
+
+    text: bytes
+
+
+Command = Text | Motion | StandingMove | Wait | Stop | Release
 
 
 class Machine:
-    """Where the machine stands, as it was told, and what to tell it next."""
+    """The machine's place, and whether the stream's limits and modes hold.
+
+    at (4,): x, y, z, e in output units where another stream ended; None: only firmware knows.
+    offset: of G92, while the machine is released.
+    """
 
     def __init__(
         self,
+        strategy: str,
         player: Player,
-        ledger: Ledger,
         units: Units,
         at: Integers | None,
         offset: tuple[float, float, float],
-        steady: int,
     ) -> None:
-        self._player, self._ledger, self._units = player, ledger, units
-        self._pace = Pace(player, units.per_feed, steady)
-        self._at = at  # x, y, z, e, output units; None: only firmware knows
-        self._feed = 0  # last F, output units; 0: to be told
+        self._strategy, self._player, self._units = strategy, player, units
+        self._at, self._offset = at, offset
+        self._inside = at is not None  # the stream's limits and modes hold
+        self._buffer = SampleBuffer()
+        self._skip = 0  # samples of a pause in the next chunks
         self._still = 0  # samples of standstill since the last segment
-        self._may_be_elsewhere = False  # since the last motion, if it left some out
-        self._inside = at is not None  # the stream's limits and modes are in force
-        self._offset = offset  # of G92, while the machine is released
-        self._after = b""  # a line that takes back what a retraction or lift has changed
-        self._lift: Callable[[int], bytes] | None = None  # by its F, until motion goes on from it
-        self._after_lift: list[Output] = []  # what is carried between
+        self.ledger = Ledger(int(at[E]) if at is not None else 0)
 
-    def go_on(self) -> Iterator[Output]:
-        """Where another stream ended, counting of filament begins anew."""
+    def commands(self, chunks: Iterable[Samples]) -> Iterator[Command]:
+        """Yield the commands in order."""
         if self._inside:
-            yield self._player.reset_extruder()
+            yield Text(self._player.reset_extruder())
+        for chunk in chunks:
+            yield from self._chunk(chunk)
+        yield from self._stop()
 
-    def take_back(self) -> Iterator[Output]:
-        """What a retraction or lift has changed is as it was."""
-        if self._after:
-            yield self._after
-        self._after = b""
+    def _chunk(self, chunk: Samples) -> Iterator[Command]:
+        points = np.column_stack([chunk.commands[self._strategy], chunk.xyze[:, Z:]])
+        done = min(self._skip, len(chunk))
+        self._skip -= done
+        for event in chunk.events:
+            at = event.index - chunk.first
+            if isinstance(event, Mark):
+                yield from self._take(points[done:at], chunk.first + done)
+                done = max(at, done)
+                self._buffer.add_mark(event)
+                if not self._buffer:
+                    yield from self._marks(event.index)
+            elif isinstance(event, Pause):
+                yield from self._take(points[done:at], chunk.first + done)
+                yield from self._stop(self._speed_into(event))
+                yield from self._pause(event)
+                done = min(at + event.samples, len(chunk))
+                self._skip = at + event.samples - done
+        yield from self._take(points[done:], chunk.first + done)
 
-    def stand(self, here: Array) -> Array:
-        """Where the machine is, (4,), mm: ``here`` if only firmware knew.
+    def _take(self, points: Array, index: int) -> Iterator[Command]:
+        if not len(points):
+            return
+        if self._at is None:  # the first sample may have extruded on its way here
+            here = np.append(points[0, :E], self.ledger.filament)
+            self._at = self._units.rounded(here)
+        self._buffer.add(points, index, np.asarray(self._at / self._units.per_mm))
+        while len(self._buffer) > SAMPLES_AT_ONCE:
+            if batch := self._buffer.batch(last=False):
+                yield from self._motion(batch)
 
-        The filament is what was written: the first sample may have extruded on its way here.
-        """
-        if self._at is None:
-            self._at = self._units.rounded(np.append(here[:E], self._ledger.filament))
-        return np.asarray(self._at / self._units.per_mm)
+    def _stop(self, speed: float = 0.0) -> Iterator[Command]:
+        """Yield what is buffered, up to standstill or to a lift that begins at a speed, mm/s."""
+        if batch := self._buffer.batch(last=True):
+            yield from self._motion(batch, speed)
+        if not speed:
+            yield Stop()
+        yield from self._marks()
+
+    def _marks(self, index: int | None = None) -> Iterator[Command]:
+        for mark in self._buffer.marks_up_to(index):
+            yield from self._passed_on(mark)
+
+    def _speed_into(self, pause: Pause) -> float:
+        """Return the speed, mm/s, at which motion passes into a pause; 0: it stops."""
+        if not pause.entry or not isinstance(pause.action, Standing):
+            return 0.0
+        places = np.array([pause.action.start, pause.action.end])
+        return self._player.lift_corner(places, pause.action.speed)
 
     # ------------------------------------------------------------------ in motion
 
-    def move(self, batch: Batch, passing: float = 0.0) -> Iterator[Output]:
-        """Lines for a batch of samples. passing: speed at the end of the last one."""
+    def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
+        """Yield the commands for a batch, whose motion may end at a speed, mm/s."""
         assert self._at is not None
         still = self._still
         made = segments(batch, self._at, still, self._player, self._units)
         self._still = made.still
         if len(made):
             yield from self._enter()
-            yield from self._count_anew()
-            made = yield from self._rejoined(made)
-            e = np.append(self._at[E], made.at[:, E]) / self._units.per_mm[E]
-            check_filament(batch, made.ends, e, still)
             at = np.vstack([self._at, made.at])
-            passes = passing and not self._still
-            feeds = self._feeds(at, made, batch.last and not passes, passing or math.inf)
-            yield from self._leave(feeds[0] / self._units.per_feed if not made.dwell[0] else 0.0)
-            rows, ends = self._rows(at, feeds)
-            self._ledger.moved(batch.first + made.ends, int(made.at[-1, E] - self._at[E]))
+            check_filament(batch, made.ends, at[:, E] / self._units.per_mm[E], still)
+            rows = np.searchsorted(made.ends, batch.marked, side="right").tolist()
+            between = tuple(
+                (row, text)
+                for row, mark in zip(rows, batch.marks, strict=True)
+                for text in self._passed_on(mark)
+            )
+            stops = batch.last and not (speed and not self._still)
+            self.ledger.moved(batch.first + made.ends, int(at[-1, E] - at[0, E]))
             self._at = made.at[-1]
-            yield from self._interleaved(rows, ends, made, batch)
+            yield Motion(at, made.T, made.dwell, between, stops, speed or math.inf)
         else:
             for mark in batch.marks:
-                yield from self.carry(mark)
+                yield from self._passed_on(mark)
         if batch.last and self._still:
-            yield from self._leave(0.0)
-            yield from self._dwell(self._still)
+            if self._inside:
+                yield Wait(self._still)
             self._still = 0
-            self._pace.stop()
+            yield Stop()
 
-    def _rejoined(self, made: Segments) -> Generator[Output, None, Segments]:
-        """At rest, where the machine may have left out moves: it comes to where this is.
-
-        Returns the segments that are left, the first of them shorter by the way and the time.
-        """
-        assert self._at is not None
-        at, per_mm = self._at / self._units.per_mm, self._units.per_mm[:Z]
-        way = (made.at[0, :Z] - self._at[:Z]) / per_mm
-        if (
-            not self._may_be_elsewhere
-            or not self._pace.stands
-            or np.abs(way).max() < 1.5 / per_mm[X]
-        ):
-            return made
-        self._may_be_elsewhere = False
-        if (rejoined := self._player.rejoin(at, way, float(made.T[0]))) is None:
-            return made
-        self._at, self._feed = self._units.rounded(rejoined.at), 0
-        self._pace.moves(rejoined.speed)
-        yield rejoined.text
-        T = made.T.copy()
-        T[0] -= rejoined.seconds
-        return replace(made, T=T)
-
-    def _feeds(self, at: Integers, made: Segments, last: bool, after: float) -> Integers:
-        """F of the segments. last: whether the machine stands after them; after: speed there."""
-        rest: Flags = np.append(made.dwell > 0, last)
-        return self._pace.feeds(at / self._units.per_mm, made.T, rest, after)
-
-    def _rows(self, at: Integers, feeds: Integers) -> tuple[bytes, Integers]:
-        """G1 lines from place to place, at (k + 1, 4), and where each ends in their text."""
-        shown = np.diff(at, axis=0) != 0
-        shown[0, :Z] |= self._feed == 0  # after the machine was released: both, to be plain
-        faster = np.diff(feeds, prepend=self._feed) != 0
-        self._feed = int(feeds[-1])
-        return lines(at, feeds, shown, faster, self._units)
-
-    def _interleaved(
-        self, rows: bytes, ends: Integers, made: Segments, batch: Batch
-    ) -> Iterator[Output]:
-        """The rows with the lines and dwells that stand between them."""
-        before = np.searchsorted(made.ends, batch.marked, side="right").tolist()
-        between = [(1, self.take_back())]
-        between += [(row, self.carry(m)) for row, m in zip(before, batch.marks, strict=True)]
-        still = np.flatnonzero(made.dwell)
-        between += [(k, self._dwell(int(made.dwell[k]))) for k in still.tolist()]
-        written = 0
-        for row, outputs in sorted(between, key=lambda item: item[0]):
-            end = int(ends[row - 1]) if row else 0
-            if end > written:
-                yield rows[written:end]
-                written = end
-            yield from outputs
-        yield rows[written:]
-
-    def carry(self, mark: Mark) -> Iterator[Output]:
-        """A line of the file, in mid-motion; modes of the stream stay."""
-        outputs: list[Output] = [carried(mark.text, mark.index * TS)]
-        self._may_be_elsewhere |= self._player.labels_object(mark.text)
+    def _passed_on(self, mark: Mark) -> Iterator[Text]:
+        """Yield a line of the file, and what restores the stream's modes after it."""
+        labels = self._player.labels_object(mark.text)
+        yield Text(passed_on(mark.text, mark.index * TS), labels)
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
-            outputs.append(self._player.modes_after(coded.name))
-        if self._lift is None:
-            yield from outputs
-        else:
-            self._after_lift += outputs
+            yield Text(self._player.modes_after(coded.name))
 
     # ------------------------------------------------------------------ at standstill
 
-    def stop(self) -> None:
-        """The machine stands."""
-        self._pace.stop()
-
-    def passing(self, pause: Pause) -> float:
-        """Speed at which motion passes into it, mm/s; 0: from rest."""
-        if not pause.entry or not isinstance(pause.action, Standing):
-            return 0.0
-        places = np.array([pause.action.start, pause.action.end])
-        return self._player.lift_corner(places, pause.action.speed)
-
-    def pause(self, pause: Pause) -> Iterator[Output]:
-        """What is done at rest."""
-        yield from self._leave(0.0)
+    def _pause(self, pause: Pause) -> Iterator[Command]:
         action = pause.action
         if isinstance(action, Standing):
             yield from self._standing(pause, action)
             return
         if action.handling is Handling.RELEASE:
-            yield from self._release(action)
+            yield self._release(action)
         if action.text or action.handling is not Handling.RELEASE:
-            yield action.text + b"\n"
-            self._may_be_elsewhere |= self._player.labels_object(action.text)
+            yield Text(action.text + b"\n", self._player.labels_object(action.text))
 
-    def _standing(self, pause: Pause, move: Standing) -> Iterator[Output]:
-        """Retraction or lift: one line."""
-        lifts = move.end[Z] != move.start[Z]
+    def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
         yield from self._enter()
-        if self._pace.stands or not pause.entry:
-            self._pace.stop()
-            yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
-        yield from self._count_anew()
         assert self._at is not None
-        end = np.concatenate([self._at[:Z], self._units.rounded(np.array(move.end))[Z:]])
-        places = np.stack([self._at, end]) / self._units.per_mm
-        stroke = self._pace.stroke(places, pause, move.speed)
-        if stroke.after and not self._after:
-            yield stroke.before
-            self._after = stroke.after
-        self._ledger.moved(np.array([pause.index]), int(end[E] - self._at[E]))
-        line = partial(standing_line, self._at, end, units=self._units)
+        start = self._at
+        end = np.concatenate([start[:Z], self._units.rounded(np.array(move.end))[Z:]])
+        self.ledger.moved(np.array([pause.index]), int(end[E] - start[E]))
         self._at = end
-        if pause.leaving:
-            self._lift = line
-            return
-        self._feed = round(stroke.speed * self._units.per_feed)
-        yield line(self._feed)
-        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
+        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], start, end)
 
-    def _leave(self, speed: float) -> Iterator[Output]:
-        """A lift passes into motion at that speed, which decides how fast it was to be."""
-        if self._lift is None:
-            return
-        line, self._lift = self._lift, None
-        self._feed = round(self._pace.leave(speed).speed * self._units.per_feed)
-        yield line(self._feed)
-        yield from self._after_lift
-        self._after_lift = []
-
-    def _release(self, action: Passthrough) -> Iterator[Output]:
-        """The machine is the user's again, limits, modes and all."""
-        if self._inside and self._at is not None:
-            end = self._player.end(action.state, self._at / self._units.per_mm)
-            yield b"".join(line + b"\n" for line in end)
-        self._offset = action.state.offset
-        self._inside, self._at, self._feed, self._after = False, None, 0, b""
-        self._pace.begin()
-        self._ledger.passed(action.filament)
-
-    def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Output]:
-        if self._inside and (line := self._pace.dwell(samples, beside)):
-            yield line
-
-    def _count_anew(self) -> Iterator[Output]:
-        """Lets the firmware count filament from nothing, where it has counted much."""
-        if self._ledger.counts_anew():
-            yield self._player.reset_extruder()
-
-    def _enter(self) -> Iterator[Output]:
-        """Takes the machine over, if it is not in our hands."""
-        if not self._inside and self._at is not None:
+    def _enter(self) -> Iterator[Command]:
+        """Yield the change to the stream's limits if the user's hold, and a new count of E."""
+        assert self._at is not None
+        if not self._inside:
             self._inside = True
             begin = self._player.begin(self._offset, self._at / self._units.per_mm)
-            yield b"".join(line + b"\n" for line in begin)
+            yield Text(b"".join(line + b"\n" for line in begin))
+        if self.ledger.is_count_due():
+            yield Text(self._player.reset_extruder())
+
+    def _release(self, action: Passthrough) -> Release:
+        end: list[bytes] = []
+        if self._inside and self._at is not None:
+            end = self._player.end(action.state, self._at / self._units.per_mm)
+        self._offset, self._inside, self._at = action.state.offset, False, None
+        self.ledger.passed(action.filament)
+        return Release(b"".join(line + b"\n" for line in end))
+
+
+class Ledger:
+    """Filament in steps of 0.00001 mm, and mm in lines passed on; lines of motion a second.
+
+    steps: of filament at the beginning.
+    """
+
+    def __init__(self, steps: int = 0) -> None:
+        self._begun, self._steps, self._passed, self.busiest = steps, steps, 0.0, 0
+        self._counted = steps  # when the firmware last began to count
+        self._second, self._lines = 0, 0  # lines in that second, so far
+
+    def moved(self, samples: Integers, steps: int) -> None:
+        """Add lines that extrude these steps in all and are due at these samples, ascending."""
+        self._steps += steps
+        seconds = samples // round(1.0 / TS)
+        first = np.append(0, np.flatnonzero(np.diff(seconds)) + 1)  # row of each second
+        counts = np.diff(np.append(first, len(seconds)))
+        for second, count in zip(seconds[first].tolist(), counts.tolist(), strict=True):
+            self._lines = count + (self._lines if second == self._second else 0)
+            self._second, self.busiest = second, max(self.busiest, self._lines)
+
+    def passed(self, filament: float) -> None:
+        """Add the filament, mm, of a line of the file."""
+        self._passed += filament
+
+    def is_count_due(self) -> bool:
+        """Return whether the firmware should count from 0, once for every 50 mm of filament."""
+        due = abs(self._steps - self._counted) > 5_000_000
+        if due:
+            self._counted = self._steps
+        return due
+
+    @property
+    def filament(self) -> float:
+        """Return all filament since the print began, mm."""
+        return self._steps / 1e5 + self._passed
+
+    @property
+    def written(self) -> float:
+        """Return the filament of this stream, mm."""
+        return (self._steps - self._begun) / 1e5 + self._passed

@@ -1,59 +1,173 @@
-"""Time: the feed rates and dwells that keep the machine to it, and what it lags behind."""
+"""Second pass: the feed rates and dwells that keep the machine in time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, Integers
+from hframe_post.arrays import TS, Array, Flags, Integers, X, Z
 from hframe_post.firmware.player import Dwelling, Player, Stroke
-from hframe_post.stream.types import Pause
+from hframe_post.writers.stream.machine import (
+    Command,
+    Motion,
+    Release,
+    StandingMove,
+    Stop,
+    Text,
+    Wait,
+)
+from hframe_post.writers.stream.segments import Units
 
-SOON = 1.0  # s, over which what is late is made up for, where motion lasts so long
-CATCH_UP = 0.01  # share of its time by which a segment is hurried or delayed
+CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
+
+
+@dataclass(frozen=True, slots=True)
+class TimedMotion:
+    """Segments with F (k,): places at (k + 1, 4), and lines by the segment that they precede."""
+
+    at: Integers
+    feeds: Integers
+    between: tuple[tuple[int, Text], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TimedMove:
+    """A retraction or a lift with its F. before, after: see ``Stroke``."""
+
+    start: Integers
+    end: Integers
+    feed: int
+    before: bytes
+    after: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
+
+    text: bytes
+
+
+TimedCommand = Text | TimedMotion | TimedMove | Settings
+
+
+@dataclass(frozen=True, slots=True)
+class _Lift:
+    """A lift that passes into the next motion, and its stroke at the greatest speed there.
+
+    places (2, 4), mm; wanted: seconds left for it; entry: speed at which it begins, mm/s.
+    """
+
+    move: StandingMove
+    places: Array
+    wanted: float
+    entry: float
+    stroke: Stroke
 
 
 class Pace:
     """Feed rates and dwells of one machine.
 
-    per_feed: units of F in a mm/s. steady: segments over which time is kept inside a motion, too;
-    0: over a batch. It takes an F of many digits. ``lag``: s by which the machine is late, as far
-    as rounding tells; the next motion makes up for it.
+    steady: segments over which time is kept inside a motion, too; 0: over a batch. It takes an F
+    with many digits. ``lag``: seconds by which the machine is late, as far as rounding tells; the
+    next motion makes up for it.
     """
 
-    def __init__(self, player: Player, per_feed: float, steady: int = 0) -> None:
-        self._player, self._per_feed, self._steady = player, per_feed, steady
+    def __init__(self, player: Player, units: Units, steady: int = 0) -> None:
+        self._player, self._units, self._steady = player, units, steady
+        self._per_feed = units.per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
-        # a lift by the speed that it leaves, and what was believed of it
-        self._leaving: tuple[Callable[[float], Stroke], Stroke] | None = None
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
-        # s that the last segment takes, by the speed at its end: that of the one that follows
-        self._ending: Callable[[float], float] | None = None
+        self._ending: tuple[Array, Array, Flags, float] | None = None  # last segment of a batch
+        self._may_be_elsewhere = False  # moves may have been left out since the last motion
+        self._lift: _Lift | None = None  # waits for the speed of the next motion
+        self._after_lift: list[Text] = []  # lines between both
 
-    def begin(self) -> None:
-        """The machine is taken over: what it is late by does not matter any more."""
-        self.lag, self._fresh = 0.0, True
+    def timed(self, commands: Iterable[Command]) -> Iterator[TimedCommand]:
+        """Yield the commands with their feed rates."""
+        for command in commands:
+            match command:
+                case Text():
+                    yield from self._line(command)
+                case Motion():
+                    yield from self._motion(command)
+                case StandingMove():
+                    yield from self._standing_move(command)
+                case Wait():
+                    yield from self._leave(0.0)
+                    yield from self._dwell(command.samples)
+                case Stop():
+                    yield from self._leave(0.0)
+                    self._before = 0.0
+                case Release():
+                    yield Settings(command.text)
+                    self.lag, self._fresh = 0.0, True  # lateness does not matter any more
+
+    def _line(self, text: Text) -> Iterator[TimedCommand]:
+        self._may_be_elsewhere |= text.labels
+        if self._lift is None:
+            yield text
+        else:
+            self._after_lift.append(text)
+
+    # ------------------------------------------------------------------ in motion
+
+    def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
+        motion = yield from self._rejoined(motion)
+        rest: Flags = np.append(motion.dwell > 0, motion.stops)
+        feeds = self.feeds(motion.at / self._units.per_mm, motion.T, rest, motion.after)
+        yield from self._leave(feeds[0] / self._per_feed if not motion.dwell[0] else 0.0)
+        dwells = [
+            (row, text)
+            for row in np.flatnonzero(motion.dwell).tolist()
+            for text in self._dwell(int(motion.dwell[row]))
+        ]
+        self._may_be_elsewhere |= any(text.labels for _, text in motion.between)
+        between = sorted([*motion.between, *dwells], key=lambda item: item[0])
+        yield TimedMotion(motion.at, feeds, tuple(between))
+
+    def _rejoined(self, motion: Motion) -> Generator[TimedCommand, None, Motion]:
+        """Yield how a machine at rest that left out moves comes back to the commands' place.
+
+        Returns the motion with its first segment shorter by that.
+        """
+        per_mm = self._units.per_mm
+        way = (motion.at[1] - motion.at[0])[:Z] / per_mm[:Z]
+        stands = self._before == 0.0
+        if not self._may_be_elsewhere or not stands or np.abs(way).max() < 1.5 / per_mm[X]:
+            return motion
+        self._may_be_elsewhere = False
+        rejoined = self._player.rejoin(motion.at[0] / per_mm, way, float(motion.T[0]))
+        if rejoined is None:
+            return motion
+        self._before, self._ending = rejoined.speed, None
+        yield Settings(rejoined.text)
+        at, T = motion.at.copy(), motion.T.copy()
+        at[0] = self._units.rounded(rejoined.at)
+        T[0] -= rejoined.seconds
+        return replace(motion, at=at, T=T)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
-        """F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
+        """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
 
         rest (k + 1,): whether the machine stands at each end; after: greatest speed at the last.
         """
         rest = rest.copy()
-        rest[0] |= self.stands
+        rest[0] |= self._before == 0.0
         T = self._player.possible_times(at, T, self._before)
         late, passed = abs(self.lag), np.cumsum(T)
-        share = min(CATCH_UP, late / min(float(passed[-1]), SOON))
+        share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
-        hurried = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
-        feeds, taken = self._asked(at, hurried, rest, after)
+        wanted = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
+        feeds, taken = self._asked(at, wanted, rest, after)
         if self._steady:
             near = np.ones(min(self._steady, len(T)))
-            drift = np.convolve(taken - hurried, near, "same") / np.convolve(T, near, "same")
-            feeds, taken = self._asked(at, hurried - drift * T, rest, after)
-            self._join(at, feeds, rest, after)
+            drift = np.convolve(taken - wanted, near, "same") / np.convolve(T, near, "same")
+            feeds, taken = self._asked(at, wanted - drift * T, rest, after)
+            self._join(at, feeds, rest)
         over = taken - T
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
             over[0], self._fresh = 0.0, False
@@ -61,67 +175,73 @@ class Pace:
         self._before = min(float(feeds[-1] / self._per_feed), after)
         return feeds
 
-    def _join(self, at: Array, feeds: Integers, rest: Flags, after: float) -> None:
-        """What ended a batch slows down to the speed at which this one begins."""
-        v = feeds / self._per_feed
-        if self._ending is not None and not rest[0]:
-            slower = min(self._before, float(v[0]))
-            self.lag += self._ending(slower) - self._ending(self._before)
-        entry = float(v[-2]) if len(v) > 1 else self._before
-        last = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
-        self._ending = lambda end: float(self._player.durations(*last, end)[0])
-
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
-        """F by which segments are to last T (k,), and how long they then take, (k,) each."""
+        """Return F by which segments are to last T (k,), and how long they then take."""
         v = self._player.feed_rates(at, T, rest, self._before, after)
         feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
         v = feeds / self._per_feed
         return feeds, self._player.durations(at, v, rest, self._before, after)
 
-    @property
-    def stands(self) -> bool:
-        """Whether the machine does, as far as was asked of it."""
-        return self._before == 0.0
+    def _join(self, at: Array, feeds: Integers, rest: Flags) -> None:
+        """Add what the last segment of a batch takes longer to slow down for this batch."""
+        v = feeds / self._per_feed
+        if self._ending is not None and not rest[0]:
+            slower = min(self._before, float(v[0]))
+            last = self._ending
+            seconds, planned = (
+                float(self._player.durations(*last, end)[0]) for end in (slower, self._before)
+            )
+            self.lag += seconds - planned
+        entry = float(v[-2]) if len(v) > 1 else self._before
+        self._ending = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
 
-    def moves(self, speed: float) -> None:
-        """The machine has begun to move."""
-        self._before, self._ending = speed, None
+    # ------------------------------------------------------------------ at standstill
 
-    def stop(self) -> None:
-        """The machine stands."""
-        self._before = 0.0
-
-    def stroke(self, at: Array, pause: Pause, speed: float) -> Stroke:
-        """The retraction or lift of a pause between places at (2, 4), mm, at the user's speed.
-
-        One that passes into motion is told again by ``leave``.
-        """
-        planned, entry = pause.samples * TS, self._before if pause.entry else 0.0
-        wanted = planned - self.lag
-        corner = self._player.lift_corner(at, speed) if pause.leaving else 0.0
-
-        def leaving(v: float) -> Stroke:
-            return self._player.stroke(at, speed, pause.exact, wanted, entry, v)
-
-        stroke = leaving(corner)
-        self._leaving = (leaving, stroke) if pause.leaving else None
+    def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
+        yield from self._leave(0.0)
+        pause, lifts = move.pause, move.lifts
+        if not pause.entry:
+            self._before = 0.0
+        if self._before == 0.0:
+            yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
+        places = np.stack([move.start, move.end]) / self._units.per_mm
+        planned = pause.samples * TS
+        wanted, entry = planned - self.lag, self._before
+        leaving = self._player.lift_corner(places, move.speed) if pause.leaving else 0.0
+        stroke = self._player.stroke(places, move.speed, pause.exact, wanted, entry, leaving)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
-        return stroke
+        if pause.leaving:
+            self._lift = _Lift(move, places, wanted, entry, stroke)
+            return
+        yield self._timed_move(move, stroke)
+        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
 
-    def leave(self, speed: float) -> Stroke:
-        """The last lift, which passes into motion at ``speed``, or slower."""
-        assert self._leaving is not None
-        (leaving, believed), self._leaving = self._leaving, None
-        stroke = leaving(speed) if speed < believed.left else believed
-        self.lag += stroke.seconds - believed.seconds
-        return stroke
+    def _leave(self, speed: float) -> Iterator[TimedCommand]:
+        """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
+        if self._lift is None:
+            return
+        lift, self._lift = self._lift, None
+        move, stroke = lift.move, lift.stroke
+        if speed < stroke.left:
+            stroke = self._player.stroke(
+                lift.places, move.speed, move.pause.exact, lift.wanted, lift.entry, speed
+            )
+            self.lag += stroke.seconds - lift.stroke.seconds
+        yield self._timed_move(move, stroke)
+        yield from self._after_lift
+        self._after_lift = []
 
-    def dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> bytes:
-        """Standstill for so long, less what the machine is late; empty where none is made."""
-        waiting = self._player.dwell(samples * TS - self.lag, beside)
-        if waiting is None:
-            return b""
-        line, waited = waiting
+    def _timed_move(self, move: StandingMove, stroke: Stroke) -> TimedMove:
+        feed = round(stroke.speed * self._per_feed)
+        return TimedMove(move.start, move.end, feed, stroke.before, stroke.after)
+
+    def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Text]:
+        """Yield the line for a standstill, less what the machine is late, if one is made."""
+        dwell = self._player.dwell(samples * TS - self.lag, beside)
+        if dwell is None:
+            return
+        line, waited = dwell
         self.lag += waited - samples * TS
-        return line
+        if line:
+            yield Text(line)

@@ -1,4 +1,7 @@
-"""Print times as the output tells them, in the words of the slicer, and the summary's place."""
+"""Lines about the whole print, known only at its end: print times in the slicer's words, summary.
+
+They are written with blanks to spare, and again once the print's time is known.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,18 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import IO
 
-from hframe_post.writers.stream.deferred import (
-    DURATION,
-    SUMMARY,
-    SUMMARY_ROOM,
-    DeferredLine,
-    Output,
+ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
+DURATION = re.compile(  # in slicers' words: of the whole print, or what is left of it
+    rb"\s*;[\s;-]*(?:(?P<left>REMAINING_TIME)|TIME|PRINT\.TIME|estimated_time\(s\)"
+    rb"|(?:total )?estimated (?:print(?:ing)? )?time(?: \([a-z ]+\))?"
+    rb"|model printing time|(?:estimated )?(?:print|build) time)\s*[:=]\s*(?=\d)",
+    re.IGNORECASE,
 )
-
+PROGRESS = re.compile(rb"\s*M73(?!\d)[^;]*[PQRS]\s*\d", re.IGNORECASE)
+SUMMARY_ROOM = 4096  # bytes: the summary's length is not known when the body is written after it
 ROOM = 24  # bytes beyond a deferred line's present length
 
 _NUMBER = rb"\d+(?:\.\d+)?"
@@ -28,13 +33,46 @@ _SECONDS = re.compile(rb"%b(?= ?(?:s\b|sec|$|[\r;-]))" % _NUMBER)
 _PROGRESS = re.compile(rb"([PQRS])\s*%b" % _NUMBER, re.IGNORECASE)
 
 
+@dataclass(frozen=True, slots=True)
+class DeferredLine:
+    """A line with the whole print's duration, ``elapsed`` s after its beginning.
+
+    summary: the place for a summary of the whole conversion instead, as comments.
+    """
+
+    line: bytes
+    elapsed: float
+    summary: bool = False
+
+
+Output = bytes | DeferredLine
+SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
+
+
+def passed_on(line: bytes, elapsed: float) -> Output:
+    """Return a line of the file as output, deferred if it depends on the print's time."""
+    if ELAPSED.match(line) or DURATION.match(line) or PROGRESS.match(line):
+        return DeferredLine(line, elapsed)
+    return line + b"\n"
+
+
+def later(output: Output, seconds: float) -> Output:
+    """Return the output of a part of the print that begins this long after the print."""
+    if not isinstance(output, DeferredLine):
+        return output
+    elapsed = output.elapsed + seconds
+    if ELAPSED.match(output.line):
+        return b";TIME_ELAPSED:%.6f\n" % elapsed
+    return replace(output, elapsed=elapsed)
+
+
 def write_output(
     file: IO[bytes], output: Iterable[Output], total: Callable[[], float],
     summary: Callable[[], str] = str,
 ) -> None:  # fmt: skip
-    """Writes it all. total (the print's time, s), summary: asked when the output is used up."""
-    places, elapsed = array("q"), array("d")  # of lines: a file may tell of time a million times
-    place = file.tell()  # counted from here on: to ask lets other threads run, for long
+    """Write the output. total (the print's time, s) and summary are called at its end."""
+    places, elapsed = array("q"), array("d")  # a file may have a million deferred lines
+    place = file.tell()  # counted from here on: asking the file each time would be slow
     for piece in output:
         if isinstance(piece, DeferredLine):
             size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
@@ -47,35 +85,35 @@ def write_output(
         place, size, is_summary = places[3 * k : 3 * k + 3]
         file.seek(place)
         if is_summary:
-            told = commented(summary(), size)
+            text = commented(summary(), size)
         else:
-            told = told_anew(DeferredLine(file.read(size - ROOM), after), total())
+            text = with_times(DeferredLine(file.read(size - ROOM), after), total())
         file.seek(place)
-        file.write(told.ljust(size)[:size])
+        file.write(text.ljust(size)[:size])
 
 
 def commented(text: str, size: int) -> bytes:
-    """The lines of a text as comments, as many as have room."""
+    """Return the lines of a text as comments, as many as fit into size bytes."""
     lines, used = [], 0
     for line in text.splitlines():
         printable = "".join(c if c.isprintable() else "?" for c in line)
-        told = SUMMARY.line + b" " + printable.encode()
-        used += len(told) + 1
+        comment = SUMMARY.line + b" " + printable.encode()
+        used += len(comment) + 1
         if used > size:
             break
-        lines.append(told)
+        lines.append(comment)
     return b"\n".join(lines) or SUMMARY.line
 
 
 def duration(seconds: float) -> str:
-    """``1h 02m 03s``."""
+    """Return ``1h 02m 03s``."""
     minutes, s = divmod(round(seconds), 60)
     h, m = divmod(minutes, 60)
     return f"{h}h {m:02d}m {s:02d}s" if h else f"{m}m {s:02d}s"
 
 
-def told_anew(deferred: DeferredLine, total: float) -> bytes:
-    """The line with print times as they are after compensation."""
+def with_times(deferred: DeferredLine, total: float) -> bytes:
+    """Return the line with print times for a print that takes total seconds."""
     left = max(total - deferred.elapsed, 0.0)
     label = DURATION.match(deferred.line)
     if label is not None:
@@ -83,16 +121,16 @@ def told_anew(deferred: DeferredLine, total: float) -> bytes:
         return head + _restyled(value, left if label["left"] else total)
     percent = round(100.0 * deferred.elapsed / total) if total else 100
 
-    def renewed(match: re.Match[bytes]) -> bytes:
+    def progress(match: re.Match[bytes]) -> bytes:
         letter = match[1].upper()
         return letter + str(percent if letter in b"PQ" else math.ceil(left / 60.0)).encode()
 
     command, semicolon, comment = deferred.line.partition(b";")
-    return _PROGRESS.sub(renewed, command) + semicolon + comment
+    return _PROGRESS.sub(progress, command) + semicolon + comment
 
 
 def _restyled(value: bytes, seconds: float) -> bytes:
-    """A time in place of the one that ``value`` begins with, in its style, and the rest of it."""
+    """Return value with the time that it begins with replaced, in the same style."""
     hours, minutes = divmod(round(seconds / 60.0), 60)
     h, left = divmod(math.ceil(seconds), 3600)
     styles = (
@@ -117,7 +155,7 @@ def _restyled(value: bytes, seconds: float) -> bytes:
 
 
 def _seconds(value: bytes) -> float:
-    """A time in d, h, m and s, 0 where it is none."""
+    """Return a time in d, h, m and s, 0 if there is none."""
     units = {b"d": 86400.0, b"h": 3600.0, b"m": 60.0, b"s": 1.0}
     match = _UNITS.match(value)
     parts = re.findall(rb"(\d+) ?([dhms])", match[0].lower()) if match else []

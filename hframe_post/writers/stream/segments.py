@@ -1,0 +1,200 @@
+"""Samples in batches, and the segments that a firmware makes of them, in output units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.errors import HframeError
+from hframe_post.firmware.player import Player
+from hframe_post.stream.types import Mark
+
+SAMPLES_AT_ONCE = 1 << 14
+DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """How finely a place (x, y, z, e) and F are written.
+
+    finer: digits of x, y, z and F beyond those of a print: 0.001 mm, 0.1 mm/min; e: 0.00001 mm.
+    """
+
+    finer: int = 0
+
+    @property
+    def decimals(self) -> tuple[int, int, int, int]:
+        return 3 + self.finer, 3 + self.finer, 3 + self.finer, 5
+
+    @property
+    def feed_decimals(self) -> int:
+        return 1 + self.finer
+
+    @property
+    def per_mm(self) -> Array:
+        """Return the units in a mm of x, y, z, e (4,)."""
+        return 10.0 ** np.array(self.decimals)
+
+    @property
+    def per_feed(self) -> float:
+        """Return the units of F in a mm/s."""
+        return float(60.0 * 10.0**self.feed_decimals)
+
+    def rounded(self, places: Array) -> Integers:
+        """Return places (..., 4) in mm as they are written, in units."""
+        return np.rint(places * self.per_mm).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Samples (n,) that are written together.
+
+    first: index of the first; points (n + 1, 4): x, y, z, e in mm, beginning where the machine
+    stands before them; marks: the lines that pass before one of them; last: motion ends here.
+    """
+
+    first: int
+    points: Array
+    marks: tuple[Mark, ...]
+    last: bool
+
+    def __len__(self) -> int:
+        return len(self.points) - 1
+
+    @property
+    def marked(self) -> Integers:
+        """Return the point of each mark."""
+        return np.array([mark.index - self.first + 1 for mark in self.marks], dtype=np.int64)
+
+    @property
+    def forced(self) -> Flags:
+        """Return the points (n + 1,) at which a line of the file passes."""
+        forced = np.zeros(len(self.points), dtype=bool)
+        forced[self.marked] = True
+        return forced
+
+
+class SampleBuffer:
+    """Contiguous samples and the lines between them, taken in order and returned in batches."""
+
+    def __init__(self) -> None:
+        self._points: list[Array] = []
+        self._count = 0
+        self._start = np.zeros(4)  # the point before the first
+        self._index = 0  # of the first
+        self._marks: list[Mark] = []
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, points: Array, index: int, stand: Array) -> None:
+        """Add samples (n, 4) from ``index`` on; stand (4,): the machine's place before them."""
+        if not self._count:
+            self._index, self._start = index, stand
+        self._points.append(points)
+        self._count += len(points)
+
+    def add_mark(self, mark: Mark) -> None:
+        """Add a line that passes before its sample, which may follow later."""
+        self._marks.append(mark)
+
+    def batch(self, last: bool) -> Batch | None:
+        """Remove and return SAMPLES_AT_ONCE samples, or all where motion ends; None if empty."""
+        if not self._count:
+            return None
+        buffered = np.concatenate([self._start[None], *self._points])
+        n = self._count if last else SAMPLES_AT_ONCE
+        points = buffered[: n + 1]
+        marks = tuple(mark for mark in self._marks if mark.index - self._index < n)
+        batch = Batch(self._index, points, marks, last)
+        self._marks = self._marks[len(marks) :]
+        self._count -= n
+        self._points = [buffered[n + 1 :]] if self._count else []
+        self._start, self._index = points[-1], self._index + n
+        return batch
+
+    def marks_up_to(self, index: int | None = None) -> list[Mark]:
+        """Remove and return the lines up to a sample, or up to the first that is buffered."""
+        index = self._index if index is None else index
+        count = sum(mark.index <= index for mark in self._marks)
+        marks, self._marks = self._marks[:count], self._marks[count:]
+        return marks
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """Segments (k,) in which something moves, and the standstill around them.
+
+    at (k, 4): where each ends, in output units; ends (k,): the point of the batch; T (k,): how
+    long it is to last, s; dwell (k,): samples of standstill before it; still: samples of
+    standstill after the last.
+    """
+
+    at: Integers
+    ends: Integers
+    T: Array
+    dwell: Integers
+    still: int
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+def segments(batch: Batch, start: Integers, still: int, player: Player, units: Units) -> Segments:
+    """Return the segments of a batch that its firmware asks for.
+
+    start (4,): where the machine stands; still: for how many samples it has. A segment that moves
+    nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
+    """
+    ends, places = player.segments(batch.points, batch.forced, batch.last)
+    at = units.rounded(places)
+    moved = np.any(np.diff(at[:, :E], axis=0, prepend=start[None, :E]) != 0, axis=1)
+    at[moved, E] = at[_extruded_by(moved, ends, np.flatnonzero(batch.forced)), E]
+    starts, ends, at = np.concatenate([[0], ends])[:-1][moved], ends[moved], at[moved]
+    idle = starts - np.concatenate([[-still], ends])[: len(ends)]
+    dwell = np.where(idle >= DWELL, idle, 0)
+    left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
+    return Segments(at, ends, (ends - starts + idle - dwell) * TS, dwell, left)
+
+
+def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
+    """Return for each segment that moves the one up to which it extrudes.
+
+    It extrudes what segments after it do that are too short to move: up to the next segment that
+    moves, or the last that ends before the next mark or at it. ends, marks: points of the batch.
+    """
+    moving = np.flatnonzero(moved)
+    before_next = np.append(moving[1:], len(moved)) - 1
+    at_marks = np.append(np.searchsorted(ends, marks, side="right") - 1, len(moved))
+    return np.asarray(np.minimum(before_next, at_marks[np.searchsorted(at_marks, moving)]))
+
+
+def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> None:
+    """Raise HframeError unless the filament at every line of the file is that of the path.
+
+    ends (k,): the points of the batch at which segments end; e (k + 1,): filament where they
+    begin, and at these ends, mm; still: samples of standstill before the batch. A line is written
+    before the segment that ends after its point. The filament out by then must be what the path
+    has at that point, or at most a segment earlier. The first segment begins before the batch:
+    there the path is taken to feed as fast as at its beginning.
+    """
+    if not batch.marks:
+        return
+    row = np.searchsorted(ends, batch.marked, side="right")
+    begun = np.append(0, ends)[row]
+    fed = batch.points[:, E]
+    path = np.append(fed, 0.0)  # the last is in no range
+    ranges = np.column_stack([begun, batch.marked + 1]).ravel()
+    low, high = (f.reduceat(path, ranges)[::2] for f in (np.minimum, np.maximum))
+    before = fed[0] - still * float(np.diff(fed[:2]).sum())
+    low = np.where(row == 0, np.minimum(low, before), low)
+    high = np.where(row == 0, np.maximum(high, before), high)
+    off = np.maximum(low - e[row], e[row] - high)
+    if not (off <= 0.01).all():
+        text = batch.marks[int(off.argmax())].text[:80].decode("latin-1")
+        raise HframeError(
+            f"{off.max():.4f} mm of filament would be on the wrong side of {text!r}; "
+            "nothing was written. Please report this"
+        )
