@@ -223,7 +223,7 @@ class _Window:
         }
 
     def put_on_path(self, a: int, b: int) -> None:
-        """Let every command stand on the path at samples a … b − 1."""
+        """Place every command on the path at samples a … b − 1."""
         for track in self._tracks.values():
             track.command[self._rows(a, b)] = self._path[self._rows(a, b)]
 

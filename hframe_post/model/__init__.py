@@ -1,1 +1,1 @@
-"""The maths: transfer functions, the plant, filtered B-splines, kinematics, corners."""
+"""The maths: transfer functions, the plant, filtered B-splines, stops, kinematics, corners."""

@@ -1,8 +1,8 @@
-"""How fast a corner between two straight moves may be passed, as Klipper has it.
+"""Junction speeds between two straight moves, computed as Klipper does.
 
-Source: the junction speeds of Klipper's ``toolhead`` (docs/Kinematics.md, "Look-ahead"), which
-grew from Grbl's junction deviation: the corner is passed as if on an arc that is tangent to both
-moves and leaves their vertex by a deviation. With θ the angle between the moves (180° is
+Source: Klipper's ``toolhead`` (docs/Kinematics.md, "Look-ahead"), after Grbl's junction deviation:
+the corner is passed as if on an arc that is tangent to both moves and misses their vertex by the
+junction deviation. With θ the angle between the moves (180° is
 straight on), R = sin(θ/2)/(1 − sin(θ/2)):
 
     v² ≤ R·deviation·a                  centripetal acceleration on the arc
@@ -22,7 +22,7 @@ from hframe_post.arrays import Array, E
 
 
 def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
-    """mm off the vertex, from the speed through a right angle; shapes as given."""
+    """Return the junction deviation, mm, for a speed through a right angle; same shapes."""
     squared = np.square(square_corner_velocity)
     return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
 
@@ -34,12 +34,12 @@ def junction_speeds(
     deviations: Array | float,
     extruder_corner_velocity: float,
 ) -> Array:
-    """Greatest speed (n − 1,) between n neighbouring moves, mm/s.
+    """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
 
     delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
-    deviations (n,) or one for all; the lower of two neighbours' products counts.
+    deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
     """
-    # not delta / length: at a turn back all of 1 − cosθ is what Klipper's rounding leaves of it
+    # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
     unit = delta[:, :E] * (1.0 / length)[:, None]
     x, y, z = (unit[:-1] * unit[1:]).T
     cosine = np.clip(-(x + y + z), -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""x, y ↔ the two motors that move the nozzle in the plane.
+"""Kinematics: x, y ↔ the two motors that move the nozzle in the plane.
 
 ============= ======= ======= ==================================== ===============================
 type          A       B       racks                                Klipper, Marlin
@@ -10,9 +10,9 @@ corexz        x       y       no: x and z share belts              ``corexz``, C
 cartesian     x       y       no                                   ``cartesian``, neither
 ============= ======= ======= ==================================== ===============================
 
-A is the motor of ``stepper_x``, X_STEP; B that of ``stepper_y``, Y_STEP. ``swap`` exchanges A
-and B (an H-bot whose motors stand at the other end of y); then ``signs`` turn them around. A
-of a CoreXZ is x + z, so in the plane it is x; its third motor, x − z, moves with x, too.
+A is the motor of ``stepper_x`` (X_STEP), B that of ``stepper_y`` (Y_STEP). ``swap`` exchanges A
+and B (an H-bot whose motors are at the other end of y); then ``signs`` reverse them. On a CoreXZ,
+A is x + z, which in the plane is x; its third motor, x − z, moves with x, too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ROWS = {
 
 @dataclass(frozen=True, slots=True)
 class Kinematics:
-    """How belts and nozzle hang together; mm of belt per mm of nozzle."""
+    """Relation of belts and nozzle; mm of belt per mm of nozzle."""
 
     type: str = field(default="hbot", metadata={"choices": tuple(ROWS)})
     swap: bool = False
@@ -42,42 +42,42 @@ class Kinematics:
 
     @property
     def racks(self) -> bool:
-        """Whether pulling in x can twist the gantry."""
+        """Return whether a force in x can twist the gantry."""
         return self.type == "hbot"
 
     @property
     def z_is_separate(self) -> bool:
-        """Whether z has a motor of its own."""
+        """Return whether z has a motor that x does not use."""
         return self.type != "corexz"
 
     @property
     def matrix(self) -> Array:
-        """(2, 2): rows A and B, columns x and y."""
+        """Return the matrix (2, 2) from x, y to the belts: rows A and B."""
         rows = ROWS[self.type][::-1] if self.swap else ROWS[self.type]
         return np.array(
             [[sign * x, sign * y] for sign, (x, y) in zip(self.signs, rows, strict=True)]
         )
 
     def belts(self, x: Array, y: Array) -> Array:
-        """Belt positions A, B, (2, n), at nozzle positions x, y (n,), mm."""
+        """Return belt positions A, B, (2, n), at nozzle positions x, y (n,), mm."""
         (ax, ay), (bx, by) = self.matrix.tolist()
         return np.stack([ax * x + ay * y, bx * x + by * y])
 
     @property
     def max_speed_ratio(self) -> float:
-        """Greatest speed of the nozzle while neither belt moves faster than 1."""
-        corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; the rest mirrors these
+        """Return the speed of the nozzle in its fastest direction, for belts at speed 1."""
+        corners = np.array([[1.0, 1.0], [1.0, -1.0]])  # both belts at once; others mirror these
         return float(np.linalg.norm(np.linalg.solve(self.matrix, corners), axis=0).max())
 
     @property
     def min_speed_ratio(self) -> float:
-        """Speed of the nozzle in any direction at which neither belt moves faster than 1."""
+        """Return the speed of the nozzle in its slowest direction, for belts at speed 1."""
         return float(1.0 / np.linalg.norm(self.matrix, axis=1).max())
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """How fast a command moves: of belts A, B and of x, y, (2, n) each; mm/s and mm/s²."""
+    """Speeds and accelerations of belts A, B and of x, y, (2, n) each; mm/s and mm/s²."""
 
     belt_velocity: Array
     belt_acceleration: Array
@@ -85,9 +85,9 @@ class Rates:
 
 
 class Differences:
-    """Rates of a command that comes in pieces: each is differenced with the two samples before.
+    """Rates of a command that comes in pieces, by backward differences.
 
-    Before the first sample the machine stood there.
+    Before its first sample the command is taken to stand still.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -95,13 +95,13 @@ class Differences:
         self._before: Array | None = None
 
     def rates(self, command: Array) -> Rates:
-        """Rates at the next samples of the command (n, 2), mm."""
+        """Return the rates at the next samples of the command (n, 2), mm."""
         if not len(command):
-            none = np.zeros((2, 0))
-            return Rates(none, none, none)
+            nothing = np.zeros((2, 0))
+            return Rates(nothing, nothing, nothing)
         if self._before is None:
             self._before = command[:1].repeat(2, axis=0).T
-        known = np.concatenate([self._before, command.T], axis=1)  # each axis in one piece
+        known = np.concatenate([self._before, command.T], axis=1)
         self._before = known[:, -2:].copy()
         velocity = np.diff(known)[:, 1:] / TS
         acceleration = np.diff(known, n=2) / TS**2

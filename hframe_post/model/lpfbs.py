@@ -1,4 +1,4 @@
-"""Limited-preview filtered B-splines (Appendix B), with the past carried exactly.
+"""Limited-preview filtered B-splines (Appendix B) with an exact past.
 
 ==============  ===========================================================  ==========
 symbol          meaning                                                      source
@@ -10,12 +10,12 @@ symbol          meaning                                                      sou
 ``N_filtered``  the same through the plant, Ñ                                eq. 8
 ``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
 ``effort``      λ, weight on the command's second difference                 —
-``s``           all that a window knows of the past: (plant state, p_P)      —
+``s``           the past, as the next window needs it: (plant state, p_P)    —
 ==============  ===========================================================  ==========
 
-The paper truncates the impulse response where it reaches back (the bar over N). Here the
-past enters as the plant's state and the last control points instead, which is exact, so
-one step of the recursion is a constant linear map of (s, window of x_d).
+The paper truncates the impulse response where it reaches back (the bar over N). Here the past
+enters as the plant's state and the last control points, which is exact, so one step of the
+recursion is a constant linear map of (s, window of x_d).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.model.transfer_function import Recursion, TransferFunction
 
-RANK_TOLERANCE = 1e-11  # smallest singular value, relative, of a window that can be solved
+RANK_TOLERANCE = 1e-11  # least relative singular value of a window that can be solved
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +48,17 @@ class Window:
 
     @property
     def L_C(self) -> int:
-        """Samples that a window sees."""
+        """Return the number of samples in a window."""
         return self.n_C * self.L
 
     @property
     def stride(self) -> int:
-        """Samples from one window to the next."""
+        """Return the number of samples from one window to the next."""
         return self.n_up * self.L
 
 
 def bsplines(knots: Array, degree: int, t: Array) -> Array:
-    """Basis functions N_{j,m}(t), (len(t), len(knots) − m − 1): the recursion of eq. 6.
+    """Return the basis functions N_{j,m}(t), (len(t), len(knots) − m − 1), by eq. 6.
 
     Intervals are half open; the last one that is not empty is closed, so that the basis
     sums to one up to and including the last knot.
@@ -76,26 +76,26 @@ def bsplines(knots: Array, degree: int, t: Array) -> Array:
 
 
 def uniform_basis(L: int, degree: int) -> Array:
-    """The m + 1 splines alive between two knots at its L samples, oldest first, (L, m + 1)."""
+    """Return the m + 1 splines that overlap one knot interval at its L samples, (L, m + 1)."""
     knots = np.arange(-degree, degree + 2, dtype=float)
     return bsplines(knots, degree, np.arange(L) / L)[:, : degree + 1]
 
 
 def window_splines(w: Window) -> tuple[Array, Array, Array, Array]:
-    """A window's splines and their second differences: N_P, N_C, D N_P, D N_C.
+    """Return a window's splines and their second differences: N_P, N_C, D N_P, D N_C.
 
     Shapes (L_C, m + 1) for the past ones, (L_C, n_C) for the current ones: eq. 38.
     """
     past = w.degree + 1
     knots = w.L * np.arange(-past, w.n_C + w.degree + 1, dtype=float)
     samples = np.arange(-2, w.L_C, dtype=float)
-    N = bsplines(knots, w.degree, samples)  # rows −2 and −1 are for the difference alone
+    N = bsplines(knots, w.degree, samples)  # rows −2 and −1 only serve D
     D = np.diff(N, n=2, axis=0)
     return N[2:, :past], N[2:, past:], D[:, :past], D[:, past:]
 
 
 class Lpfbs:
-    """The solver of one axis: x_d in, command x_dm out; the past s goes in and out with it.
+    """Solver of one axis: from the target x_d to the command x_dm, with the past s passed along.
 
     Raises ValueError where the window cannot be solved or the recursion would diverge:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
@@ -117,10 +117,10 @@ class Lpfbs:
             )
 
     def command(self, x_d: Array) -> Array:
-        """The command (n,) for a whole target x_d (n,): at rest at x_d[0] before it.
+        """Return the command (n,) for a whole target x_d (n,), from rest at x_d[0].
 
-        After its end the target stands still. What the command still does there to settle, and
-        what it would do before the start to lead, is not part of it: pad x_d with standstill.
+        The target stands still after its end. The command has no samples before the start to lead,
+        or after the end to settle: pad x_d with standstill to get them.
         """
         if not len(x_d):
             return np.zeros(0)
@@ -130,17 +130,17 @@ class Lpfbs:
         return np.asarray(x_d[0] + x_dm[: len(x_d)])
 
     def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
-        """Command for whole windows, x_d ((W − 1)·stride + L_C,) → x_dm (W·stride,), and s.
+        """Return the command x_dm (W·stride,) for W whole windows of x_d, and the next s.
 
-        The last L_C − stride samples of x_d are the preview and come again with the next
-        call. Both count from where the axis stood at rest when the stream began. Raises
-        ValueError where x_d is of any other length.
+        x_d has (W − 1)·stride + L_C samples, of which the last L_C − stride are the preview and
+        come again with the next call. Both are relative to where the axis stood when the stream
+        began. Raises ValueError for any other length.
         """
         w = self.window
         if len(x_d) < w.L_C or (len(x_d) - w.L_C) % w.stride:
             raise ValueError(
-                f"{len(x_d)} samples are no whole number of windows: {w.L_C} and any number of "
-                f"times {w.stride} are; command() takes any length"
+                f"{len(x_d)} samples are not a whole number of windows ({w.L_C} plus any multiple "
+                f"of {w.stride}); command() takes any length"
             )
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
         X = np.ascontiguousarray(windows)
@@ -153,7 +153,7 @@ class Lpfbs:
 
 
 def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
-    """Gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next one.
+    """Return the gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next.
 
     Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
     difference: eq. 39 with the past exact and an effort penalty. Shapes (n_C, L_C),
@@ -181,7 +181,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
 def _step(
     G: TransferFunction, w: Window, N_P: Array, N_C: Array, K_target: Array, K_past: Array
 ) -> tuple[Array, Array]:
-    """One step of s = (plant state z, p_P): s_next = step_target x_d + step_past s."""
+    """Return the step of s = (plant state z, p_P): s_next = step_target x_d + step_past s."""
     d, past, T = G.order, w.degree + 1, w.stride
     _, _, A_T, R = G.lifted(T)
     reach_C, reach_P = R @ N_C[:T, : w.n_up], R @ N_P[:T]

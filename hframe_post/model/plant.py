@@ -1,4 +1,4 @@
-"""Linear dynamics of an H-frame printer, and the nozzle's response to a command.
+"""The linear plant of an H-frame printer, and the nozzle's response to a command.
 
 The printer moves as (eq. 1, 2 and Fig. 2b of the paper)
 
@@ -17,7 +17,7 @@ from hframe_post.model.transfer_function import BLOCK_SAMPLES, TransferFunction
 
 @dataclass(frozen=True)
 class Plant:
-    """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None where nothing racks.
+    """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
 
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
     does not move the nozzle.
@@ -30,10 +30,9 @@ class Plant:
 
 
 class LiftedFilter:
-    """Filters a stream with the state carried: exact for any pole and any cut.
+    """A transfer function applied to a stream, with its state carried: exact however it is cut.
 
-    ``run`` takes the next samples (n,) and answers (n,). Cuts at multiples of
-    ``BLOCK_SAMPLES`` also give equal bits, whatever the pieces.
+    Cuts at multiples of ``BLOCK_SAMPLES`` also give equal bits.
     """
 
     def __init__(self, transfer_function: TransferFunction) -> None:
@@ -42,13 +41,13 @@ class LiftedFilter:
         self._state = np.zeros(transfer_function.order)
 
     def run(self, u: Array) -> Array:
-        """The output of the next samples."""
+        """Return the output (n,) at the next samples of the input u (n,)."""
         blocks, rest = divmod(len(u), BLOCK_SAMPLES)
         U = np.zeros((blocks + (rest > 0), BLOCK_SAMPLES))
         U.ravel()[: len(u)] = u
         forced = U @ self._R.T
         states, self._state = self._recursion.run(forced[:blocks], self._state)
-        if rest:  # a part of a block: the same with fewer samples
+        if rest:  # part of a block
             states = np.vstack([states, self._state])
             before = np.linalg.matrix_power(self._A, rest) @ self._state
             self._state = before + self._R[:, BLOCK_SAMPLES - rest :] @ u[-rest:]
@@ -58,7 +57,7 @@ class LiftedFilter:
 
 
 class Response:
-    """The nozzle's motion under one strategy's command, streamed."""
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,)."""
 
     def __init__(self, plant: Plant, origin: Array) -> None:
         self._origin, self._x_c = origin, plant.x_c
@@ -66,11 +65,11 @@ class Response:
         self._Gxtheta = LiftedFilter(plant.Gxtheta) if plant.Gxtheta else None
 
     def run(self, command: Array) -> Array:
-        """Nozzle x, y (n, 2) under the next commands (n, 2)."""
+        """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
         return self.motion(command)[:, :Z]
 
     def motion(self, command: Array) -> Array:
-        """Nozzle x, y and the gantry's θ, (n, 3), under the next commands (n, 2): eq. 1 and 2."""
+        """Return the nozzle's x, y and the gantry's θ, (n, 3), likewise: eq. 1 and 2."""
         u = command - self._origin
         x = self._Gxx.run(u[:, X]) + self._origin[X]
         y = self._Gyy.run(u[:, Y]) + self._origin[Y]

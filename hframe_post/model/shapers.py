@@ -1,18 +1,18 @@
 """Input shapers: the path convolved with a few impulses that leave no ringing of one mode.
 
-What printers use where nothing inverts their plant, kept here to be compared with. With
-damped frequency f_d = f·√(1 − ζ²), period t_d = 1/f_d and K = exp(−π·ζ/√(1 − ζ²)), the part of
-an oscillation that half a period leaves, a shaper is a set of amplitudes A_i at times T_i:
+These are what firmware offers; they are here for comparison. With
+damped frequency f_d = f·√(1 − ζ²), period t_d = 1/f_d and K = exp(−π·ζ/√(1 − ζ²)), the decay
+of an oscillation in half a period, a shaper is a set of amplitudes A_i at times T_i:
 
 =============  =============================================================================
 ``zv``         cancels one mode: two impulses half a period apart (Singer and Seering 1990)
 ``zvd`` …      the same once, twice, three times more, flat in frequency: ``zvdd``, ``zvddd``
 ``mzv``        three impulses in three quarters of a period
-``ei``         a little ringing allowed at f, to be deaf to errors of f (Singhose 1994)
+``ei``         a little ringing allowed at f, to tolerate errors of f (Singhose 1994)
 ``2hump_ei``   ``ei`` with two, and
-``3hump_ei``   with three humps of that ringing: deafer, and longer (Singhose et al. 1997)
-``smooth_zv``  no impulses but the mean over a period, which is smooth and cancels one mode;
-``smooth_zvd`` that once more. What forks of Klipper smooth with are polynomials of that kind
+``3hump_ei``   with three humps of that ringing: more tolerant, longer (Singhose et al. 1997)
+``smooth_zv``  the mean over a period instead of impulses: smooth, and cancels one mode;
+``smooth_zvd`` that twice. The smoothers of Klipper's forks are polynomials of that kind
 =============  =============================================================================
 """
 
@@ -27,8 +27,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
 
-FINELY = 64  # impulses a period that stand for a smooth shaper
-TOLERATED = 0.05  # of the ringing without a shaper, V of the ei family
+TOLERATED = 0.05  # V of the ei family: remaining share of the ringing without a shaper
 
 
 @dataclass(frozen=True)
@@ -40,11 +39,11 @@ class Shaper:
 
     @property
     def reach(self) -> int:
-        """Samples before and after a sample of the path on which its command depends."""
+        """Return the number of path samples on either side on which a command sample depends."""
         return int(np.ceil(np.abs(self.T).max() / TS)) + 1
 
     def taps(self) -> Array:
-        """The impulses on samples −reach … reach, (2·reach + 1,): each between its neighbours."""
+        """Return the impulses on samples −reach … reach, (2·reach + 1,), interpolated."""
         taps = np.zeros(2 * self.reach + 1)
         place = self.T / TS + self.reach
         before = np.floor(place).astype(int)
@@ -53,12 +52,12 @@ class Shaper:
         return taps
 
     def run(self, path: Array) -> Array:
-        """The command (n,) for a path (n,) that stands before its first and after its last."""
-        held = np.pad(path, self.reach, mode="edge")
-        return np.convolve(held, self.taps(), mode="valid")
+        """Return the command (n,) for a path (n,) that stands still before and after it."""
+        padded = np.pad(path, self.reach, mode="edge")
+        return np.convolve(padded, self.taps(), mode="valid")
 
     def residual(self, hz: Array, damping: float) -> Array:
-        """Share of the ringing of modes at ``hz`` (k,) that is left, (k,): Singer and Seering."""
+        """Return the remaining share of the ringing of modes at ``hz`` (k,): Singer and Seering."""
         omega = 2.0 * np.pi * hz[:, None]
         phase = omega * np.sqrt(1.0 - damping**2) * self.T
         growth = self.A * np.exp(damping * omega * (self.T - self.T[-1]))
@@ -68,9 +67,9 @@ class Shaper:
 
 
 def shaper(name: str, hz: float, damping: float) -> Shaper:
-    """The shaper of that name for a mode at ``hz`` with a damping ratio. Raises HframeError."""
+    """Return the shaper of that name for a mode of a damping ratio. Raises HframeError."""
     if name not in SHAPERS:
-        raise HframeError(f"no shaper is named {name!r}; there are {', '.join(SHAPERS)}")
+        raise HframeError(f"unknown shaper {name!r}: choose one of {', '.join(SHAPERS)}")
     root = np.sqrt(1.0 - damping * damping)
     K = float(np.exp(-np.pi * damping / root))
     amplitudes, periods = SHAPERS[name](K)
@@ -82,7 +81,7 @@ Impulses = tuple[list[float], list[float]]  # amplitudes, and times in damped pe
 
 
 def _zv(more: int) -> Callable[[float], Impulses]:
-    """Zero vibration, and ``more`` derivatives of it: the binomials of 1 + K."""
+    """Return the shaper with zero vibration and ``more`` zero derivatives of it."""
     n = more + 1
 
     def impulses(K: float) -> Impulses:
@@ -92,7 +91,7 @@ def _zv(more: int) -> Callable[[float], Impulses]:
 
 
 def _mzv(K: float) -> Impulses:
-    K = K**0.75  # what three quarters of a half period leave
+    K = K**0.75  # the decay in three quarters of a half period
     ends, middle = 1.0 - 1.0 / np.sqrt(2.0), (np.sqrt(2.0) - 1.0) * K
     return [ends, middle, ends * K * K], [0.0, 0.375, 0.75]
 
@@ -119,13 +118,13 @@ def _three_humps(K: float) -> Impulses:
 
 
 def _mean(times: int) -> Callable[[float], Impulses]:
-    """The mean over a period, so many times over, in impulses FINELY apart."""
+    """Return the mean over a period, applied several times, as 64 impulses a period."""
 
     def impulses(K: float) -> Impulses:
         amplitudes = np.ones(1)
         for _ in range(times):
-            amplitudes = np.convolve(amplitudes, np.ones(FINELY))
-        return amplitudes.tolist(), (np.arange(len(amplitudes)) / FINELY).tolist()
+            amplitudes = np.convolve(amplitudes, np.ones(64))
+        return amplitudes.tolist(), (np.arange(len(amplitudes)) / 64.0).tolist()
 
     return impulses
 

@@ -9,9 +9,9 @@ symbol             meaning                                               source
 ``R``              state after a block, reached by the block's input     Appendix A
 =================  ====================================================  ===========
 
-Transfer functions live as zeros, poles and gain and become cascades of second-order
-sections: the poles of a printer cluster near z = 1, where the expanded polynomial of
-eq. 4 loses all its digits.
+Transfer functions are kept as zeros, poles and gain, and computed as cascades of second-order
+sections: the poles of a printer cluster near z = 1, where the expanded polynomial of eq. 4 loses
+all its digits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class TransferFunction:
     """A stable, proper, real discrete transfer function gain·Π(z − zeros)/Π(z − poles).
 
     zeros (q,), poles (d,) complex, closed under conjugation, q ≤ d, |poles| < 1.
-    Raises ValueError where this does not hold.
+    Raises ValueError otherwise.
     """
 
     zeros: Complex
@@ -60,16 +60,16 @@ class TransferFunction:
 
     @property
     def order(self) -> int:
-        """Number of poles, and of states."""
+        """Return the number of poles, which is that of states."""
         return len(self.poles)
 
     @property
     def dc_gain(self) -> float:
-        """Gain at rest, G(z = 1)."""
+        """Return the gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)
 
     def response(self, omega: Array) -> Complex:
-        """Complex frequency response at ``omega`` (rad/sample), same shape."""
+        """Return the complex frequency response at ``omega`` (rad/sample), same shape."""
         z = np.exp(1j * omega)[..., None]
         numerator, denominator = (np.prod(z - roots, axis=-1) for roots in (self.zeros, self.poles))
         with np.errstate(all="ignore"):  # at a pole it is infinite
@@ -77,7 +77,7 @@ class TransferFunction:
 
     @cached_property
     def state_space(self) -> tuple[Array, Array, Array, float]:
-        """Real (A, B, C, D), shapes (d, d), (d,), (d,), scalar: a cascade of sections."""
+        """Return real (A, B, C, D) of the cascade, shapes (d, d), (d,), (d,), scalar."""
         A, B, C, D = np.zeros((0, 0)), np.zeros(0), np.zeros(0), self.gain
         for num, den in _sections(self.zeros, self.poles):
             a, b, c, d = _section_state_space(num, den)
@@ -86,7 +86,7 @@ class TransferFunction:
         return A, B, C, D
 
     def impulse(self, n: int) -> Array:
-        """First ``n`` samples of the impulse response."""
+        """Return the first ``n`` samples of the impulse response."""
         A, B, C, D = self.state_space
         h = np.empty(n)
         state = B
@@ -98,7 +98,7 @@ class TransferFunction:
         return h
 
     def lifted(self, n: int) -> tuple[Array, Array, Array, Array]:
-        """Lifted form over blocks of ``n`` samples: (G, O, An, R).
+        """Return the lifted form over blocks of ``n`` samples: (G, O, An, R).
 
         With the state s before a block and its input u (n,): output y = G u + O s and
         next state An s + R u. Shapes (n, n), (n, d), (d, d), (d, n). Appendix A, with the
@@ -117,18 +117,18 @@ class TransferFunction:
 
     @cached_property
     def block(self) -> tuple[Array, Array, Recursion, Array]:
-        """Lifted form over BLOCK_SAMPLES: (G, O, recursion of the state, R)."""
+        """Return the lifted form over BLOCK_SAMPLES: (G, O, recursion of the state, R)."""
         G, O, An, R = self.lifted(BLOCK_SAMPLES)
         return G, O, Recursion(An), R
 
 
 def upper_and_real(roots: Complex) -> tuple[Complex, Complex]:
-    """Of roots closed under conjugation: those above the real axis, and those on it."""
+    """Return which of conjugate roots are above the real axis, and which are on it."""
     return roots[roots.imag > REAL_TOLERANCE], roots[np.abs(roots.imag) <= REAL_TOLERANCE]
 
 
 def _closed(roots: Complex) -> bool:
-    """Whether each root that is not real has a conjugate of its own."""
+    """Return whether the roots that are not real form conjugate pairs."""
     upper, _ = upper_and_real(roots)
     lower, _ = upper_and_real(roots.conj())
     left = list(lower)
@@ -145,10 +145,10 @@ def _distance_to(point: complex) -> Callable[[Complex], float]:
 
 
 def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
-    """Second-order sections (num (≤3,), den (≤3,)): two poles each, with their nearest zeros.
+    """Return second-order sections (num (≤3,), den (≤3,)): two poles each, and the nearest zeros.
 
     Poles nearest to the unit circle choose first, so that no section has a large gain. Complex
-    zeros go in pairs and need a section of two poles: as many as they need are left to them.
+    zeros come in pairs and need a section of two poles; enough of these are reserved for them.
     """
     upper, real = upper_and_real(zeros)
     pairs, single = [np.array([z, z.conjugate()]) for z in upper], list(real)
@@ -169,7 +169,7 @@ def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
 
 
 def _groups(poles: Complex) -> list[Complex]:
-    """Poles by twos that make real polynomials; a last real one may be alone."""
+    """Return the poles in twos that make real polynomials; a last real one may be alone."""
     upper, real = upper_and_real(poles)
     real = np.sort(real.real).astype(complex)
     pairs = [np.array([p, p.conjugate()]) for p in upper]
@@ -177,12 +177,12 @@ def _groups(poles: Complex) -> list[Complex]:
 
 
 def _monic(roots: Complex) -> Array:
-    """The real polynomial with these roots, in descending powers."""
+    """Return the real polynomial with these roots, in descending powers."""
     return np.atleast_1d(np.asarray(np.poly(roots).real, dtype=float))
 
 
 def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, float]:
-    """Controllable canonical form of one section, both in descending powers, den monic."""
+    """Return the controllable canonical form of a section; both in descending powers, den monic."""
     order = len(den) - 1
     b = np.concatenate([np.zeros(order + 1 - len(num)), num])
     A = np.eye(order, k=-1)
@@ -193,10 +193,10 @@ def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, f
 
 
 class Recursion:
-    """The states of s[k+1] = A s[k] + w[k], many steps in one matrix product.
+    """The states of s[k+1] = A s[k] + w[k], several steps in one matrix product.
 
     Within STEPS_AT_ONCE steps the states are a product with the lower block triangle of
-    A^(i−1−k); only such groups follow one another.
+    A^(i−1−k); only these groups are computed one after the other.
     """
 
     def __init__(self, A: Array) -> None:
@@ -210,7 +210,7 @@ class Recursion:
         self._forced = triangle.reshape(n * d, (n + 1) * d)
 
     def run(self, W: Array, state: Array) -> tuple[Array, Array]:
-        """States before each of the steps W (n, d), same shape, and the one after the last."""
+        """Return the states before each of the steps W (n, d), same shape, and after the last."""
         n, d = W.shape
         groups = -(-n // STEPS_AT_ONCE)
         padded = np.zeros((groups, STEPS_AT_ONCE * d))

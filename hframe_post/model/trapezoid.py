@@ -1,4 +1,4 @@
-"""The way of one axis from a speed to another, as firmware without a limit on jerk goes it.
+"""Trapezoidal motion of one axis, as firmware without a limit on jerk makes it.
 
     speed      peak ________
                    /        \\
@@ -18,7 +18,7 @@ from hframe_post.arrays import Array
 
 @dataclass(frozen=True, slots=True)
 class Trapezoid:
-    """Length (mm), greatest speed and acceleration; v_s, v_e: speeds at its ends, mm/s."""
+    """A motion: length (mm), limits of speed and acceleration; v_s, v_e: speeds at its ends."""
 
     length: float
     cruise: float
@@ -28,27 +28,27 @@ class Trapezoid:
 
     @property
     def peak(self) -> float:
-        """The speed that is reached."""
+        """Return the greatest speed that is reached."""
         mean = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0
         return min(self.cruise, math.sqrt(self.length * self.acceleration + mean))
 
     @property
     def ramps(self) -> tuple[float, float]:
-        """How long it speeds up and brakes, s."""
+        """Return how long it accelerates and brakes, s."""
         peak = self.peak
         return (peak - self.v_s) / self.acceleration, (peak - self.v_e) / self.acceleration
 
     @property
     def seconds(self) -> float:
-        """How long all of it takes."""
+        """Return the duration of all of it."""
         peak, a = self.peak, self.acceleration
         ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
         return (self.length + ramped) / peak
 
     def slowed_to(self, seconds: float) -> Trapezoid:
-        """The same way at the lower speed with which it takes so long; itself, if it takes longer.
+        """Return the same motion at the lower speed at which it takes so long, or itself if longer.
 
-        Solves length = v·T − [(v − v_s)² + (v − v_e)²]/2a, where ends are no faster than the rest.
+        Solves length = v·T − [(v − v_s)² + (v − v_e)²]/2a for v no lower than v_s and v_e.
         """
         if seconds <= self.seconds:
             return self
@@ -58,7 +58,7 @@ class Trapezoid:
         return replace(self, cruise=min(max(v, self.v_s, self.v_e), self.cruise))
 
     def distance(self, t: Array) -> Array:
-        """mm done at times t (n,), s, from its beginning."""
+        """Return the distance done (n,), mm, at times t (n,), s, after its beginning."""
         up, down = self.ramps
         t = np.clip(t, 0.0, self.seconds)
         begun, ending = np.minimum(t, up), np.maximum(t - (self.seconds - down), 0.0)

@@ -1,1 +1,1 @@
-"""Moves to a jerk-limited trajectory, sampled every millisecond."""
+"""From moves to a jerk-limited trajectory, sampled every millisecond."""

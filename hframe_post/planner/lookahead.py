@@ -1,4 +1,4 @@
-r"""Moves → runs with settled speeds: look-ahead over the whole queue at once.
+r"""Moves → runs with final speeds: look-ahead over the whole queue at once.
 
        cruise     ______________
                  /              \            _________
@@ -7,12 +7,12 @@ r"""Moves → runs with settled speeds: look-ahead over the whole queue at once.
               0                junction   feed change   0     → path length
 
 Rules:
- 1. No vertex is passed faster than its junction allows, none at a stop is passed at all.
- 2. Speeds are taken back until braking and speeding up both fit: first at constant
+ 1. No vertex is passed faster than its junction allows; at a stop the speed is zero.
+ 2. Speeds are lowered until braking and accelerating both fit: first at constant
     acceleration, where v² is linear in path length, then with the limit on jerk.
- 3. A vertex that limits nothing does not end a run: the planner's jerk-limited profile
-    passes it at whatever speed and acceleration it has there.
- 4. A speed is final when a stop and full speed at the queue's end both give it.
+ 3. A vertex that limits nothing does not end a run: the jerk-limited profile passes it at
+    whatever speed and acceleration it has there.
+ 4. A speed is final if it is the same whether the queue ends in a stop or at full speed.
 """
 
 from __future__ import annotations
@@ -29,27 +29,25 @@ from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
-BATCH = 4096  # moves planned at once; more only where none of them is final
+BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
-FEASIBLE = (
-    1.0 - 1e-6
-)  # share of acceleration and jerk planned with; the rest keeps Ruckig off its edge
-PLATEAU = 256  # moves
-ROUNDING = 1e-15  # of a sum of v² + 2as, relative
+PLATEAU = 256  # moves at cruise speed in a run
+# Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
+# edge of what is feasible
+FEASIBLE, BELOW_CRUISE = 1.0 - 1e-6, 1.0 - 1e-4
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
-BELOW_CRUISE = 1.0 - 1e-4  # share of the cruise speed at vertices, to the same end
 CREEP = 0.01  # mm/s; a junction that allows less is a stop
-MELTED = 50.0  # mm/s of filament; none melts more, and beside it lines keep their place
+MELTED = 50.0  # mm/s of filament, more than any hot end melts
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
 
 
 def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
-    """Settles the speeds of a stream of items. What must happen at rest follows a stop."""
+    """Yield the items with final speeds; the motion stops before what must happen at rest."""
     queue = _Queue(limits)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
             queue.append(item)
-            while (ready := queue.settled()) is not None:
+            while (ready := queue.take_final()) is not None:
                 yield ready
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
             queue.mark(item.text)
@@ -60,7 +58,7 @@ def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
 
 
 class _Queue:
-    """Moves that are not planned yet, and the speed at which they begin."""
+    """Moves that are not planned yet, and the speed at which the first of them begins."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -78,8 +76,8 @@ class _Queue:
     def mark(self, text: bytes) -> None:
         self._marks.append(Mark(self.count, text))
 
-    def settled(self) -> Plan | None:
-        """The part of the first ``_want`` moves that is final; None if more must be known."""
+    def take_final(self) -> Plan | None:
+        """Return the part of the first ``_want`` moves that is final, or None if none is."""
         while self.count >= self._want:
             moves = _joined(self._moves)
             batch = moves.part(0, self._want)
@@ -98,7 +96,7 @@ class _Queue:
         return None
 
     def stop(self) -> Iterator[Plan]:
-        """All that is queued, ending at rest."""
+        """Yield all that is queued, ending at rest."""
         if self.count:
             moves = _joined(self._moves)
             caps = _junction_speeds(moves, self._limits)
@@ -108,7 +106,7 @@ class _Queue:
             yield self._take(moves, ends, speed)
 
     def _take(self, moves: _Limited, ends: Integers, speed: Array) -> Plan:
-        """A plan of the moves up to the last of ``ends``; the queue begins there."""
+        """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""
         n = int(ends[-1])
         whole = n == self.count
         marks = tuple(mark for mark in self._marks if mark.index < n or whole)
@@ -124,7 +122,7 @@ class _Queue:
 
 @dataclass(frozen=True, slots=True)
 class _Limited:
-    """Moves with their own limits: cruise, acceleration (n,), deviation of junctions (n,)."""
+    """Moves with the limits of each: cruise, acceleration (n,), junction deviation (n,)."""
 
     line: Integers
     points: Array
@@ -135,11 +133,11 @@ class _Limited:
 
     @property
     def s(self) -> Array:
-        """Path length at the vertices, (n + 1,)."""
+        """Return the path length at the vertices, (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.length)])
 
     def part(self, start: int, stop: int) -> _Limited:
-        """Moves start … stop − 1."""
+        """Return moves start … stop − 1."""
         per_move = (self.length, self.cruise, self.acceleration, self.deviation)
         cut = (column[start:stop] for column in per_move)
         return _Limited(self.line[start:stop], self.points[start : stop + 1], *cut)
@@ -158,7 +156,7 @@ def _joined(parts: list[_Limited]) -> _Limited:
 
 
 def _limited(moves: Moves, limits: Limits) -> _Limited:
-    """The printer's limits on each move, lowered by what the file asks."""
+    """Return the moves with the printer's limits, lowered by those of the file."""
     delta = np.diff(moves.points, axis=0)
     length = lengths(delta[:, :E])
     share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
@@ -188,7 +186,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
 
 
 def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
-    """Greatest speed at each vertex, (n + 1,); the ends are free. See ``model.cornering``."""
+    """Return the greatest speed at each vertex, (n + 1,), without limits at the ends."""
     delta = np.diff(moves.points, axis=0)
     inner = cornering.junction_speeds(
         delta, moves.length, moves.acceleration, moves.deviation, limits.extruder_corner_velocity
@@ -201,7 +199,7 @@ def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
 
 
 def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integers, Array]:
-    """Vertices that end runs, and the speeds there; the last vertex is passed at ``last``."""
+    """Return the vertices that end runs, and the speeds there; ``last`` at the last vertex."""
     caps2 = np.square(caps)
     caps2[-1] = last * last
     a = FEASIBLE * moves.acceleration
@@ -210,22 +208,21 @@ def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integ
     v2 = np.minimum.accumulate(np.minimum(braking, caps2) - reach2) + reach2
     v2 = np.clip(v2, 0.0, caps2)
     v2[0] = caps2[0]
-    rounding = ROUNDING * reach2[-1]  # of v2, whatever its size
+    rounding = 1e-15 * reach2[-1]  # of v2, whatever its size
     ends = np.flatnonzero(_limiting(moves, caps, v2 >= (1.0 - 1e-6) * caps2 - rounding))
     s = moves.s[ends]
     speed = np.sqrt(v2[ends])
     length, acceleration, j = np.diff(s), a[ends[:-1]], FEASIBLE * jerk
-    _take_back(speed[::-1], length[::-1], acceleration[::-1], j)
-    speed[0] = caps[0]  # settled before, with the share of FEASIBLE to spare
-    _take_back(speed, length, acceleration, j)
+    _lower(speed[::-1], length[::-1], acceleration[::-1], j)
+    speed[0] = caps[0]  # final before, with the share of FEASIBLE to spare
+    _lower(speed, length, acceleration, j)
     return ends, speed
 
 
 def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
-    """Rule 3: the vertices at which a run must end, of those whose cap is ``reached``.
+    """Return at which vertices a run must end (rule 3); ``reached``: where the cap is reached.
 
-    So that a long way at cruise speed becomes final piece by piece, it ends runs too, at
-    every PLATEAU-th vertex.
+    At cruise speed every PLATEAU-th vertex ends a run, so that a long way becomes final in parts.
     """
     limiting = np.ones(len(caps), dtype=bool)
     cruise, a = moves.cruise, moves.acceleration
@@ -236,8 +233,8 @@ def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
     return limiting
 
 
-def _take_back(speed: Array, length: Array, acceleration: Array, jerk: float) -> None:
-    """Lowers speed[i + 1] to what can be reached from speed[i], along the whole chain."""
+def _lower(speed: Array, length: Array, acceleration: Array, jerk: float) -> None:
+    """Lower speed[i + 1] to what can be reached from speed[i], along the whole chain."""
     active = np.arange(len(length))
     while len(active):
         top = reachable_speed(speed[active], length[active], acceleration[active], jerk)
@@ -248,10 +245,10 @@ def _take_back(speed: Array, length: Array, acceleration: Array, jerk: float) ->
 
 
 def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
-    """Greatest speed reached from ``v0`` within ``length``, from zero to zero acceleration.
+    """Return the greatest speed reached from ``v0`` within ``length``, all (n,), mm and s.
 
-    Speeding up by Δ takes T = Δ/a + a/j, or 2√(Δ/j) where Δ < a²/j, over (v0 + Δ/2)·T.
-    All (n,), mm and s.
+    It starts and ends at zero acceleration. Accelerating by Δ takes T = Δ/a + a/j, or 2√(Δ/j)
+    where Δ < a²/j, over (v0 + Δ/2)·T.
     """
     a, j = acceleration, jerk
     # full acceleration: Δ²/2a + Δ(v0/a + a/2j) + v0·a/j − length = 0
@@ -267,7 +264,7 @@ def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) 
 
 
 def _agreement(one: tuple[Integers, Array], other: tuple[Integers, Array]) -> int:
-    """Index of the last run's end up to which two plans are the same; 0 for none."""
+    """Return the index of the last run's end up to which two plans are the same; 0 for none."""
     n = min(len(one[0]), len(other[0]))
     same = (one[0][:n] == other[0][:n]) & (one[1][:n] == other[1][:n])
     return int(np.argmin(same)) - 1 if not same.all() else n - 1

@@ -9,18 +9,18 @@ from hframe_post.model.stop_cost import NEAREST
 from hframe_post.native.kernels import kernel
 
 COARSE = 3  # samples from one candidate to the next in the first search
-STRAIGHT = 1e-6  # sine of an angle that is none
-SEARCHED = 128  # successive samples searched together
+STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
+SEARCHED = 128  # consecutive samples searched together
 ROWS_IN_CACHE = 32
 
 
 def contour_error(path: Array, actual: Array, at: Integers) -> Array:
-    """Distance (n,) of the points ``actual`` (n, 2), equally far apart in time, to the path.
+    """Return the distance (n,) of the points ``actual`` (n, 2), at equal time steps, to the path.
 
     path (p, 2): the desired samples; at (n,): which of them belongs to each point. The path
-    is the polyline through its samples within NEAREST of that. Where this is one straight
-    line, it is taken as such; elsewhere the nearest sample is found first, then the nearer
-    of the two segments that meet there.
+    is the polyline through its samples within NEAREST of that. Where this is a straight line,
+    the distance is that to the line; elsewhere the nearest sample is found first, then the
+    nearer of the two segments that meet there.
     """
     px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
     ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
@@ -38,7 +38,7 @@ def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> 
         return np.zeros(0)
     low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
     turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
-    straight = turns[high] == turns[low + 1]  # none strictly between
+    straight = turns[high] == turns[low + 1]  # no turn strictly between
     error = _to_segment(ax, ay, px[low], py[low], px[high], py[high])
     rows = np.logical_or.reduceat(~straight, np.arange(0, n, SEARCHED))
     which = np.flatnonzero(np.repeat(rows, SEARCHED)[:n])  # neighbours are searched together
@@ -57,7 +57,7 @@ def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> 
 
 
 def _turns(px: Array, py: Array) -> Flags:
-    """Samples (p,) at which the path through p points leaves its direction."""
+    """Return at which of its p samples the path changes its direction."""
     dx, dy = np.diff(px), np.diff(py)
     cross, dot = dx[:-1] * dy[1:] - dy[:-1] * dx[1:], dx[:-1] * dx[1:] + dy[:-1] * dy[1:]
     still = (dx == 0.0) & (dy == 0.0)
@@ -68,9 +68,9 @@ def _turns(px: Array, py: Array) -> Flags:
 
 
 def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: int) -> Integers:
-    """Samples within NEAREST of ``at`` (q,) that are nearest to the points a (q,).
+    """Return the samples within NEAREST of ``at`` (q,) that are nearest to the points a (q,).
 
-    ``at`` comes in rows of SEARCHED samples, ``every`` apart, the last row perhaps shorter.
+    ``at`` consists of rows of SEARCHED samples, ``every`` apart; the last row may be shorter.
     """
     q, span = len(at), SEARCHED * every
     width = span + 2 * NEAREST
@@ -99,10 +99,10 @@ def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: in
 def _refined(
     px: Array, py: Array, ax: Array, ay: Array, candidates: tuple[Integers, ...]
 ) -> Integers:
-    """The nearest of the candidate samples (each (q,)) to each point.
+    """Return the nearest of the candidate samples (each (q,)) to each point.
 
-    They are what the coarse search passed over: around its result, and around the sample of
-    the same time, which is right at sharp corners where the nozzle follows well.
+    They are those the coarse search left out: around its result, and around the sample of the
+    same time, which is right at sharp corners if the nozzle follows well.
     """
     nearest, best = candidates[0], np.full(len(ax), np.inf)
     for candidate in candidates:
@@ -115,7 +115,7 @@ def _refined(
 
 
 def _to_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array) -> Array:
-    """Squared distance (q,) of points a to the segments from p to q, all (q,)."""
+    """Return the squared distance (q,) of points a to the segments from p to q, all (q,)."""
     dx, dy, ax, ay = qx - px, qy - py, ax - px, ay - py
     length2 = dx * dx + dy * dy
     share = np.divide(ax * dx + ay * dy, length2, out=np.zeros(len(ax)), where=length2 > 0.0)

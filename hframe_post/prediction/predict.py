@@ -1,7 +1,7 @@
-"""Predicts where the nozzle goes: commands through the plant, and how far off the path.
+"""Prediction of the nozzle's motion: commands through the plant, compared with the path.
 
-The plant is exact: states carried, and racking at the actual x (eq. 2), not at x_d. The
-contour error is the distance to the path, not to where the nozzle should be at that time.
+The plant is exact: its states are carried, and racking is that at the actual x (eq. 2), not at
+x_d. The contour error is the distance to the path, not to the desired place at that time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hframe_post.stream.types import Samples
 
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
-    """Each chunk and, for every strategy in its commands, the nozzle's x, y (n, 2)."""
+    """Yield each chunk with the nozzle's x, y (n, 2) for every strategy in its commands."""
     for stretch in stretches(chunks):
         responses: dict[str, Response] = {}
         for chunk in stretch:
@@ -32,10 +32,10 @@ def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How well each strategy follows one chunk; k of its samples count.
+    """How well each strategy follows one chunk, at the k of its samples that count.
 
-    at (k,): which samples of the chunk; extruding (k,): which of these. contour: strategy →
-    (k,), distance to the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
+    at (k,): indices of these; extruding (k,): which of them extrude. contour: strategy → (k,),
+    distance to the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
     """
 
     chunk: Samples
@@ -45,16 +45,12 @@ class Judgement:
     motion: dict[str, Array]
 
     def tracking(self, strategy: str) -> Array:
-        """How far off the desired place at the same time, (k, 2), mm."""
+        """Return the deviation from the desired place at the same time, (k, 2), mm."""
         return np.asarray(self.motion[strategy][self.at] - self.chunk.xyze[self.at, :Z])
 
 
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
-    """One judgement a chunk, of its samples in motion.
-
-    Of the samples ``every`` second, third, … counts. Those at which the path stands are left
-    out: nothing of it is traced there.
-    """
+    """Yield one judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
     for stretch in stretches(chunks):
         predicted: deque[tuple[Samples, dict[str, Array]]] = deque()
         paths = _paths(predict(stretch, plant), predicted)
@@ -74,14 +70,14 @@ def _paths(
     predicted: Iterable[tuple[Samples, dict[str, Array]]],
     taken: deque[tuple[Samples, dict[str, Array]]],
 ) -> Iterator[Samples]:
-    """The path alone of each chunk, which is remembered with its motion."""
+    """Yield the path alone of each chunk; put the chunk with its motion on ``taken``."""
     for chunk, motion in predicted:
         taken.append((chunk, motion))
         yield replace(chunk, events=(), commands={})
 
 
 def in_motion(xyze: Array) -> tuple[Flags, Flags]:
-    """Samples to which the path xyze (n, 4) moves, those on whose way filament is laid, (n,)."""
+    """Return at which samples the path xyze (n, 4) moves, and at which it extrudes too, (n,)."""
     moving, extruding = np.zeros((2, len(xyze)), dtype=bool)
     x, y, _, e = xyze.T
     moving[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])

@@ -1,4 +1,4 @@
-"""Commands as the motors can follow them: whole steps, on the ticks of the stepping clock."""
+"""Commands in whole motor steps, on the ticks of the stepping clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hframe_post.stream.types import Samples, frozen
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
-    """The stream with its commands stepped, at a millisecond each."""
+    """Yield the chunks with their commands in whole steps."""
     for stretch in stretches(chunks):
         for chunk, wide, where in with_neighbours(stretch, 1, 1):
             commands = {
@@ -26,10 +26,10 @@ def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) ->
 
 
 def stepped(command: Array, kinematics: Kinematics, steps: Steps) -> Array:
-    """The command (n, 2) with both belts in whole steps, (n, 2).
+    """Return the command (n, 2) with both belts in whole steps, (n, 2).
 
-    A sample is the mean over the ticks of the millisecond around it, between which the
-    command is interpolated: carriage and belts do not follow a single step at 40 kHz.
+    A sample is the mean over the ticks of the millisecond around it, since carriage and belts do
+    not follow a single step at 40 kHz. The command is interpolated at the ticks.
     """
     ticks = max(round(steps.clock_hz * TS), 1)
     belts = kinematics.belts(*command.T).T / steps.belt

@@ -93,7 +93,7 @@ def test_command_of_nothing_is_nothing() -> None:
 @pytest.mark.parametrize("n", [0, 1, 439, 441, 440 + 219])
 def test_run_refuses_what_is_no_whole_number_of_windows(n: int) -> None:
     solver = Lpfbs(PLANT.Gxx, Window(5, 88, 44, 96.0))
-    with pytest.raises(ValueError, match="440 and any number of times 220"):
+    with pytest.raises(ValueError, match="440 plus any multiple of 220"):
         solver.run(np.zeros(n), solver.rest)
     assert len(solver.run(np.zeros(440 + 220), solver.rest)[0]) == 440
 
