@@ -50,7 +50,7 @@ class Judgement:
 
 
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
-    """Yield one judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
+    """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
     for stretch in stretches(chunks):
         predicted: deque[tuple[Samples, dict[str, Array]]] = deque()
         paths = _paths(predict(stretch, plant), predicted)
