@@ -86,11 +86,9 @@ class IdentificationReport:
 
     def notes(self) -> list[str]:
         """Return what is normal but good to know."""
-        messages = []
         if self.identified.racking_below_noise:
-            messages.append("racking is below its measurement uncertainty; the profile has none")
-        fits = self.identified.fits.items()
-        return messages + [f"{name}: {text}" for name, found in fits for text in found.notes]
+            return ["racking is below its measurement uncertainty; the profile has none"]
+        return []
 
     def as_text(self) -> str:
         """Return a table for a person, and below it a labelled line for each other result."""

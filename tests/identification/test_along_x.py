@@ -1,4 +1,4 @@
-"""Modes that move with the gantry, told from those that stay."""
+"""Modes that shift as the gantry moves, distinguished from those that do not."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.identification.diagnosis.along_x import ModeShift, find_mode_shift, position_spread
-from hframe_post.identification.diagnosis.uncertainty import noisy
+from hframe_post.identification.diagnosis.uncertainty import with_noise
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.fitting.modal import Data, Structure, fit
 from hframe_post.identification.fitting.weighting import weights
@@ -21,37 +21,37 @@ HERE_HZ = 28.0
 
 
 def measured(place: float, change: float, rng: np.random.Generator) -> FrequencyResponse:
-    """At one place, of a mode that changes by so much from the first place to the last."""
+    """The response at one position, if the mode changes by ``change`` over all of them."""
     hz = HERE_HZ * (1.0 + change * (place - PLACES[2]) / (PLACES[-1] - PLACES[0]))
     axis = Axis((Mode(hz, 0.05, 0.8), Mode(75.0, 0.05, 0.2)), delay=0.001)
     H = Machine(axis, axis).exact().Gxx.response(2.0 * np.pi * HZ * TS)
     one = np.ones(len(HZ))
-    return noisy(FrequencyResponse(HZ, H, 0.999 * one, one, 10.0), rng)
+    return with_noise(FrequencyResponse(HZ, H, 0.999 * one, one, 10.0), rng)
 
 
-def told(change: float, seed: int) -> ModeShift | None:
+def shift(change: float, seed: int) -> ModeShift | None:
     rng = np.random.default_rng(seed)
     runs = [measured(place, change, rng) for place in PLACES]
     mean = average(runs)
     model = fit(Data(HZ, mean.H, weights(mean), BAND, (-1.6e-4, 5e-3)), Structure(2, False))
     G, delay = model.discrete(model.delay, model.gain), model.delay
-    found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, (), ())
+    found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, ())
     return find_mode_shift(found, list(zip(PLACES, runs, strict=True)), BAND)
 
 
 @pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
-def test_how_far_a_mode_moves_is_told(change: float) -> None:
-    found = told(change, 1)
+def test_the_shift_of_a_mode_is_found(change: float) -> None:
+    found = shift(change, 1)
     assert found is not None
     assert (found.hz[1] - found.hz[0]) / HERE_HZ == pytest.approx(change, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_modes_that_stay_are_not_told_to_move(seed: int) -> None:
-    assert told(0.0, seed) is None
+def test_no_shift_is_found_for_modes_that_stay(seed: int) -> None:
+    assert shift(0.0, seed) is None
 
 
-def test_where_places_differ_the_mean_is_known_to_that_only() -> None:
+def test_position_spread_is_large_near_a_mode_that_shifts() -> None:
     rng = np.random.default_rng(1)
     runs = [measured(place, 0.1, rng) for place in PLACES]
     still = [measured(place, 0.0, rng) for place in PLACES]

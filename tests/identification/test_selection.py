@@ -1,4 +1,4 @@
-"""Which model a measurement asks for, of a printer that is linear and of one that is not."""
+"""The choice of a model for linear and nonlinear printers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
+from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.fit import fit
-from hframe_post.identification.fitting.modal import Modal
 from hframe_post.identification.fitting.weighting import Distortion
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
+from tests.plants import all_of_them, at, at_rest
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -24,7 +25,7 @@ def measured(hz: float, damping: float) -> Complex:
 
 @pytest.fixture(scope="module")
 def bent() -> tuple[FrequencyResponse, Distortion]:
-    """A belt that gets softer where the resonance pulls it: a peak that leans over."""
+    """A belt that gets softer at resonance: a peak that leans over."""
     right = measured(PEAK_HZ, 0.06)
     leaning = 0.5 * (right + measured(0.96 * PEAK_HZ, 0.045))
     one = np.ones(len(HZ))
@@ -32,23 +33,60 @@ def bent() -> tuple[FrequencyResponse, Distortion]:
     return response, Distortion(HZ, (leaning - right) / leaning, 0.0)
 
 
-def test_what_is_not_linear_does_not_pass_for_modes(
+def test_a_nonlinearity_is_not_fitted_with_modes(
     bent: tuple[FrequencyResponse, Distortion],
 ) -> None:
     response, distortion = bent
-    found = fit([response], response, None, 1.0, BAND, distortion=distortion)
-    assert isinstance(found.model, Modal)
+    found = fit([response], response, False, BAND, distortion=distortion)
     assert found.order == 2
     (hz, _), *_ = found.modes
     assert hz == pytest.approx(PEAK_HZ, rel=0.03)
     assert found.gain == pytest.approx(GAIN, abs=0.005)
-    assert found.residual_over_noise < 1.5  # what is missed is what harmonics tell
+    assert found.residual_over_noise < 1.5  # the harmonics account for the residual
 
 
-def test_of_a_linear_printer_the_same_is_two_modes(
+def test_the_same_response_of_a_linear_printer_is_two_modes(
     bent: tuple[FrequencyResponse, Distortion],
 ) -> None:
     response, _ = bent
-    found = fit([response], response, None, 1.0, BAND)
+    found = fit([response], response, False, BAND)
     assert found.order == 4
     assert found.residual < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", range(12))
+def test_noisy_responses_of_known_plants_are_recovered(k: int) -> None:
+    """Also of the paper's plant, whose Gyy and racking have poles above and below the band."""
+    G = all_of_them()[k]
+    rng = np.random.default_rng(5)
+    runs = []
+    for _ in range(3):
+        real, imaginary = rng.normal(size=(2, len(HZ))) / np.sqrt(2.0)
+        H = at(G, HZ) * (1.0 + 0.005 * (real + 1j * imaginary))
+        one = np.ones(len(HZ))
+        runs.append(FrequencyResponse(HZ, H, one / (1.0 + 0.005**2), one))
+    found = fit(runs, average(runs), at_rest(G) == 0.0, BAND)
+    hz = np.arange(5.0, 80.0, 0.1)
+    true = at(G, hz)
+    assert np.linalg.norm(found.response(hz) - true) / np.linalg.norm(true) < 0.005
+    assert found.G.dc_gain == pytest.approx(at_rest(G), abs=1e-9)
+    assert np.abs(found.G.poles).max() < 1.0
+
+
+def test_measurements_that_cannot_be_fitted_are_refused() -> None:
+    one = np.ones(len(HZ))
+    good = FrequencyResponse(HZ, measured(PEAK_HZ, 0.06), 0.9999 * one, one, 50.0)
+    with pytest.raises(IdentificationError, match="too few"):
+        fit([good], good, False, (3.0, 5.0))
+    for H, cause in ((good.H * np.nan, "finite"), (good.H * 0.0, "zero")):
+        bad = FrequencyResponse(HZ, H, good.coherence, good.power)
+        with pytest.raises(IdentificationError, match=cause):
+            fit([bad], bad, False, BAND)
+
+
+def test_a_printer_that_does_not_follow_its_command_is_refused() -> None:
+    one = np.ones(len(HZ))
+    backwards = FrequencyResponse(HZ, -measured(PEAK_HZ, 0.06), 0.9999 * one, one, 50.0)
+    with pytest.raises(IdentificationError, match="follows the command"):
+        fit([backwards], backwards, False, BAND)

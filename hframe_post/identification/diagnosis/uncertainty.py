@@ -1,9 +1,9 @@
-"""How well is a model known? Runs and their noise are drawn anew, and the model refined on each.
+"""Uncertainty of a model, by a bootstrap.
 
-A bootstrap: of each transfer function DRAWS times as many runs are drawn as there are, some twice
-and some not at all, and each frequency gets as much noise again as its coherence tells. How far
-the refined models scatter is how far the one that was found may be off. What no drawing tells is
-the day: belts and bearings change, so no printer is taken to be known better than to DAILY.
+From the runs of each transfer function random samples are drawn: as many runs as there are, some of
+them twice and some not at all, each with as much noise added as its coherence tells. The model is
+refined on each sample, and the scatter is its uncertainty. No sample tells what changes from one
+day to the next, so that is assumed (DAY_TO_DAY).
 """
 
 from __future__ import annotations
@@ -15,61 +15,59 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.fitting.modal import Data, Modal, refined, thinned
-from hframe_post.identification.fitting.weighting import modes_within, weights
+from hframe_post.identification.fitting.modal import Data, refine
+from hframe_post.identification.fitting.weighting import weights
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 from hframe_post.identification.responses.lever_arm import centre, line
 
-DRAWS, SEED = 12, 0
-TRIED = 150  # frequencies of each draw
-DAILY = 0.05  # relative: what belts, bearings and warmth change from day to day
-MOST = 0.2  # relative, beyond which a spread is not a model's
-SIGMAS = 2.0
+SAMPLES = 12
+DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
+MOST = 0.2  # a model that scatters by more is wrong in another way
 
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Standard deviations: of modes' frequencies and dampings (relative), lowest first, with how
-    much each mode counts; of the gain (relative)."""
+    """Relative standard deviations of the modes' frequencies and damping, and of the gain.
+
+    Modes are sorted by frequency; importance: size of each mode relative to the largest.
+    """
 
     hz: tuple[float, ...]
     damping: tuple[float, ...]
-    counts: tuple[float, ...]
+    importance: tuple[float, ...]
     gain: float
 
     @property
     def share(self) -> float:
-        """By which the printer may differ from the model, as `tune` draws printers."""
-        own = [hz * count for hz, count in zip(self.hz, self.counts, strict=True)]
-        return min(SIGMAS * max(own, default=0.0), MOST)
+        """Return the relative error of the model (two standard deviations) for `tune`."""
+        weighted = [hz * size for hz, size in zip(self.hz, self.importance, strict=True)]
+        return min(2.0 * max(weighted, default=0.0), MOST)
 
 
 def model_uncertainty(
     found: Fit, runs: Sequence[FrequencyResponse], band_hz: tuple[float, float]
-) -> Uncertainty | None:
-    """Of a model of modes; None of another one, whose roots cannot be told apart so."""
+) -> Uncertainty:
+    """Return the scatter of the model over bootstrap samples of ``runs``."""
     model = found.model
-    if not isinstance(model, Modal):
-        return None
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(0)
     inside = [run.within(band_hz) for run in runs]
     omega, zeta, gain = [], [], []
-    for _ in range(DRAWS):
+    for _ in range(SAMPLES):
         picked = rng.integers(len(inside), size=len(inside)).tolist()
-        part = average([noisy(inside[k], rng) for k in picked])
-        about = (model.place.delay - 1e-3, model.place.delay + 1e-3)
-        data = thinned(Data(part.hz, part.H, weights(part), modes_within(band_hz), about), TRIED)
-        drawn = refined(data, model.structure, model.place)
-        omega.append(drawn.place.omega)
-        zeta.append(drawn.place.zeta)
-        size = float(np.abs(drawn.response(part.hz)) @ np.abs(model.response(part.hz)))
+        part = average([with_noise(inside[k], rng) for k in picked])
+        delays = (model.delay - 1e-3, model.delay + 1e-3)
+        data = Data(part.hz, part.H, weights(part), model.mode_range_hz, delays).thinned(150)
+        refined = refine(data, model.structure, model.parameters)
+        omega.append(refined.parameters.omega)
+        zeta.append(refined.parameters.zeta)
+        size = float(np.abs(refined.response(part.hz)) @ np.abs(model.response(part.hz)))
         gain.append(size / float((np.abs(model.response(part.hz)) ** 2).sum()))
-    order = np.argsort(model.place.omega)
-    counts = (np.abs(model.c) + np.abs(model.d))[order]
+    order = np.argsort(model.parameters.omega)
+    sizes = (np.abs(model.c) + np.abs(model.d))[order]
     return Uncertainty(
-        _relative(np.array(omega)[:, order], model.place.omega[order]),
-        _relative(np.array(zeta)[:, order], model.place.zeta[order]),
-        tuple((counts / counts.max()).tolist()),
+        _relative(np.array(omega)[:, order], model.parameters.omega[order]),
+        _relative(np.array(zeta)[:, order], model.parameters.zeta[order]),
+        tuple((sizes / sizes.max()).tolist()),
         float(np.std(gain)),
     )
 
@@ -77,24 +75,24 @@ def model_uncertainty(
 def lever_arm_uncertainty(
     places: Sequence[float], responses: Sequence[FrequencyResponse], Gxx: FrequencyResponse
 ) -> tuple[float, float]:
-    """Standard deviations of x_c (mm) and of racking (relative), by the lever arm."""
-    rng = np.random.default_rng(SEED)
-    right = line(places, responses).slope
-    found, slopes = [], []
-    for _ in range(DRAWS):
-        drawn = line(places, [noisy(one, rng) for one in responses])
-        found.append(centre(drawn, Gxx.H)[0])
-        size = (right.power * right.H.conj() * drawn.slope.H).sum().real
-        slopes.append(size / (right.power * np.abs(right.H) ** 2).sum())
-    return float(np.std(found)), float(np.std(slopes))
+    """Return standard deviations of x_c (mm) and of racking (relative), found by the lever arm."""
+    rng = np.random.default_rng(0)
+    found = line(places, responses).slope
+    centres, slopes = [], []
+    for _ in range(SAMPLES):
+        sample = line(places, [with_noise(response, rng) for response in responses])
+        centres.append(centre(sample, Gxx.H)[0])
+        size = (found.power * found.H.conj() * sample.slope.H).sum().real
+        slopes.append(size / (found.power * np.abs(found.H) ** 2).sum())
+    return float(np.std(centres)), float(np.std(slopes))
 
 
-def noisy(response: FrequencyResponse, rng: np.random.Generator) -> FrequencyResponse:
-    """As it might have been measured."""
+def with_noise(response: FrequencyResponse, rng: np.random.Generator) -> FrequencyResponse:
+    """Return the response with random noise of the size that its coherence tells."""
     real, imaginary = rng.normal(size=(2, len(response.hz))) * np.sqrt(0.5)
-    drawn = response.noise * np.abs(response.H) * (real + 1j * imaginary)
-    return replace(response, H=response.H + drawn)
+    noise = response.noise * np.abs(response.H) * (real + 1j * imaginary)
+    return replace(response, H=response.H + noise)
 
 
-def _relative(drawn: Array, right: Array) -> tuple[float, ...]:
-    return tuple((np.std(drawn, axis=0) / right).tolist())
+def _relative(samples: Array, found: Array) -> tuple[float, ...]:
+    return tuple((np.std(samples, axis=0) / found).tolist())

@@ -1,4 +1,4 @@
-"""A measurement → its model, with what is to be said of it."""
+"""The model of a measured frequency response, with its warnings."""
 
 from __future__ import annotations
 
@@ -7,27 +7,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.fitting import checks, selection
 from hframe_post.identification.fitting.modal import Modal
-from hframe_post.identification.fitting.rational import Rational
-from hframe_post.identification.fitting.selection import MOST_POLES, Case
+from hframe_post.identification.fitting.selection import (
+    MAX_POLES,
+    UNEXPLAINED,
+    Case,
+    halves,
+    select,
+)
 from hframe_post.identification.fitting.weighting import Distortion
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.model.transfer_function import TransferFunction
-
-OVERDAMPED = 0.99  # damping ratio from which a mode does not ring
-UNKNOWN = 5e-5  # s of a delay that noise may leave unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
     """The transfer function ``G`` and how it was found.
 
-    gain: of the sensor, divided out. recording_delay: s, not part of G. printer_delay: s, part of
-    G in addition to its modes, with its bounds. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted
-    with input power and coherence; residual_over_noise: the same in units of the noise.
+    order: poles without those of the delay. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted with
+    input power and coherence; residual_over_noise: the same in units of the noise. gain: of the
+    sensor, not part of G. recording_delay: s, not part of G. printer_delay: s, part of G, with
+    its bounds.
     """
 
     G: TransferFunction
@@ -38,104 +40,126 @@ class Fit:
     recording_delay: float
     printer_delay: float
     printer_delay_bounds: tuple[float, float]
-    model: Modal | Rational
+    model: Modal
     warnings: tuple[str, ...]
-    notes: tuple[str, ...]
 
     @property
     def modes(self) -> list[tuple[float, float]]:
-        """(Hz, damping ratio) of what rings, lowest first."""
-        if isinstance(self.model, Modal):
-            place = self.model.place
-            pairs = zip(place.omega / (2.0 * np.pi), place.zeta, strict=True)
-            return sorted((float(hz), float(zeta)) for hz, zeta in pairs if zeta < OVERDAMPED)
-        poles = self.G.poles[self.G.poles.imag > 0.0]
-        return sorted(checks.natural(pole) for pole in poles)
+        """Return (Hz, damping ratio) of each mode that rings, lowest first."""
+        parameters = self.model.parameters
+        pairs = zip(parameters.omega / (2.0 * np.pi), parameters.zeta, strict=True)
+        return sorted((float(hz), float(zeta)) for hz, zeta in pairs if zeta < 0.99)
 
     def response(self, hz: Array) -> Complex:
-        """What is measured, by this model, at ``hz`` (k,): with gain and all delay."""
+        """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
         return self.model.response(hz)
 
 
 def fit(
     runs: Sequence[FrequencyResponse],
     whole: FrequencyResponse,
-    order: int | None,
-    at_rest: float,
+    racking: bool,
     band_hz: tuple[float, float],
-    late: tuple[float, float] = (0.0, 0.0),
+    delay_bounds: tuple[float, float] = (0.0, 0.0),
     distortion: Distortion | None = None,
     sensor: tuple[float, float] | None = None,
 ) -> Fit:
-    """The model of ``whole``, which ``runs`` have in common.
+    """Return the model of ``whole``, the mean of ``runs``.
 
-    order: poles, None: as many as the data support. at_rest: 1 for a position, 0 for racking.
-    late: bounds (s) of the recordings' own delay. distortion: of ``whole``, by what the sweep's
-    harmonics say is not linear. sensor: its gain, mean and standard deviation, where more
-    is known of it than that it is a sensor. Raises IdentificationError.
+    racking: whether it is 0 at rest, not a position, which is 1. delay_bounds: of the recording, s.
+    distortion: of ``whole``, by what is nonlinear. sensor: mean and standard deviation of its gain,
+    if calibrated. Raises IdentificationError.
     """
     inside = [run.within(band_hz) for run in runs]
     part = whole.within(band_hz)
-    if len(part.hz) < 2 * (order or MOST_POLES) + 2:
+    if len(part.hz) < 2 * MAX_POLES + 2:
         raise IdentificationError(
-            f"{len(part.hz)} frequencies in {band_hz[0]:g}–{band_hz[1]:g} Hz are too few to fit"
+            f"{len(part.hz)} frequencies in {band_hz[0]:g}–{band_hz[1]:g} Hz are too few to fit. "
+            "Choose a wider --band"
         )
-    left = None
+    remaining = None
     if distortion is not None:
-        inside, part = [distortion.without(run) for run in inside], distortion.without(part)
-        left = distortion.left(part.hz)
-    case = Case.of(part, inside, at_rest, band_hz, late, left, sensor)
-    return _told(case, selection.chosen(case, order))
+        inside = [distortion.removed_from(run) for run in inside]
+        part = distortion.removed_from(part)
+        remaining = distortion.remaining(part.hz)
+    case = Case(part, halves(inside), racking, band_hz, delay_bounds, remaining, sensor)
+    return _described(case, select(case))
 
 
-def _told(case: Case, model: Modal | Rational) -> Fit:
-    """The fit, and what is to be said of it."""
+def _described(case: Case, model: Modal) -> Fit:
     part = case.whole
     w = part.power * part.coherence
     error = np.abs(part.H - model.response(part.hz))
     residual = float(np.sqrt((w * error**2).sum() / (w * np.abs(part.H) ** 2).sum()))
-    over = selection.over(case, model)
-    if isinstance(model, Modal):
-        middle = sum(case.late) / 2.0
-        lag = max(model.place.delay - middle, 0.0)
-        latest, earliest = (max(model.place.delay - late, 0.0) for late in case.late)
-        gain = model.gain if case.at_rest else 1.0
-        G = model.discrete(lag, gain)
-        order, delay = model.structure.order, model.place.delay - lag
-    else:
-        G, gain, delay, lag, order = model.G, model.gain, model.delay, 0.0, model.G.order
-        earliest = latest = 0.0
-    notes, texts = checks.of_zeros(G) if case.at_rest else ((), ())
-    if isinstance(model, Rational):
-        texts = (*texts, *checks.of_roots(G, case.band_hz))
-        texts = (*texts, *checks.of_delay(delay, case.late))
-    texts = (*checks.of_order(order, over), *texts)
-    lags = (earliest, latest)
-    return Fit(G, order, residual, over, gain, delay, lag, lags, model, texts, notes)
+    over = case.residual_over_noise(model)
+    middle = sum(case.delay_bounds) / 2.0
+    printer_delay = max(model.delay - middle, 0.0)
+    latest, earliest = (max(model.delay - bound, 0.0) for bound in case.delay_bounds)
+    gain = 1.0 if case.racking else model.gain
+    G = model.discrete(printer_delay, gain)
+    order = model.structure.order
+    warnings = check_order(order, over) + ([] if case.racking else check_zeros(G))
+    return Fit(
+        G, order, residual, over, gain, model.delay - printer_delay, printer_delay,
+        (earliest, latest), model, tuple(warnings),
+    )  # fmt: skip
 
 
-def with_gain(found: Fit, gain: float) -> Fit:
-    """Racking as a sensor of that gain across measured it."""
-    G = replace(found.G, gain=found.G.gain / gain)
-    return replace(found, G=G, gain=gain)
+def with_gain(racking: Fit, gain: float) -> Fit:
+    """Return racking for a sensor that reads ``gain`` along the axis across."""
+    G = replace(racking.G, gain=racking.G.gain / gain)
+    return replace(racking, G=G, gain=gain)
 
 
-def at_one_time(x: Fit, y: Fit) -> tuple[Fit, Fit]:
-    """Both axes with the delay that they may have in common, as drivers and belts are alike.
+def with_common_delay(x: Fit, y: Fit) -> tuple[Fit, Fit]:
+    """Return both axes with one printer delay, if they may have it in common.
 
-    When a recording began is known to a fraction of its sensor's period only, and the delay of
-    recording and printer together far better. What is left of it for the printer is an interval;
-    where those of both axes overlap, or nearly so, one delay serves both.
+    Drivers and belts of both axes are alike. The start of a recording is known to a fraction of
+    the sensor's period only, but the delay of recording and printer together far better. This
+    leaves an interval for the printer's delay. If the intervals of both axes overlap within 0.05
+    ms, which noise may hide, the middle of the overlap is the delay of both.
     """
-    low, high = (
-        choose(one.printer_delay_bounds[k] for one in (x, y)) for k, choose in ((0, max), (1, min))
-    )
-    if not isinstance(x.model, Modal) or not isinstance(y.model, Modal) or low > high + UNKNOWN:
+    low = max(x.printer_delay_bounds[0], y.printer_delay_bounds[0])
+    high = min(x.printer_delay_bounds[1], y.printer_delay_bounds[1])
+    if low > high + 5e-5:
         return x, y
-    lag = (low + high) / 2.0
-    return _behind(x, x.model, lag), _behind(y, y.model, lag)
+    delay = (low + high) / 2.0
+    return _with_delay(x, delay), _with_delay(y, delay)
 
 
-def _behind(found: Fit, model: Modal, lag: float) -> Fit:
-    G = model.discrete(lag, found.gain)
-    return replace(found, G=G, recording_delay=model.place.delay - lag, printer_delay=lag)
+def _with_delay(found: Fit, delay: float) -> Fit:
+    G = found.model.discrete(delay, found.gain)
+    rest = found.model.delay - delay
+    return replace(found, G=G, recording_delay=rest, printer_delay=delay)
+
+
+def check_order(order: int, residual_over_noise: float) -> list[str]:
+    """Return a warning if the noise does not explain the residual.
+
+    Of linear printers the residual is 1.6 times the noise at most.
+    """
+    if residual_over_noise <= UNEXPLAINED:
+        return []
+    return [
+        f"order {order} is too low, or the printer is not linear: the residual is "
+        f"{residual_over_noise:.1f} times what the noise explains"
+    ]
+
+
+def check_zeros(G: TransferFunction) -> list[str]:
+    """Return a warning on zeros ζ outside the unit circle that no preview can cancel.
+
+    To cancel one, the command must begin earlier, by what decays as |ζ|^−k over k samples. Any
+    preview does for the zeros of sampling, which lie far outside; none does for one very near the
+    circle. Near half the sampling rate nothing is commanded, so zeros above 250 Hz do not count.
+    """
+    outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
+    slow = np.abs(outside[np.abs(np.angle(outside)) < np.pi / 2.0])
+    # until 1 % is left of the lead; any window has 0.1 s to spare
+    lead = float(TS * np.log(100.0) / np.log(slow.min(initial=np.inf)))
+    if lead <= 0.1:
+        return []
+    return [
+        "the model has zeros just outside the unit circle; to cancel them, commands must begin "
+        f"{1e3 * lead:.0f} ms early"
+    ]

@@ -1,4 +1,4 @@
-"""Window and λ for a plant that was found, and what they are predicted to do."""
+"""Window and λ recommended for an identified plant, and their predicted effect."""
 
 from __future__ import annotations
 
@@ -18,14 +18,12 @@ from hframe_post.studies.simulation.simulate import Study, simulate
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.tuning.tune import candidates, recommended, tune
 
-DRAWS = 10
-
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The windows of x and y for the plant that was found, and what they are predicted to do.
+    """The windows of x and y for an identified plant, and their predicted effect.
 
-    rms_at_ends: µm RMS that stay at other places of a printer that changes along x.
+    rms_at_ends: contour error in µm RMS at the ends of x, for a printer that changes along x.
     """
 
     windows: tuple[Window, Window]
@@ -33,11 +31,11 @@ class Recommendation:
     rms_at_ends: list[float]
 
     def rms(self, strategy: str) -> float:
-        """Predicted contour error of the rectangle, µm."""
+        """Return the predicted contour error of the rectangle, µm."""
         return 1e3 * self.predicted.parts.whole[strategy].contour.rms
 
     def as_json(self) -> dict[str, Any]:
-        """Ready for ``json.dumps``."""
+        """Return the recommendation, ready for ``json.dumps``."""
         x, y = self.windows
         return {
             "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
@@ -61,17 +59,16 @@ class Recommendation:
 
 @one_blas_thread()
 def recommend(
-    plant: Plant, profile: Printer, model_error: float, elsewhere: Sequence[Plant] = ()
+    plant: Plant, profile: Printer, model_error: float, plants_at_ends: Sequence[Plant] = ()
 ) -> Recommendation | None:
-    """The best windows for the plant on that machine, and for the same printer ``elsewhere``.
+    """Return the best windows for ``plant`` on the machine of ``profile``.
 
-    model_error: share by which the printer may differ from the plant.
-
-    None if the motors can follow none, or if a printer as near to the plant as it is known would
-    be worse off than without compensation.
+    model_error: share by which the printer may differ from the plant; the windows are judged on ten
+    random printers that differ by as much, and on ``plants_at_ends``. None if the motors can
+    follow no window, or if one of these printers would be worse off than without compensation.
     """
-    own = replace(profile, plant=plant, name="the printer that was found")
-    printers = [*draws(plant, model_error, DRAWS, seed=0), *elsewhere]
+    own = replace(profile, plant=plant, name="the identified printer")
+    printers = [*draws(plant, model_error, 10, seed=0), *plants_at_ends]
     trials = tune(rectangle(own), own, candidates(own.compensation), printers)
     best = recommended(trials, own.motors)
     if best is None:
@@ -82,10 +79,10 @@ def recommend(
     options = Options("racking", tuple(STRATEGIES), clamp=True)
     study = Study(plant, {model_error: printers}, name=own.name)
     predicted = simulate(rectangle(own), own, options, study)
-    (like,) = predicted.model_error
-    if like.better("racking", "none") < len(printers):
+    (similar,) = predicted.model_error
+    if similar.better("racking", "none") < len(printers):
         return None
-    rms = [1e3 * one for one in like.rms("racking")]
+    rms = [1e3 * error for error in similar.rms("racking")]
     return Recommendation(
-        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(elsewhere) :]
+        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(plants_at_ends) :]
     )

@@ -1,4 +1,4 @@
-"""What every fit of a frequency response takes for granted: noise, sensors, where modes lie."""
+"""Assumptions shared by all fits: measurement noise, sensor gain, and where modes may lie."""
 
 from __future__ import annotations
 
@@ -10,54 +10,52 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 
-FLOOR = 0.003  # relative noise of H below which no measurement is believed
-SMALL = 0.002  # the same, of the largest |H|
-QUIET = 1e-3  # input power, of the median, below which a frequency counts nothing
-SENSOR = (1.0, 0.03)  # gain of a sensor: what is expected, and one standard deviation
-EXACT = (1.0, 1e-4)  # of one that reads what is
-LEFT = 0.3  # of what is not linear, which its cause does not tell at the least
-INSIDE = 0.5  # of the band's low end, below which no pole lies
+NOISE_FLOOR = 0.003  # relative noise of H that is assumed at the least
+# gain of a sensor, as mean and standard deviation: of any sensor, and of an exact one
+SENSOR = (1.0, 0.03)
+EXACT = (1.0, 1e-4)
 
 
 @dataclass(frozen=True, slots=True)
 class Distortion:
-    """Of a measured response, by what is not linear: share (k,) of it at hz (k,), ascending.
+    """The share (k,) of a measured response that is nonlinear, at hz (k,) ascending.
 
-    sure: how much of that is known in phase and size, 0 … 1.
+    certain: how much of it is known in phase and size, 0 to 1.
     """
 
     hz: Array
     share: Complex
-    sure: float
+    certain: float
 
     def at(self, hz: Array) -> Complex:
-        """Its share at other frequencies."""
+        """Return the share interpolated at ``hz``."""
         real, imaginary = (np.interp(hz, self.hz, k) for k in (self.share.real, self.share.imag))
         return np.asarray(real + 1j * imaginary)
 
-    def without(self, response: FrequencyResponse) -> FrequencyResponse:
-        """The linear part of a response, as far as it is known."""
-        return replace(response, H=response.H * (1.0 - self.sure * self.at(response.hz)))
+    def removed_from(self, response: FrequencyResponse) -> FrequencyResponse:
+        """Return the linear part of a response, as far as it is known."""
+        return replace(response, H=response.H * (1.0 - self.certain * self.at(response.hz)))
 
-    def left(self, hz: Array) -> Array:
-        """What ``without`` may leave of it, relative."""
-        return np.asarray(max(1.0 - self.sure, LEFT) * np.abs(self.at(hz)))
-
-
-def modes_within(band_hz: tuple[float, float]) -> tuple[float, float]:
-    """Where modes may lie, Hz, of a measurement of that band."""
-    return INSIDE * band_hz[0], band_hz[1]
+    def remaining(self, hz: Array) -> Array:
+        """Return the relative error (k,) that ``removed_from`` may leave, at least 30 %."""
+        return np.asarray(max(1.0 - self.certain, 0.3) * np.abs(self.at(hz)))
 
 
-def weights(part: FrequencyResponse, floor: float | Array = FLOOR) -> Array:
-    """One over the standard deviation of H, (k,), which is never below ``floor`` of it.
+def mode_range(band_hz: tuple[float, float]) -> tuple[float, float]:
+    """Return the frequencies (Hz) between which modes may lie, for a measured band."""
+    return 0.5 * band_hz[0], band_hz[1]
 
-    Raises IdentificationError without a signal.
+
+def weights(part: FrequencyResponse, noise_floor: float | Array = NOISE_FLOOR) -> Array:
+    """Return one over the standard deviation of H, (k,).
+
+    The standard deviation is at least ``noise_floor`` of |H| and 0.2 % of the largest |H|.
+    Frequencies that the sweep hardly excites get 0. Raises IdentificationError without a signal.
     """
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
     largest = float(np.abs(part.H).max(initial=0.0))
     if largest == 0.0 or not (part.power * part.coherence).any():
         raise IdentificationError("the frequency response or its coherence is zero in the band")
-    sd = np.hypot(np.hypot(part.noise, floor) * np.abs(part.H), SMALL * largest)
-    return np.asarray((part.power > QUIET * np.median(part.power)) / sd)
+    sd = np.hypot(np.hypot(part.noise, noise_floor) * np.abs(part.H), 0.002 * largest)
+    return np.asarray((part.power > 1e-3 * np.median(part.power)) / sd)

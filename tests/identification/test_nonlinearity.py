@@ -1,4 +1,4 @@
-"""Harmonics of the sweep, and the cause that they tell."""
+"""The cause of a nonlinearity, found from the harmonics of sweeps."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.diagnosis.causes import Linear, played
-from hframe_post.identification.diagnosis.linearity import Nonlinearity, Swept, nonlinearity
+from hframe_post.identification.diagnosis.nonlinearity import (
+    AxisSweeps,
+    LinearPrinter,
+    Nonlinearity,
+    find_nonlinearity,
+    with_backlash,
+)
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.responses.harmonics import harmonics
 from hframe_post.model.transfer_function import TransferFunction
@@ -28,7 +33,7 @@ def responds(G: TransferFunction, hz: Array) -> Complex:
 
 
 def both(machine: Machine, chip: Chip, step: float = 0.0) -> Nonlinearity | None:
-    axes: dict[str, Swept] = {}
+    axes: dict[str, AxisSweeps] = {}
     exact = LINEAR.exact()
     for run in swept(machine, chip, (140.0,), (140.0,), 1, step=step):
         u = acceleration(run.command[:, run.axis])
@@ -36,18 +41,18 @@ def both(machine: Machine, chip: Chip, step: float = 0.0) -> Nonlinearity | None
         found = harmonics(u, aligned(u, run.nozzle, run.axis).acceleration[:, run.axis])
         assert found is not None
         G = (exact.Gxx, exact.Gyy)[run.axis]
-        printer = Linear(partial(responds, G), 1.0, machine.x.delay)
-        axes["xy"[run.axis]] = Swept([(run.command[:, run.axis], found)], printer)
-    return nonlinearity(axes, STEP)
+        printer = LinearPrinter(partial(responds, G), 1.0, machine.x.delay)
+        axes["xy"[run.axis]] = AxisSweeps([(run.command[:, run.axis], found)], printer)
+    return find_nonlinearity(axes, STEP)
 
 
 @pytest.mark.parametrize("noise", [4.0, 20.0])
-def test_a_linear_printer_has_none(noise: float) -> None:
+def test_a_linear_printer_has_no_nonlinearity(noise: float) -> None:
     assert both(LINEAR, Chip(noise=noise, gains=(1.04, 0.97, 1.0))) is None
 
 
-def test_whole_motor_steps_are_none_and_hide_none() -> None:
-    """They make harmonics, of 1 to 2 % of the answer, that go along with no cause."""
+def test_motor_steps_neither_count_nor_hide_backlash() -> None:
+    """Steps make harmonics of 1 to 2 % of the answer that correlate with no cause."""
     assert both(LINEAR, Chip(), STEP) is None
     loose = Machine(replace(LINEAR.x, play=0.02), replace(LINEAR.y, play=0.02))
     found = both(loose, Chip(), STEP)
@@ -66,9 +71,7 @@ def test_whole_motor_steps_are_none_and_hide_none() -> None:
         ({"third": 0.05}, "hardening", None),
     ],
 )
-def test_the_cause_and_its_size_are_told(
-    changed: dict[str, Any], cause: str, size: float | None
-) -> None:
+def test_cause_and_size_are_found(changed: dict[str, Any], cause: str, size: float | None) -> None:
     machine = Machine(replace(LINEAR.x, **changed), replace(LINEAR.y, **changed))
     found = both(machine, Chip())
     assert found is not None
@@ -78,11 +81,10 @@ def test_the_cause_and_its_size_are_told(
         assert found.size == pytest.approx(size, rel=0.15)
 
 
-def test_play_is_that_of_a_carriage_that_is_pushed() -> None:
-    """By the recurrence, sample by sample."""
+def test_backlash_agrees_with_its_recurrence() -> None:
     u = np.cumsum(np.random.default_rng(1).normal(size=1000))
     y, expected = u[0], []
     for at in u:
         y = min(max(y, at - 0.5), at + 0.5)
         expected.append(y)
-    assert played(u, 1.0) == pytest.approx(np.array(expected))
+    assert with_backlash(u, 1.0) == pytest.approx(np.array(expected))
