@@ -1,4 +1,4 @@
-"""Two files that ask for the same are the same, however written; each change is found."""
+"""Comparison of files: the same motion is the same however written, and each change is found."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ G1 E-1 F1800
 
 
 def compared(a: bytes, b: bytes, place: float = 1e-3, slack: float = 1e-3) -> Comparison:
-    of_a, of_b = a.splitlines(keepends=True), b.splitlines(keepends=True)
-    return compare(of_a, of_b, KLIPPER, Tolerance(place, slack))
+    lines_a, lines_b = a.splitlines(keepends=True), b.splitlines(keepends=True)
+    return compare(lines_a, lines_b, KLIPPER, Tolerance(place, slack))
 
 
 def changed(old: bytes, new: bytes) -> bytes:
@@ -44,9 +44,9 @@ def changed(old: bytes, new: bytes) -> bytes:
 def test_a_file_is_the_same_as_itself() -> None:
     same = compared(PART, PART)
     assert same.same
-    assert same.apart == 0.0
+    assert same.distance == 0.0
     assert same.moves == (5, 5)
-    assert same.others == 6
+    assert same.other_lines == 6
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_file_is_the_same_as_itself() -> None:
         changed(b"G92 E0", b"G92 E0.0004"),
     ],
 )  # fmt: skip
-def test_what_asks_for_the_same_is_the_same(same: bytes) -> None:
+def test_another_spelling_of_the_same_motion_is_the_same(same: bytes) -> None:
     assert compared(PART, same).same
     assert compared(same, PART).same
 
@@ -92,12 +92,12 @@ def test_the_first_difference_is_named(other: bytes, what: str, line: int | None
     assert not compared(other, PART).same
 
 
-def test_times_that_are_off_by_little_everywhere_add_up_to_too_much() -> None:
+def test_small_differences_in_time_add_up() -> None:
     part = b"G1 X10 F6000\n;a\nG1 X0\n;a\n" * 500
     late = part.replace(b"F6000", b"F5994")  # 0.1 ms in each section
-    told = compared(part, late).difference
-    assert told is not None
-    assert "later" in told.what
+    difference = compared(part, late).difference
+    assert difference is not None
+    assert "later" in difference.what
 
 
 def test_the_firmware_decides_what_e_means() -> None:
@@ -107,7 +107,7 @@ def test_the_firmware_decides_what_e_means() -> None:
     assert not compare(whole, cut, KLIPPER).same  # E is relative there, as X is
 
 
-def test_arcs_are_paths_however_given() -> None:
+def test_arcs_by_centre_and_by_radius_are_the_same() -> None:
     by_centre = b"G1 X10 Y0 F600\nG3 X0 Y10 I-10 J0 E1\nG2 X0 Y10 I5 J0\n"
     by_radius = b"G1 X10 Y0 F600\nG3 X0 Y10 R10 E1\nG2 X0 Y10 I5\n"
     assert compared(by_centre, by_radius).same
@@ -116,7 +116,7 @@ def test_arcs_are_paths_however_given() -> None:
     assert flat.a == 2
 
 
-def test_what_cannot_be_read_says_in_which_file() -> None:
+def test_an_error_names_the_file_and_line() -> None:
     with pytest.raises(GcodeError, match="b: line 3: a word or number cannot be read"):
         compared(PART, changed(b"X10 Y10 F6000", b"X1.0.0 Y10"))
 
@@ -151,12 +151,12 @@ def test_decimation_is_within_its_tolerance_and_strategies_differ(
     usual, dense, fbs = converted["usual"], converted["dense"], converted["fbs"]
     same = hp.testing.assert_same_motion(usual, dense, tolerance=1.5 * TOLERANCE)
     assert same.moves[1] > 3 * same.moves[0]
-    with pytest.raises(AssertionError, match="different: b is ") as failure:
+    with pytest.raises(AssertionError, match="different: b ") as failure:
         hp.testing.assert_same_motion(usual, fbs)
     assert re.search(r"a, line \d+: X[\d.]+ Y[\d.]+", str(failure.value))
     with pytest.raises(AssertionError):
         hp.testing.assert_same_motion(usual, dense, tolerance=TOLERANCE / 10.0)
 
 
-def test_contents_do_as_well_as_paths(converted: dict[str, Path]) -> None:
+def test_contents_can_be_given_instead_of_paths(converted: dict[str, Path]) -> None:
     hp.testing.assert_same_motion(converted["fbs"].read_bytes(), str(converted["fbs"]))
