@@ -1,4 +1,4 @@
-"""Reading: modal state, what passes, what is refused; pygcode as the oracle of plain moves."""
+"""Reading: modal state, pass-through lines, and what is refused."""
 
 from __future__ import annotations
 
@@ -16,11 +16,9 @@ from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import batching, curves
 from hframe_post.gcode.commands import KLIPPER, dialect
-from hframe_post.gcode.lexer import Line, numbers
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.stream.types import Handling, Mark, Moves, Passthrough, Standing
-from tests.conftest import SAMPLES
 from tests.gcode.reading import HOME, carried, ends, items, moves
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
@@ -292,20 +290,3 @@ def test_full_circle_and_helix_in_proportion() -> None:
     assert points[-1].tolist() == [0, 0, 2, 4]
     np.testing.assert_allclose(points[:, 3], 2 * points[:, 2], atol=1e-9)
     assert points[:, 0].min() == pytest.approx(-20, abs=0.05)
-
-
-# ---------------------------------------------------------------------- pygcode
-
-
-@pytest.mark.parametrize("name", ["rectangle", "cube", "prism"])
-def test_pygcode_reads_the_same_numbers(name: str) -> None:
-    from pygcode.words import text2words
-
-    lines = set((SAMPLES / f"{name}.gcode").read_bytes().splitlines())
-    moving = sorted(line for line in lines if line.split(b" ")[0] in (b"G0", b"G1", b"G92"))
-    for line in moving[:: max(len(moving) // 3000, 1)]:
-        text = line.partition(b";")[0]
-        words = {w.letter: w.value for w in text2words(text.decode())}
-        del words["G"]
-        ours = numbers(Line(1, line), text.partition(b" ")[2], "XYZEF")
-        assert ours == words

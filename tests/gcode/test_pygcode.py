@@ -1,0 +1,117 @@
+"""pygcode as the oracle of plain geometric lines: G0, G1, G2, G3 and G92.
+
+pygcode (https://pypi.org/project/pygcode) reads words as we do, but it refuses a plus sign. Its
+``Machine`` follows X, Y and Z in absolute and relative coordinates, in the units of the file; it
+has no E and gives G92 another meaning, so those are compared as words only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from pygcode import Line as PygcodeLine
+from pygcode import Machine
+from pygcode.words import text2words
+
+from hframe_post.gcode.commands import KLIPPER, MOTION_WORDS
+from hframe_post.gcode.lexer import Line, command, numbers, uncommented
+from hframe_post.gcode.options import ReadOptions
+from hframe_post.gcode.reader import read
+from hframe_post.stream.types import Moves, Standing
+from tests.conftest import SAMPLES
+from tests.slices import SLICES
+
+QUIRKS = Path(__file__).parent.parent / "quirks"
+NAMES = ("G0", "G1", "G2", "G3", "G92")
+BY_HAND = b"""G90
+G1 X1 Y2 Z0.5 F20
+G0 X-.5 Y+3
+G91
+G1 X.25 Y-1. F30
+G2 X1 Y0 I.5 J0
+G3 X-2 Y2 R2
+G3 X-2 Y2 R-1.5
+G1 Z.1
+G90
+G2 X3 Y3 I0 J1.5 Z1
+G92 X0 Y0
+G92 E0
+g1x3y2e.5
+"""
+FILES = {
+    **{path.name: path.read_bytes() for folder in (SAMPLES, QUIRKS) for path in folder.glob("*")},
+    **{name: each.text.encode() for name, each in SLICES.items()},
+    "by hand": BY_HAND,
+}
+
+
+def geometric_lines(text: bytes) -> list[tuple[Line, str, bytes]]:
+    """Return the lines of a file that are G0, G1, G2, G3 or G92: line, name, arguments."""
+    found = []
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = Line(number, raw.removeprefix(b"\xef\xbb\xbf"))
+        # a line number would be a word of its own, and a checksum is no G-code to pygcode
+        if line.text[:1] not in b"Nn" and (coded := command(line)) and coded.name in NAMES:
+            found.append((line, *coded))
+    return found
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_pygcode_reads_the_same_words(name: str) -> None:
+    """At most twenty lines of every form, such as ``G1 X9.999 E.99``."""
+    forms: Counter[bytes] = Counter()
+    for line, code, arguments in geometric_lines(FILES[name]):
+        text = uncommented(line.text).strip()
+        form = re.sub(rb"\d+", b"9", text)
+        forms[form] += 1
+        if forms[form] > 20:
+            continue
+        words = text2words(text.replace(b"+", b"").decode())
+        assert f"G{next(words).value:g}" == code
+        expected = {word.letter: word.value for word in words}
+        assert numbers(line, arguments, MOTION_WORDS[code] + "F") == expected
+
+
+def test_every_command_occurs() -> None:
+    lines = [line for text in FILES.values() for line in geometric_lines(text)]
+    assert {name for _, name, _ in lines} == set(NAMES)
+    arcs = [
+        set(re.findall(rb"[IJR]", line.text)) for line, name, _ in lines if name in ("G2", "G3")
+    ]
+    assert {b"R"} in arcs
+    assert {b"I", b"J"} in arcs
+
+
+def without_e(text: bytes) -> list[bytes]:
+    """Return the first lines of a file that only draw: no E, and no line that Machine lacks."""
+    kept = []
+    for raw in text.splitlines():
+        plain = (
+            re.sub(rb"\s*[Ee]\s*[-+.\d]+", b"", uncommented(raw).upper()).strip().replace(b"+", b"")
+        )
+        if re.match(rb"G0?[0-3](?!\d)\s*[XYZIJR]|G9[01](?!\d)", plain):
+            kept.append(plain)
+    return kept[:1500]
+
+
+@pytest.mark.parametrize("unit", ["G21", "G20"])
+@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode", "by hand", *SLICES])
+def test_moves_end_where_pygcode_ends(name: str, unit: str) -> None:
+    lines = [b"G1 F3000", *without_e(FILES[name])]
+    read_lines = [b"G92 X0 Y0 Z0", unit.encode(), *lines]
+    ends = {}
+    for item in read(read_lines, ReadOptions(KLIPPER)):
+        if isinstance(item, Moves):
+            ends.update(zip(item.line.tolist(), item.points[1:, :3].tolist(), strict=True))
+        elif isinstance(item, Standing):
+            ends[item.line] = list(item.end[:3])
+    machine, scale = Machine(), 25.4 if unit == "G20" else 1.0
+    for number, line in enumerate(lines, 3):
+        machine.process_block(PygcodeLine(line.decode()).block)
+        if number in ends:
+            expected = [scale * getattr(machine.pos, axis) for axis in "XYZ"]
+            assert ends[number] == pytest.approx(expected, abs=1e-9), line
+    assert len(ends) > 5
