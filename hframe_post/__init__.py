@@ -76,7 +76,7 @@ _ROOMS = {  # of the names above: the module that has each, and what it is calle
 
 
 def __getattr__(name: str) -> Any:
-    """Imports what is first asked for, so that the package itself costs nothing (PEP 562)."""
+    """Import a name when it is first used, so that importing the package is cheap (PEP 562)."""
     if name == "testing":  # a module, for the tests of others
         return import_module(f"{__name__}.testing")
     if name not in _ROOMS:
@@ -88,5 +88,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """All names, imported or not."""
+    """Return all names, imported or not."""
     return sorted({*globals(), *__all__})

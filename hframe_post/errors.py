@@ -4,9 +4,9 @@ from pathlib import Path
 
 
 def one_line(text: str) -> str:
-    """The text with what cannot be printed, line ends too, written as escapes.
+    """Return the text with line ends and other unprintable characters as escapes.
 
-    What a file is called or holds must not add a line to the output, nor steer a terminal.
+    The name or content of a file must not add lines to the output or control a terminal.
     """
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(shown)

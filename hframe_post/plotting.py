@@ -27,26 +27,26 @@ STYLE = {
 
 
 def save(figure: Figure, file: IO[bytes], kind: str) -> None:
-    """Writes ``png`` or ``svg`` without what changes from run to run."""
+    """Write a ``png`` or ``svg`` without metadata that changes from run to run."""
     volatile = ("Date", "Creator") if kind == "svg" else ("Software",)
     figure.savefig(file, format=kind, dpi=DPI, metadata=dict.fromkeys(volatile))
 
 
 def ready(folder: Path) -> None:
-    """Makes the folder, and raises HframeError before any work if matplotlib is missing."""
+    """Create the folder. Raises HframeError if matplotlib is missing."""
     canvas(1, 1, (1.0, 1.0))
     folder.mkdir(parents=True, exist_ok=True)
 
 
 def save_all(drawings: Mapping[str, Figure], opened: Callable[[str], IO[bytes]]) -> None:
-    """Each as PNG and SVG; ``opened`` is asked for the file of a name."""
+    """Write each figure as PNG and SVG; ``opened`` returns the open file for a name."""
     for name, drawing in drawings.items():
         for kind in ("png", "svg"):
             save(drawing, opened(f"{name}.{kind}"), kind)
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:
-    """A figure with its axes. Raises HframeError without matplotlib."""
+    """Return a figure with its axes. Raises HframeError if matplotlib is missing."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
@@ -59,11 +59,11 @@ def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, 
 
 
 def decibel(H: Complex) -> Array:
-    """Magnitude of ``H`` in dB."""
+    """Return the magnitude of ``H`` in dB."""
     decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), TINY))
     return decibel
 
 
 def degrees(H: Complex) -> Array:
-    """Phase of ``H`` in degrees, unwrapped."""
+    """Return the unwrapped phase of ``H`` in degrees."""
     return np.degrees(np.unwrap(np.angle(H)))

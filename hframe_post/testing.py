@@ -25,11 +25,11 @@ def assert_same_motion(
     slack: float = 1e-3,
     firmware: str = "klipper",
 ) -> Comparison:
-    """Raises AssertionError, with the first difference, unless both ask for the same motion.
+    """Raise AssertionError, with the first difference, unless both files ask for the same motion.
 
     expected, actual: paths or contents of G-code files. tolerance: mm in place and in
-    filament; slack: s in time. All lines that are no moves must be the same. Returns what was
-    compared. Raises HframeError, OSError where one of them cannot be read.
+    filament; slack: s in time. All lines that are not moves must be equal. Returns the comparison.
+    Raises HframeError or OSError if a file cannot be read.
     """
     __tracebackhide__ = True  # pytest shows the caller
     with ExitStack() as files:

@@ -14,7 +14,6 @@ from hframe_post import plotting
 from hframe_post.cli.options import files_read, printer_option
 from hframe_post.errors import PrinterError
 from hframe_post.paper import plots, results, tables
-from hframe_post.paper.printed import coefficients_off
 from hframe_post.paper.widths import widths
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -70,7 +69,7 @@ def _compute(
     approximations = results.approximations(profile.plant, xy)
     time_responses = results.time_responses(profile.plant, xy)
     texts = [
-        tables.coefficients(coefficients_off(profile.plant)),
+        tables.coefficients(tables.coefficients_off(profile.plant)),
         tables.approximation(approximations),
         tables.time_response(time_responses),
         tables.previews(results.previews(profile, xy)),

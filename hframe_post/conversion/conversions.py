@@ -147,13 +147,13 @@ class SpanWriter:
                 span = next(source, None)
             except HframeError as error:  # raised below, after the spans that precede it
                 span, unreadable = None, error
-            if span is not None and span.held:
+            if span is not None and span.in_memory:
                 pending.append(pool.submit(_write_in_worker, span))
-            while len(pending) > (most_pending if span is not None and span.held else 0):
+            while len(pending) > (most_pending if span is not None and span.in_memory else 0):
                 yield pending.popleft().result()
             if span is None:
                 break
-            if not span.held:
+            if not span.in_memory:
                 yield self.streamed(span)
         if unreadable is not None:
             raise unreadable

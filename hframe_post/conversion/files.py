@@ -1,6 +1,6 @@
-"""From file to file: the formats of the output, by suffix or by name, and the files of each.
+"""Output formats, chosen by suffix or by name, and how each is saved.
 
-A new format is a conversion in ``pipeline`` over its writer, and a row of ``FORMATS`` here.
+To add a format, write a conversion in ``conversions`` and a row of ``FORMATS`` here.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ PACKED = (".gz", ".zst")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a conversion is written, and with what other files it appears.
+    """Where a conversion is written, and the other files that appear together with it.
 
-    path None: standard output. instead_of: the input, which it may replace.
+    path: None is standard output. instead_of: the input, which may be replaced.
     """
 
     outputs: Outputs
@@ -46,16 +46,16 @@ class Target:
     instead_of: Path | None = None
 
     def open(self) -> IO[bytes]:
-        """The file to write."""
         return self.outputs.open(self.path, self.instead_of)
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One kind of output: what converts to it, and what saves that.
+    """One kind of output: the conversion, and the function that saves it.
 
-    save: to a target; the text says what made it. suffixes: that choose this format; packs:
-    whether a further .gz or .zst compresses it. divides: whether ``convert`` takes ``jobs``.
+    save: takes the conversion, the target and a text that says what made it. suffixes: those that
+    choose this format. packs: whether a further .gz or .zst compresses it. divides: whether
+    ``convert`` takes ``jobs``.
     """
 
     convert: Callable[..., Conversion]
@@ -74,10 +74,12 @@ def convert(
     kind: str = "gcode",
     jobs: int = 1,
 ) -> Report:
-    """Converts and writes, for the target's outputs to appear. Raises HframeError, OSError.
+    """Convert lines and write the target, which appears with its outputs.
 
-    target None: nothing is written. kind: one of ``FORMATS``. jobs: processes that compute, for
-    a format that can be computed so. A plant that is not the printer's own compensates nothing.
+    Raises HframeError, OSError.
+
+    target None: nothing is written. kind: one of ``FORMATS``. jobs: number of processes, for
+    formats that can use several. A plant that was not measured must not be compensated for.
     """
     if target is not None and options.strategy != "none":
         check_identified(printer)
@@ -93,9 +95,11 @@ def convert(
 
 
 def chosen_format(output: Path | None, asked: str | None, source: Path | None = None) -> str:
-    """The format for the file ``output``; None: another or no file. Raises HframeError.
+    """Return the format for the file ``output``, or for None: standard output.
 
-    source: the input, where that is to be replaced: binary G-code stays binary.
+    Raises HframeError.
+
+    source: the input if it is to be replaced; binary G-code stays binary.
     """
     if asked is not None and asked not in FORMATS:
         raise HframeError(f"no format is named {asked!r}; there are {', '.join(FORMATS)}")
@@ -112,7 +116,7 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
 
 
 def _suffixes(path: Path | None) -> tuple[str, str]:
-    """The suffix that tells the format, and that of packing."""
+    """Return the suffix that chooses the format, and that of the compression."""
     suffixes = path.suffixes if path is not None else []
     packing = suffixes.pop() if suffixes and suffixes[-1] in PACKED else ""
     return (suffixes[-1] if suffixes else ""), packing
@@ -135,7 +139,7 @@ def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
 
 
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
-    """The step file and, where it is a file, the one of its events beside it."""
+    """Write the step file and, next to a regular file, the file of its events."""
     out = target.open()
     if target.path is None:
         out.writelines(inlined(conversion))
@@ -151,7 +155,6 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
 
 
 def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
-    """The table of samples as its suffix says."""
     kind, packing = _suffixes(target.path)
     out = target.open()
     if target.path is not None and kind == ".npz":

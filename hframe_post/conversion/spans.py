@@ -1,8 +1,8 @@
-"""The print in spans that are computed apart, cut by a rule of the input alone.
+"""A print cut into spans that are computed separately, by a rule that depends on the input alone.
 
-A span ends before a retraction or lift, where the machine stands and a command has come to rest,
-once it has lasted SECONDS as its plan has it. So what is written never depends on who computes
-it. A print that never stops is one span.
+A span ends before a retraction or lift, where the machine stands and its command has come to rest,
+once its plan has lasted SECONDS. The output therefore does not depend on who computes a span. A
+print that never stops is one span.
 """
 
 from __future__ import annotations
@@ -14,18 +14,16 @@ import numpy as np
 
 from hframe_post.stream.types import Halt, Handling, Passthrough, Plan, Planned, Position, Standing
 
-SECONDS = 240.0  # two stops longer by 80 ms each are nothing to it
-MOST_ITEMS = 20_000  # of a span that is handed over whole
-LONGEST = 4.0 * SECONDS  # of such a span
-SURELY = 1.0  # mm of path that are never written without taking the machine over
+SECONDS = 240.0  # each cut costs some 0.1 s of print time
+MAX_ITEMS = 20_000  # of a span that is handed to a worker; bounds the memory
 
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """How a span finds the machine.
+    """The state of the machine at the beginning of a span.
 
-    place: x, y, z, e where it stands in the stream's hands, mm; None: in nobody's, as at the start.
-    offset: of the user's G92, mm.
+    place: x, y, z, e in mm; None if the output does not control the machine, as at the start.
+    offset: the user's G92, mm.
     """
 
     place: Position | None = None
@@ -34,29 +32,29 @@ class Beginning:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Planned items that are computed together.
+    """Planned items that are computed together; a Halt ends all spans but the last.
 
-    items: a tuple, unless the span is too long to be held; of all but the last, a Halt ends them.
+    items: a tuple, unless the span is too long to be kept in memory.
     """
 
     beginning: Beginning
     items: Iterable[Planned]
 
     @property
-    def held(self) -> bool:
-        """Whether it can be handed to another process."""
+    def in_memory(self) -> bool:
+        """Return whether the span can be handed to a worker process."""
         return isinstance(self.items, tuple)
 
 
 class Spans:
-    """Cuts a stream of planned items; iterate once, using up each span before the next."""
+    """Cuts a stream of planned items; iterate once, and use up each span before the next."""
 
     def __init__(self, planned: Iterable[Planned]) -> None:
         self._source = iter(planned)
         self._beginning = Beginning()
-        self._first: Planned | None = None  # of the span to come
+        self._first: Planned | None = None  # item of the next span
         self._seconds = 0.0  # of the present span
-        self._moved = False  # since the machine was last released
+        self._moved = False  # since the output took control of the machine
 
     def __iter__(self) -> Iterator[Span]:
         while (span := self._next()) is not None:
@@ -66,20 +64,19 @@ class Spans:
         beginning, items = self._beginning, list[Planned]()
         for item in self._rest():
             items.append(item)
-            if self._seconds > LONGEST or len(items) > MOST_ITEMS:
-                return Span(beginning, self._unheld(items))
+            if self._seconds > 4.0 * SECONDS or len(items) > MAX_ITEMS:
+                return Span(beginning, self._streamed(items))
         return Span(beginning, tuple(items)) if items else None
 
-    def _unheld(self, items: list[Planned]) -> Iterator[Planned]:
-        """The span to its end; what follows it is not known before."""
+    def _streamed(self, items: list[Planned]) -> Iterator[Planned]:
         yield from items
         items.clear()
         yield from self._rest()
 
     def _rest(self) -> Iterator[Planned]:
-        """Items up to the end of the span, and a Halt if another one follows."""
+        """Yield items up to the end of the span, and a Halt if another span follows."""
         if self._first is not None:
-            yield self._took(self._first)
+            yield self._noted(self._first)
             self._first = None
         for item in self._source:
             if isinstance(item, Standing) and self._moved and self._seconds >= SECONDS:
@@ -87,12 +84,12 @@ class Spans:
                 self._beginning = Beginning(item.start, self._beginning.offset)
                 yield Halt()
                 return
-            yield self._took(item)
+            yield self._noted(item)
 
-    def _took(self, item: Planned) -> Planned:
+    def _noted(self, item: Planned) -> Planned:
         if isinstance(item, Plan):
             self._seconds += float((np.diff(item.s[item.ends]) / item.cruise).sum())
-            self._moved |= bool(item.s[-1] > SURELY)
+            self._moved |= bool(item.s[-1] > 1.0)  # so long a path always takes control
         elif isinstance(item, Passthrough):
             self._seconds += item.seconds
             if item.handling is Handling.RELEASE:

@@ -36,10 +36,10 @@ def page(
     notes: list[str],
     simulated: Printer | None = None,
 ) -> bytes:
-    """The page for a file, simulated with all strategies. Raises HframeError.
+    """Return the HTML page for a file, simulated with all strategies. Raises HframeError.
 
-    name: of the file; notes: the summary in words, a line each. simulated: the printer whose
-    plant answers, where it is not the one compensated for.
+    name: the title; notes: the lines of the summary. simulated: the printer whose plant is
+    simulated, if not the one compensated for.
     """
     source = _Kept(lines)
     view = LayerView(tuple(STRATEGIES))
@@ -84,7 +84,7 @@ def _coded(content: bytes) -> str:
 
 
 class _Kept:
-    """The lines, and what they are compressed; None once that is too much."""
+    """The lines of a file, compressed while they pass, unless that gets too long."""
 
     def __init__(self, lines: Iterable[bytes]) -> None:
         self._lines, self._size = lines, 0
@@ -105,12 +105,11 @@ class _Kept:
 
     @property
     def packed(self) -> bytes:
-        """Compressed text, or nothing."""
+        """Return the compressed text; nothing if it is too long."""
         return b"".join(self._parts or ())
 
 
 def _rms_of(report: SimulationReport, layer: str) -> list[float]:
-    """RMS of each strategy in a layer, µm."""
     group = report.parts.layers.get(layer, {})
     return [_rms(group.get(name)) for name in STRATEGIES]
 
@@ -120,7 +119,7 @@ def _rms(figures: Figures | None) -> float:
 
 
 def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
-    """Each feature: share of the time, and errors of each strategy."""
+    """Return for each feature its share of the time and the errors of each strategy."""
     counts = {
         name: max(each.contour.all.count for each in group.values())
         for name, group in report.parts.features.items()
@@ -144,7 +143,7 @@ def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
 
 
 def _worst(layers: dict[int, Segments], strategy: str) -> list[dict[str, Any]]:
-    """Where the chosen strategy prints furthest off: layer and segment, each place once."""
+    """Return layer and segment of the places where the chosen strategy has the largest errors."""
     column = list(STRATEGIES).index(strategy)
     order, found = list(layers.values()), list[dict[str, Any]]()
     candidates = []
@@ -163,7 +162,7 @@ def _worst(layers: dict[int, Segments], strategy: str) -> list[dict[str, Any]]:
 
 
 def _printer(printer: Printer, options: Options) -> list[list[str]]:
-    """Name and value of what decides the result."""
+    """Return name and value of the settings that decide the result."""
     limits, window, motors = printer.limits, printer.compensation, printer.motors
     return [
         ["profile", f"{printer.name}: {printer.description}"],
@@ -178,13 +177,13 @@ def _printer(printer: Printer, options: Options) -> list[list[str]]:
         ],
         ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
         ["limits of the file", str(options.limits)],
-        ["beyond a limit", "taken back" if options.clamp else "an error"],
+        ["beyond a limit", "clamped" if options.clamp else "an error"],
         ["settings", printer.digest],
     ]
 
 
 def _packed(layers: dict[int, Segments]) -> bytes:
-    """All segments, column by column, differences where these are smaller; little-endian.
+    """Return all segments compressed, column by column, positions as differences; little-endian.
 
     int32 x, y, line; uint16 speed and each strategy's error; uint8 feature, 128 more where the
     path begins.

@@ -1,4 +1,4 @@
-"""A page with its style, its script and its data in it, for a browser without a network.
+"""HTML pages that contain their style, script and data, so that they work offline.
 
 What comes from a file (names, lines, comments) is data: JSON with its angle brackets escaped, and
 compressed bytes. A page's script puts it into text nodes only.
@@ -14,9 +14,9 @@ ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", 
 
 
 def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
-    """``frame.html`` with ``name.html``, ``page.css``, ``name.js``, and further parts by name.
+    """Return ``frame.html`` filled with ``name.html``, ``page.css``, ``name.js`` and further parts.
 
-    A part of the template stands between two pairs of @.
+    The name of a part stands in the template between two pairs of @.
     """
     told = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for character, escape in ESCAPED.items():

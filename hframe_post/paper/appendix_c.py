@@ -1,7 +1,7 @@
 """Limited preview as Appendix C writes it, one window after another: coupled and decoupled.
 
-What ``compensate`` streams is measured against these. Symbols as in ``lpfbs``; the past is
-exact here too, and the effort penalty the same.
+The streamed commands of ``compensate`` are compared with these. Symbols as in ``lpfbs``; here, too,
+the past is exact, and the effort penalty is the same.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hframe_post.model.transfer_function import TransferFunction
 
 
 def windowed(plant: Plant, windows: tuple[Window, Window], xy: Array, coupled: bool) -> Array:
-    """Commands (n, 2) for a path xy (n, 2) that begins at rest; windows of equal sizes.
+    """Return commands (n, 2) for a path xy (n, 2) that begins at rest; windows of equal sizes.
 
     coupled: x and y in one least-squares problem, eq. 42. Otherwise x first and y with the
     window's provisional p_x,C, eq. 43.
@@ -51,7 +51,7 @@ class _Axes:
 
 
 def _decoupled(axes: _Axes, x_d: Array, y_d: Array, D: Array) -> tuple[Array, Array]:
-    """p_x,C of eq. 39, then p_y,C of eq. 43."""
+    """Return p_x,C of eq. 39, then p_y,C of eq. 43."""
     x, y, theta = axes.x, axes.y, axes.theta
     p_x = x.pinv @ np.concatenate([x_d - x.free(x.p_P), -x.effort_P @ x.p_P])
     delta_y = D * (theta.free(x.p_P) + theta.N_C @ p_x)
@@ -60,7 +60,7 @@ def _decoupled(axes: _Axes, x_d: Array, y_d: Array, D: Array) -> tuple[Array, Ar
 
 
 def _coupled(axes: _Axes, x_d: Array, y_d: Array, D: Array) -> tuple[Array, Array]:
-    """p_x,C and p_y,C of eq. 42; the matrix depends on D, so each window solves its own."""
+    """Return p_x,C and p_y,C of eq. 42; the matrix depends on D, so each window solves its own."""
     x, y, theta = axes.x, axes.y, axes.theta
     zero = np.zeros_like(x.N_C)
     N_r = np.block(
@@ -101,15 +101,18 @@ class _Filtered:
         self.z, self.p_P, self._n_up = np.zeros(G.order), np.zeros(w.degree + 1), w.n_up
 
     def free(self, p_P: Array) -> Array:
-        """What the past alone does in the window, (L_C,); p_P: of the axis that drives it."""
+        """Return the motion that the past alone causes in the window, (L_C,).
+
+        p_P: past control points of the axis that drives this one.
+        """
         return self._O @ self.z + self.N_P @ p_P
 
     def advance(self, p_P: Array, p_C: Array) -> Array:
-        """The command (stride,) of the kept control points; the state moves on over it."""
+        """Advance the state over the kept control points; return their command (stride,)."""
         u = self._kept_P @ p_P + self._kept_C @ p_C[: self._n_up]
         self.z = self._A_T @ self.z + self._R @ u
         return np.asarray(u)
 
     def keep(self, p_C: Array) -> None:
-        """The kept control points become the past."""
+        """Append the kept control points to the past."""
         self.p_P = np.concatenate([self.p_P, p_C[: self._n_up]])[-len(self.p_P) :]

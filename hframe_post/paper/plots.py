@@ -22,14 +22,14 @@ from hframe_post.plotting import canvas, decibel, degrees
 
 
 def racking_response(responses: FrequencyResponses) -> Figure:
-    """Fig. 4: Gxθ."""
+    """Draw Fig. 4: Gxθ."""
     figure, axes = canvas(2, 1, (5.0, 4.2))
     _bode(axes[:, 0], responses.hz, responses.Gxtheta, "rad/m", "$G_{x\\theta}$")
     return figure
 
 
 def axis_responses(responses: FrequencyResponses) -> Figure:
-    """Fig. 5: Gxx and Gyy."""
+    """Draw Fig. 5: Gxx and Gyy."""
     figure, axes = canvas(2, 2, (8.0, 4.2))
     _bode(axes[:, 0], responses.hz, responses.Gxx, "mm/mm", "(a) $G_{xx}$")
     _bode(axes[:, 1], responses.hz, responses.Gyy, "mm/mm", "(b) $G_{yy}$")
@@ -44,7 +44,7 @@ def _bode(axes: Any, hz: Any, response: Any, unit: str, title: str) -> None:
 
 
 def approximation(rows: Sequence[Approximation]) -> Figure:
-    """Fig. 8: contour error and time, decoupled (solid) and coupled (dashed)."""
+    """Draw Fig. 8: contour error and time, decoupled (solid) and coupled (dashed)."""
     figure, axes = canvas(1, 2, (8.0, 3.2))
     share = [row.share for row in rows]
     for k, (name, style) in enumerate((("decoupled", "-o"), ("coupled", "--s"))):
@@ -57,7 +57,7 @@ def approximation(rows: Sequence[Approximation]) -> Figure:
 
 
 def corner(responses: Sequence[TimeResponse]) -> Figure:
-    """The nozzle at the first corner of Fig. 7, on the path that was asked for: for the README."""
+    """Draw the nozzle at the first corner of Fig. 7, on the desired path, for the README."""
     figure, axes = canvas(1, 1, (7.0, 3.6))
     axis = axes[0, 0]
     path = responses[0].path - responses[0].path[0]
@@ -76,7 +76,7 @@ def corner(responses: Sequence[TimeResponse]) -> Figure:
 
 
 def time_response(responses: Sequence[TimeResponse]) -> Figure:
-    """Fig. 9: the nozzle's path at a corner, and contour error along the path."""
+    """Draw Fig. 9: the nozzle's path at a corner, and contour error along the path."""
     figure, axes = canvas(1, 2, (9.0, 3.4))
     for response in responses:
         x, y = (response.nozzle - response.nozzle[0]).T
@@ -93,7 +93,7 @@ def time_response(responses: Sequence[TimeResponse]) -> Figure:
 
 
 def width_errors(widths: Sequence[Widths]) -> Figure:
-    """Fig. 11: |Δw| as boxes (median in the box), its RMS as a diamond."""
+    """Draw Fig. 11: |Δw| as boxes (median in the box), its RMS as a diamond."""
     figure, axes = canvas(1, len(widths), (4.5 * len(widths), 3.4))
     for axis, prism in zip(axes[0], widths, strict=True):
         names = list(prism.error)

@@ -1,4 +1,4 @@
-"""The paper's figures of plant and rectangle, computed anew.
+"""The paper's figures of plant and rectangle, computed again.
 
 Each function answers one figure of arXiv 2105.09878; ``figures`` draws them.
 """
@@ -61,7 +61,7 @@ class TimeResponse:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the contour error, mm."""
+        """Return the root mean square of the contour error, mm."""
         return _rms(self.error)
 
 
@@ -78,7 +78,7 @@ class Preview:
 
 
 def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
-    """Fig. 4 and 5. Raises ValueError for a plant that does not rack."""
+    """Compute Fig. 4 and 5. Raises ValueError for a plant that does not rack."""
     if plant.Gxtheta is None:
         raise ValueError("the printer does not rack: it has no Gxtheta")
     omega = 2.0 * np.pi * hz * TS
@@ -90,7 +90,7 @@ def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
 
 
 def path(printer: Printer) -> Array:
-    """The rectangle of Fig. 7, planned, (E + 1, 2); it begins and ends at rest."""
+    """Return the planned rectangle of Fig. 7, (E + 1, 2); it begins and ends at rest."""
     options = Options("none", tolerance=None)  # the path alone, without rests for a command
     chunks = sampled(planned(rectangle(printer), printer, options), printer, options)
     xy = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
@@ -104,13 +104,13 @@ def path(printer: Printer) -> Array:
 
 
 def contour(plant: Plant, xy: Array, command: Array) -> tuple[Array, Array]:
-    """Nozzle (k, 2) under a command (k, 2), and its contour error (k,), mm."""
+    """Return the nozzle (k, 2) under a command (k, 2), and its contour error (k,), mm."""
     nozzle = Response(plant, xy[0]).run(command)
     return nozzle, contour_error(xy, nozzle, np.arange(len(xy)))
 
 
 def approximations(plant: Plant, xy: Array) -> list[Approximation]:
-    """Fig. 8: coupled (eq. 18) against decoupled (eq. 12 and 19)."""
+    """Compute Fig. 8: coupled (eq. 18) against decoupled (eq. 12 and 19)."""
     rows = []
     for share in SHARES:
         n = round(share * (len(xy) - 1))
@@ -122,7 +122,7 @@ def approximations(plant: Plant, xy: Array) -> list[Approximation]:
 
 
 def time_responses(plant: Plant, xy: Array) -> list[TimeResponse]:
-    """Fig. 9: no control, and n = 125 without and with racking compensation."""
+    """Compute Fig. 9: no control, and n = 125 without and with racking compensation."""
     whole = WholeTrajectory(plant, xy, N_FIG_9)
     commands = {"none": xy, "fbs": whole.decoupled(racking=False), "racking": whole.decoupled()}
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
@@ -134,7 +134,7 @@ def time_responses(plant: Plant, xy: Array) -> list[TimeResponse]:
 
 
 def previews(printer: Printer, xy: Array) -> list[Preview]:
-    """Appendix B and C on the rectangle: coupled, decoupled, and as the tool streams it.
+    """Compute Appendix B and C on the rectangle: coupled, decoupled, and as the tool streams it.
 
     The path gets a rest before and after it, in which a preview can lead and settle.
     """
@@ -162,7 +162,7 @@ def previews(printer: Printer, xy: Array) -> list[Preview]:
 
 
 def _timed(solve: Callable[[], Array]) -> tuple[Array, float]:
-    """Its answer, and the fastest of TIMED runs (s)."""
+    """Return the result of a function and the duration of the fastest of TIMED runs (s)."""
     fastest = np.inf
     for _ in range(TIMED):
         start = perf_counter()

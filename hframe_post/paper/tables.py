@@ -1,17 +1,35 @@
-"""The paper's numbers beside ours, and what of ours was calibrated: Markdown tables."""
+"""Markdown tables: the paper's numbers next to ours, and which of ours were calibrated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper.results import Approximation, Preview, TimeResponse
 from hframe_post.paper.widths import Widths
 
 Row = tuple[str, ...]
 
+# Tables I and II, descending powers of z without the cancelled root at the origin, with the
+# two signs corrected (b_2 of Gxx, a_4 of Gxθ). As text, for the number of their digits.
+PRINTED = {
+    "Gxx": ("0.07632 -0.231 0.236 -0.0813", "1 -3.577 4.774 -2.815 0.6175"),
+    "Gxtheta": (
+        "4.246 -29.27 87.51 -147 149.9 -92.76 32.26 -4.865",
+        "1 -5.866 14.86 -21 17.83 -9.06 2.535 -0.2987",
+    ),
+    "Gyy": (
+        "0.1646 -0.8951 1.975 -2.199 1.231 -0.2764",
+        "1 -4.813 9.386 -9.344 4.845 -1.14 0.06512",
+    ),
+}
+
 
 def markdown(title: str, head: Row, rows: Sequence[Row]) -> str:
-    """A table under its title, columns aligned."""
+    """Return a Markdown table under its title, columns aligned."""
     cells = [head, *rows]
     width = [max(len(row[k]) for row in cells) for k in range(len(head))]
     lines = [f"{title}\n"]
@@ -22,14 +40,35 @@ def markdown(title: str, head: Row, rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def coefficients_off(plant: Plant) -> dict[str, float]:
+    """Return the largest distance of each printed coefficient, in half units of its last digit.
+
+    At most 1: the model is among those that the printed tables may mean.
+    """
+    off = {}
+    for name, texts in PRINTED.items():
+        G: TransferFunction = getattr(plant, name)
+        gain = G.gain * (1e3 if name == "Gxtheta" else 1.0)  # rad/mm to rad/m
+        worst = 0.0
+        for text, roots, factor in zip(texts, (G.zeros, G.poles), (gain, 1.0), strict=True):
+            printed = np.array(text.split(), dtype=float)
+            digits = (
+                np.floor(np.log10(np.abs(printed))) + 1 - 4
+            )  # four significant digits are printed
+            ours = factor * np.poly(roots).real
+            worst = max(worst, float((np.abs(ours - printed) / (0.5 * 10.0**digits)).max()))
+        off[name] = worst
+    return off
+
+
 def coefficients(off: dict[str, float]) -> str:
-    """Tables I and II: how far the model's coefficients are from the printed ones."""
+    """Return the distances of the model's coefficients from those printed in Tables I and II."""
     rows = [
         (
             name,
             "within 1 (rounding)",
             f"{worst:.2f}",
-            "chosen inside the rounding; two signs mended",
+            "chosen inside the rounding; two signs corrected",
         )
         for name, worst in off.items()
     ]
@@ -40,7 +79,7 @@ def coefficients(off: dict[str, float]) -> str:
 
 
 def approximation(rows: Sequence[Approximation]) -> str:
-    """Fig. 8."""
+    """Return the table for Fig. 8."""
     head = (
         "n / E",
         "n",
@@ -65,10 +104,10 @@ def approximation(rows: Sequence[Approximation]) -> str:
 
 
 def time_response(responses: Sequence[TimeResponse]) -> str:
-    """Fig. 9."""
+    """Return the table for Fig. 9."""
     um = {response.name: response.rms * 1e3 for response in responses}
     rows = [
-        ("no compensation, µm", "not told", f"{um['none']:.1f}", "no"),
+        ("no compensation, µm", "not given", f"{um['none']:.1f}", "no"),
         (
             "without racking compensation, µm",
             "117",
@@ -82,14 +121,14 @@ def time_response(responses: Sequence[TimeResponse]) -> str:
 
 
 def previews(ways: Sequence[Preview]) -> str:
-    """Appendix C with the profile's window."""
+    """Return the table for Appendix C with the profile's window."""
     rows = [(way.name, f"{way.rms * 1e3:.2f}", f"{way.seconds * 1e3:.1f}") for way in ways]
     head = ("", "RMS contour error, µm", "time, ms")
     return markdown("Appendix C: limited preview, the profile's window, Fig. 7's path", head, rows)
 
 
 def width_errors(prisms: Sequence[Widths]) -> str:
-    """Fig. 11."""
+    """Return the table for Fig. 11."""
     rows = []
     for measure, printed in (("RMS", ("43 %", "68 %")), ("median", ("61 %", "78 %"))):
         for prism in prisms:

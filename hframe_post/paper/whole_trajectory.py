@@ -27,13 +27,13 @@ DEGREE = 5  # of every figure of the paper
 
 
 def knots(n: int, m: int) -> Array:
-    """Normalised knot vector g, (m + n + 2,), clamped at both ends: eq. 7."""
+    """Return the normalised knot vector g, (m + n + 2,), clamped at both ends: eq. 7."""
     inner = np.arange(1, n - m + 1) / (n - m + 1)
     return np.concatenate([np.zeros(m + 1), inner, np.ones(m + 1)])
 
 
 def basis(n: int, E: int, m: int = DEGREE) -> Array:
-    """N (E + 1, n + 1) of eq. 5. Raises ValueError unless m ≤ n ≤ E."""
+    """Return N (E + 1, n + 1) of eq. 5. Raises ValueError unless m ≤ n ≤ E."""
     if not m <= n <= E:
         raise ValueError(f"{n + 1} splines of degree {m} do not fit {E + 1} samples")
     return bsplines(knots(n, m), m, np.linspace(0.0, 1.0, E + 1))
@@ -56,13 +56,13 @@ class WholeTrajectory:
         self._D = xy[:, :1] - plant.x_c
 
     def decoupled(self, racking: bool = True) -> Array:
-        """x of eq. 12, then y of eq. 19; without ``racking`` eq. 12 for both axes."""
+        """Return x of eq. 12 and y of eq. 19; without ``racking`` eq. 12 for both axes."""
         p_x = _least_squares(self._N_xx, self._x_d)
         delta_y = self._D[:, 0] * (self._N_xtheta @ p_x) if racking else 0.0  # eq. 14
         return self._command(p_x, _least_squares(self._N_yy, self._y_d - delta_y))
 
     def coupled(self) -> Array:
-        """Both axes at once: eq. 18."""
+        """Return both axes, solved together: eq. 18."""
         N_r = np.block(
             [[self._N_xx, np.zeros_like(self._N_yy)], [self._D * self._N_xtheta, self._N_yy]]
         )
@@ -74,5 +74,5 @@ class WholeTrajectory:
 
 
 def _least_squares(N: Array, target: Array) -> Array:
-    """N† target by the singular values of N, O(l·v²) as in eq. 26 and 27."""
+    """Return N† target by the singular values of N, O(l·v²) as in eq. 26 and 27."""
     return np.asarray(np.linalg.lstsq(N, target, rcond=None)[0])

@@ -33,20 +33,20 @@ class Widths:
     error: dict[str, Array]
 
     def rms(self, strategy: str) -> float:
-        """Root mean square over layers and places, mm."""
+        """Return the root mean square over layers and places, mm."""
         return float(np.sqrt(np.square(self.error[strategy]).mean()))
 
     def median(self, strategy: str) -> float:
-        """Median of the absolute error, mm."""
+        """Return the median of the absolute error, mm."""
         return float(np.median(np.abs(self.error[strategy])))
 
 
 def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = False) -> Widths:
-    """Fig. 11 of a sliced prism whose long side lies along x, in the middle of the gantry.
+    """Compute Fig. 11 of a sliced prism whose long side lies along x, in the middle of the gantry.
 
     The width is what a calliper feels: from the outermost point of the front wall to that of
     the rear wall within its jaws, nozzle less intended path, on every layer. The planner's
-    limits are the profile's. Raises HframeError, also where the part is no prism with walls.
+    limits are the profile's. Raises HframeError, also if the part is not a prism with walls.
     """
     lines = list(lines)
     printer = replace(printer, plant=replace(printer.plant, x_c=_middle(lines, printer)))
@@ -67,7 +67,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
 
 
 def _middle(lines: Iterable[bytes], printer: Printer) -> float:
-    """Middle in x of what is extruded."""
+    """Return the middle in x of all extrusion."""
     low, high = np.inf, -np.inf
     for item in read(lines, ReadOptions.from_printer(printer, "file-all")):
         if isinstance(item, Moves):
@@ -80,7 +80,7 @@ def _middle(lines: Iterable[bytes], printer: Printer) -> float:
 def _outer_walls(
     predicted: Iterable[tuple[Samples, dict[str, Array]]],
 ) -> dict[str, dict[str, Array]]:
-    """Layer → strategy (and ``path``) → x, y of the outer wall's samples, (k, 2)."""
+    """Return layer → strategy (and ``path``) → x, y of the outer wall's samples, (k, 2)."""
     labels = Labels()
     pieces: dict[str, dict[str, list[Array]]] = {}
     for block, nozzle in predicted:
@@ -99,7 +99,7 @@ def _outer_walls(
 
 
 def _width(wall: Array, path: Array) -> Array:
-    """Width (3,) of a wall (k, 2) between the jaws: left, middle, right of its path (k, 2)."""
+    """Return the width (3,) of a wall (k, 2) between the jaws: left, middle, right of its path."""
     (left, front), (right, rear) = path.min(axis=0), path.max(axis=0)
     in_rear = path[:, Y] > (front + rear) / 2.0
     widths = []

@@ -243,8 +243,8 @@ def test_dry_run_tells_of_every_format_and_writes_nothing(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "cause"),
     [
-        (["--format", "steps"], b"name a file with -o"),
-        (["--format", "samples"], b"name a file with -o"),
+        (["--format", "steps"], b"name an output file with -o"),
+        (["--format", "samples"], b"name an output file with -o"),
         (["-o", "a.npz", "--format", "steps"], b"holds samples"),
         (["-o", "a.parquet", "--format", "gcode"], b"holds samples"),
         (["-o", "a.npz.gz"], b"not written as .gz"),

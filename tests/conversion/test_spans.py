@@ -74,7 +74,7 @@ def test_bytes_and_figures_do_not_depend_on_the_processes(
         other, again = converted(lines, printer, jobs)
         assert other == text
         assert again.report().as_json() == conversion.report().as_json()
-    monkeypatch.setattr(spans, "MOST_ITEMS", 30)  # some are too long to be held
+    monkeypatch.setattr(spans, "MAX_ITEMS", 30)  # some are too long for a worker
     assert converted(lines, printer, 2)[0] == text
 
 

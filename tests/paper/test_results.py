@@ -14,7 +14,7 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.paper import printed, results
+from hframe_post.paper import results, tables
 from hframe_post.paper.appendix_c import windowed
 from hframe_post.paper.whole_trajectory import WholeTrajectory, basis, knots
 from hframe_post.paper.widths import widths
@@ -50,12 +50,12 @@ def short_path(n: int) -> Array:
 
 
 def test_tables_i_and_ii_round_to_the_printed_digits(plant: Plant) -> None:
-    assert max(printed.coefficients_off(plant).values()) <= 1.0
+    assert max(tables.coefficients_off(plant).values()) <= 1.0
 
 
 def test_tables_i_and_ii_as_printed_are_unstable() -> None:
     """Why the model is not the printed coefficients, even with the signs mended."""
-    for _, denominator in printed.PRINTED.values():
+    for _, denominator in tables.PRINTED.values():
         poles = np.roots(np.array(denominator.split(), dtype=float))
         assert np.abs(poles).max() > 1.05
 

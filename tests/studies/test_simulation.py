@@ -188,9 +188,9 @@ def test_only_what_is_asked_is_simulated() -> None:
     assert "fbs" not in report.as_text()
 
 
-def test_nothing_that_moves_is_told_and_not_divided_by() -> None:
+def test_a_print_without_moves_has_no_layers_and_a_warning() -> None:
     report = simulated([b"G28\n", b"M104 S200\n", b"G1 E5 F300\n"])
-    assert "NOTHING" in report.as_text()
+    assert "nothing was compensated" in report.as_text()
     assert report.as_json()["layers"] == {}
 
 
@@ -218,10 +218,10 @@ def test_text_shows_the_worst_layers_unless_all_are_asked_for() -> None:
     assert [line.split()[0] for line in long[shown + 1 : shown + 9]] == [str(k) for k in range(8)]
 
 
-def test_a_plant_that_is_no_printers_is_an_error() -> None:
+def test_a_plant_of_no_working_printer_is_an_error() -> None:
     """As in a conversion: without compensation it would be millimetres off."""
     paper = profile.load("paper")
     crawling = TransferFunction(np.zeros(0, complex), np.array([0.995 + 0j]), 0.005)
     plant = replace(paper.plant, Gxx=crawling)
-    with pytest.raises(HframeError, match="no printer that prints has"):
+    with pytest.raises(HframeError, match="more than any working printer has"):
         simulated(rectangle(paper), Study(plant), ("none",))

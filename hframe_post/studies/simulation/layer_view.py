@@ -1,8 +1,8 @@
 """The path of a print with its predicted errors, layer by layer, small enough to look at.
 
-Samples are gathered into short segments, each with the largest error in it. Where there get to
-be too many, the view gets coarser by a step, everywhere alike: neighbours of one feature that go
-on in about the same direction become one. So a view of any print is bounded, and keeps its shape.
+Samples are merged into short segments, each with the largest error in it. If there are too many,
+the whole view gets coarser by a step: neighbours of one feature in about the same direction are
+joined. So the size of a view is bounded, and its shape is kept.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 
 FINEST = 1.0  # mm of a segment at most, as long as there are few; twice as much with each step
-NEAR = 0.01  # mm that an end may lie beside the segment that it is joined into; the same
-SHAPED = 10  # steps for which shape and feature are kept; after them any neighbours are joined
+NEAR = 0.01  # mm that an end may be off the segment that it is joined into; likewise
+SHAPED = 10  # steps that keep shape and feature; after them any neighbours are joined
 MOST = 300_000  # segments of a print
 COLUMNS = 6  # of a segment: the ones of ``Segments`` but errors
 
@@ -40,7 +40,7 @@ class Segments:
 
 
 class LayerView:
-    """Gathers the segments of each layer, for the given strategies, as they are judged."""
+    """Collects the segments of each layer with the errors of the given strategies."""
 
     def __init__(self, strategies: tuple[str, ...]) -> None:
         self._strategies = strategies
@@ -51,11 +51,11 @@ class LayerView:
 
     @property
     def finest(self) -> tuple[float, float]:
-        """mm: of a segment at most, and that places may be beside it."""
+        """Return the longest segment, and how far positions may be off it, mm."""
         return FINEST * 2.0**self.coarser, NEAR * 2.0**self.coarser * (self.coarser > 0)
 
     def add(self, judgement: Judgement, layer: Integers, feature: Integers, labels: Labels) -> None:
-        """The next judged samples; layer, feature: numbers, by the labels, for the whole chunk."""
+        """Add judged samples; layer, feature: numbers in the labels, for the whole chunk."""
         self.labels = labels
         chunk, at = judgement.chunk, judgement.at
         if len(at):
@@ -71,7 +71,7 @@ class LayerView:
             self._coarsen()
 
     def _table(self, judgement: Judgement, feature: Integers) -> Array:
-        """A row a sample, the columns of ``Segments``."""
+        """Return a row for each sample with the columns of ``Segments``."""
         chunk, at = judgement.chunk, judgement.at
         xy = chunk.xyze[:, :Z]
         steps = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T)
@@ -81,14 +81,14 @@ class LayerView:
         return np.column_stack([xy[at], chunk.line[at], feature, steps[at] / TS, begins, *errors])
 
     def _coarsen(self) -> None:
-        """All layers by a step."""
+        """Make all layers coarser by a step."""
         self.coarser += 1
         for number, tables in self._layers.items():
             self._layers[number] = [self._simplified(np.concatenate(tables))]
         self._count = sum(len(table) for (table,) in self._layers.values())
 
     def _simplified(self, rows: Array) -> Array:
-        """Neighbours become one, pair by pair, as far as the present step allows."""
+        """Join neighbours, pair by pair, as far as the present step allows."""
         if self.coarser > SHAPED:
             return _merged(rows, np.arange(0, len(rows), 2))
         for _ in range(self.coarser + 1):
@@ -99,19 +99,19 @@ class LayerView:
         return rows
 
     def layers(self) -> dict[int, Segments]:
-        """By the layer's number, in their order."""
-        told = {}
+        """Return the segments by layer number, in order."""
+        found = {}
         for number in sorted(self._layers):
             rows = np.concatenate(self._layers[number])
             line, feature, begins = (rows[:, k].astype(np.int64) for k in (2, 3, 5))
-            told[number] = Segments(
+            found[number] = Segments(
                 rows[:, :2], line, feature, rows[:, 4], begins, rows[:, COLUMNS:]
             )
-        return told
+        return found
 
 
 def _starts(rows: Array, length: float) -> Integers:
-    """Rows at which a segment begins: another line or feature, or far enough from the last."""
+    """Return the rows at which a segment begins: another line or feature, or far from the last."""
     way = np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0, prepend=rows[:1, :2]).T))
     new = np.diff(rows[:, 2], prepend=-1.0) != 0.0
     new |= np.diff(rows[:, 3], prepend=-1.0) != 0.0
@@ -120,25 +120,25 @@ def _starts(rows: Array, length: float) -> Integers:
 
 
 def _pairs(rows: Array, length: float, near: float) -> Integers:
-    """Rows that may be joined to the one before: of one feature, on about the same way."""
+    """Return rows that may be joined to the one before: same feature, about the same direction."""
     ends, begins = rows[:, :2], rows[:, 5] != 0.0
     way, turn = np.diff(ends, axis=0), np.zeros(len(rows))  # turn: of row k, beside the chord
     chord = np.hypot(*(ends[2:] - ends[:-2]).T)
     area = np.abs(way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0])
     onward = (way[:-1] * way[1:]).sum(axis=1) >= 0.0
     turn[1:-1] = np.where(onward, area / np.maximum(chord, 1e-9), np.inf)
-    mayhap = np.zeros(len(rows), dtype=bool)
-    mayhap[2:] = (
+    joinable = np.zeros(len(rows), dtype=bool)
+    joinable[2:] = (
         (turn[1:-1] <= near) & (chord <= length) & (rows[2:, 3] == rows[1:-1, 3])
         & ~begins[2:] & ~begins[1:-1]
     )  # fmt: skip
     k = np.arange(len(rows))
-    first = np.maximum.accumulate(np.where(mayhap, 0, k))  # the last row that may not
-    return np.flatnonzero(mayhap & ((k - first) % 2 == 1))  # each with a partner of its own
+    first = np.maximum.accumulate(np.where(joinable, 0, k))  # the last row that may not
+    return np.flatnonzero(joinable & ((k - first) % 2 == 1))  # each with a partner of its own
 
 
 def _merged(rows: Array, starts: Integers) -> Array:
-    """One row for the rows from each start to the next: the last place, the largest error."""
+    """Merge the rows from each start to the next: the last position, the largest error."""
     last = np.append(starts[1:], len(rows)) - 1
     merged = rows[last]
     merged[:, 4:] = np.maximum.reduceat(rows[:, 4:], starts, axis=0)

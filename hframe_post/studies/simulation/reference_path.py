@@ -1,4 +1,4 @@
-"""Test paths as G-code, for studies that need no sliced part."""
+"""The paper's rectangle as G-code, for studies that need no sliced part."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ CLEAR = 5  # mm to the ends of travel, which the command needs beyond its path
 
 
 def rectangle(printer: Printer) -> list[bytes]:
-    """The paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
+    """Return the paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
 
     It begins where racking does not move the nozzle, as in the paper, unless the bed is too
     narrow for that, and lies in the middle of the bed in y.

@@ -1,4 +1,4 @@
-"""Figures of a simulation, and what is told of them: text and JSON."""
+"""The report of a simulation, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ class Uncertainty:
     printers: list[dict[str, ContourErrors]] = field(default_factory=list)
 
     def rms(self, strategy: str) -> list[float]:
-        """RMS contour error (mm) of each printer."""
+        """Return the RMS contour error (mm) of each printer."""
         return [contour[strategy].rms for contour in self.printers if strategy in contour]
 
     def better(self, strategy: str, than: str) -> int:
-        """Printers on which one strategy's RMS is below another's."""
+        """Return the number of printers on which one strategy's RMS is below another's."""
         pairs = zip(self.rms(strategy), self.rms(than), strict=True)
         return sum(a < b for a, b in pairs)
 
     def as_json(self, strategies: list[str]) -> dict[str, Any]:
-        """Median and worst RMS in µm, and on how many printers each beats no compensation."""
-        told: dict[str, Any] = {"share": self.share, "printers": len(self.printers)}
+        """Return median and worst RMS in µm, and how often each strategy beats no compensation."""
+        values: dict[str, Any] = {"share": self.share, "printers": len(self.printers)}
         for name in strategies:
             rms = self.rms(name) or [0.0]
-            told[name] = {
+            values[name] = {
                 "median_um": round(median(rms) * 1e3, 4),
                 "worst_um": round(max(rms) * 1e3, 4),
                 "better_than_none": self.better(name, "none"),
             }
-        return told
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Parts:
 
 @dataclass(frozen=True, slots=True)
 class SimulationReport(Report):
-    """What each strategy would do. plant: name of what was simulated."""
+    """What each strategy would do. plant: the name of the simulated printer."""
 
     plant: str = ""
     quantised: bool = False
@@ -64,15 +64,15 @@ class SimulationReport(Report):
 
     @property
     def strategies(self) -> list[str]:
-        """Those simulated, from doing nothing to doing all."""
+        """Return the simulated strategies, from no compensation to full."""
         return [name for name in STRATEGIES if name in self.parts.whole]
 
     def print_time(self, strategy: str) -> float:
-        """How long the print takes (s); without compensation no stop needs any standstill."""
+        """Return the print time (s); without compensation no stop needs any rest."""
         return self.time.before if strategy == "none" else self.time.after
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of a conversion, and those of a simulation."""
+        """Return the keys of a conversion and those of a simulation."""
         return Report.as_json(self) | {
             "simulated_plant": self.plant,
             "quantised": self.quantised,
@@ -88,7 +88,7 @@ class SimulationReport(Report):
         }
 
     def as_text(self, all_layers: bool = False) -> str:
-        """Tables for a person."""
+        """Return tables for a person, warnings first."""
         stepped = ", in whole steps" if self.quantised else ""
         lines = [
             f"{self.read.moves} moves, {duration(self.time.after)}, "
@@ -114,10 +114,10 @@ class SimulationReport(Report):
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
-        return "\n".join(lines + self.warnings())
+        return "\n".join(self.warnings() + lines)
 
     def _judged(self, groups: dict[str, Group]) -> list[tuple[str, Group]]:
-        """Those parts in which anything moves."""
+        """Return the parts in which anything moves."""
         return [
             (name, group)
             for name, group in groups.items()
@@ -125,7 +125,7 @@ class SimulationReport(Report):
         ]
 
     def _table(self, title: str, groups: list[tuple[str, Group]]) -> list[str]:
-        """RMS contour error by part of the print."""
+        """Return a table of RMS contour errors by part of the print."""
         if not groups:
             return []
         width = max(19, len(title), *(len(name) for name, _ in groups)) + 2
@@ -137,17 +137,17 @@ class SimulationReport(Report):
         return lines
 
     def _trust(self) -> list[str]:
-        """Where compensation helps and where it stops to."""
+        """Return lines on model errors and on parts where compensation does not help."""
         if "none" not in self.parts.whole or len(self.strategies) < 2:
             return []
         best, lines = self.strategies[-1], [""]
         for error in self.model_error:
-            told, count = error.as_json(self.strategies), len(error.printers)
-            medians = ", ".join(f"{s} {told[s]['median_um']:.1f}" for s in self.strategies)
+            values, count = error.as_json(self.strategies), len(error.printers)
+            medians = ", ".join(f"{s} {values[s]['median_um']:.1f}" for s in self.strategies)
             lines.append(
                 f"model off by up to {100 * error.share:g} %: "
                 f"median of {count} printers {medians} µm; "
-                f"worst {best} {told[best]['worst_um']:.1f} µm; "
+                f"worst {best} {values[best]['worst_um']:.1f} µm; "
                 f"better than none on {error.better(best, 'none')}"
             )
         harmed = [
@@ -158,7 +158,7 @@ class SimulationReport(Report):
         ]
         gain = self.parts.whole["none"].contour.rms > self.parts.whole[best].contour.rms
         if not gain:
-            lines.append("NO HELP     compensation makes the whole of this print no better")
+            lines.append("NO HELP     compensation does not improve this print as a whole")
         elif harmed:
             more = f" and {len(harmed) - 5} more" if len(harmed) > 5 else ""
             lines.append(f"NO HELP     in {', '.join(harmed[:5])}{more}: no better than without")
@@ -166,7 +166,7 @@ class SimulationReport(Report):
 
 
 def known(report: Report) -> dict[str, Any]:
-    """The fields of a conversion's report, to start a simulation's from."""
+    """Return the fields of a conversion's report as arguments for a simulation's."""
     return {field.name: getattr(report, field.name) for field in fields(Report)}
 
 

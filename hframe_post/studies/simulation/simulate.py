@@ -1,4 +1,4 @@
-"""What would it do for this part? Every strategy through the plant, and how far to trust it.
+"""Simulation of every strategy on a print, and on printers that differ from the model.
 
 commands → (whole steps) → judged on the plant, and on printers that are not quite the plant
 → figures by layer and feature
@@ -37,10 +37,11 @@ DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What stands in for the printer.
+    """The printer that is simulated.
 
-    plant: what is simulated, whatever the compensator believes; name: of it. drawn: share of
-    model error → printers that are off by up to that. steps: None for motors without steps.
+    plant, name: of the simulated printer, which may differ from the one compensated for. drawn:
+    share of model error → random printers that differ by up to that. steps: round commands to
+    whole motor steps; None for none.
     """
 
     plant: Plant
@@ -56,10 +57,10 @@ def simulate(
     study: Study,
     view: LayerView | None = None,
 ) -> SimulationReport:
-    """What the options' strategies would do; memory does not grow with the print.
+    """Simulate the options' strategies; memory does not grow with the print.
 
-    view: what looks on, for a picture of the layers. Raises HframeError, also where the printer
-    would be none that prints.
+    view: collects a picture of the layers. Raises HframeError, also if the model predicts an
+    error that no working printer has.
     """
     source = Commands(lines, printer, replace(options, predict=()), options.strategies)
     parts, uncertainties = Parts(), list[Uncertainty]()
@@ -93,7 +94,7 @@ def simulate(
 
 
 def _drawn(judged: Iterable[Judgement], contour: dict[str, ContourErrors]) -> Iterator[None]:
-    """Takes the contour errors of one printer, a chunk at a time."""
+    """Add the contour errors of one random printer, a chunk at a time."""
     for judgement in judged:
         for name, errors in judgement.contour.items():
             contour.setdefault(name, ContourErrors()).add(errors, judgement.extruding)
@@ -112,7 +113,7 @@ def _add_errors(
 
 
 def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:
-    """The chunks as they are; how fast the belts go is noted."""
+    """Note how fast the belts move; yield the chunks unchanged."""
     labels, differences = Labels(), dict[str, Differences]()
     for chunk in chunks:
         layer, feature = labels.number(chunk)
@@ -132,7 +133,7 @@ def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> I
 def _groups(
     layer: Integers, feature: Integers, labels: Labels, parts: Parts
 ) -> Iterator[tuple[Group, Integers]]:
-    """The parts of the print that occur among the samples, each with the indices of its own."""
+    """Yield the parts of the print that occur in the samples, each with its samples' indices."""
     yield parts.whole, np.arange(len(layer))
     for numbers, names, groups in (
         (layer, labels.layers, parts.layers),

@@ -1,10 +1,9 @@
-"""Printers that are not quite the model: seeded draws of transfer functions.
+"""Random printers that differ a little from the model.
 
-Of each transfer function a draw changes the frequency and the damping of its roots, in the
-s-plane s = ln(z)/Ts, each by a factor of its own. Poles and zeros move together, as they do
-when a belt is tighter or a carriage heavier than it was, so that a slow pole keeps the zero
-that all but cancels it. Gxx(1) = Gyy(1) = 1 stays: a standing nozzle is where its steps put
-it. The gain that is drawn is that of racking.
+Frequency and damping of each transfer function's roots, in the s-plane s = ln(z)/Ts, are scaled by
+random factors. Poles and zeros move together, as they do when a belt gets tighter or a carriage
+heavier, so that a slow pole keeps the zero that almost cancels it. Gxx(1) = Gyy(1) = 1 stays: a
+nozzle at rest is where its steps put it. Only the gain of racking is random.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ STANDING = 1e-6  # distance from z = 1 of a zero that makes the gain at rest van
 
 
 def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
-    """``count`` plants whose parameters are off by up to ``share`` (0.05: ±5 %), uniformly.
+    """Return ``count`` random plants, parameters off by up to ``share`` (0.05: ±5 %), uniformly.
 
-    Equal seeds give equal draws at every share: the same printers, farther off.
+    Equal seeds give the same printers at every share, only farther off.
     """
     rng = np.random.default_rng(seed)
     units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
@@ -29,7 +28,7 @@ def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
 
 
 def perturbed(plant: Plant, factors: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Plant:
-    """The plant with factors (3, 3) on the frequency, damping and gain of Gxx, Gyy, Gxθ."""
+    """Return the plant with factors (3, 3) on frequency, damping and gain of Gxx, Gyy, Gxθ."""
     (fx, dx, _), (fy, dy, _), (ft, dt, gain) = factors
     Gxx, Gyy = (
         _at_rest(_moved(G, *f), 1.0) for G, f in ((plant.Gxx, (fx, dx)), (plant.Gyy, (fy, dy)))
@@ -49,7 +48,7 @@ def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFun
 
 
 def _moved_roots(roots: Complex, frequency: float, damping: float) -> Complex:
-    """Roots with their natural frequency and, where they ring, damping ratio scaled.
+    """Return roots with scaled natural frequency and, if they ring, damping ratio.
 
     Roots at z ≤ 0 are delays or sampling artefacts, and stay; so does a root that would pass
     the Nyquist frequency.
@@ -74,6 +73,6 @@ def _at_rest(G: TransferFunction, gain: float) -> TransferFunction:
 
 
 def _slope(G: TransferFunction) -> float:
-    """Gain at rest without the zeros at z = 1: θ per velocity."""
+    """Return the gain at rest without the zeros at z = 1: θ per velocity."""
     moving = G.zeros[np.abs(G.zeros - 1.0) > STANDING]
     return float((G.gain * np.prod(1.0 - moving) / np.prod(1.0 - G.poles)).real)

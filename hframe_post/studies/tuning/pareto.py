@@ -3,8 +3,8 @@
     pieces of a print ──► planned with each acceleration and jerk ──► each window and weight
     ──► time and error ──► those that no other beats in both ──► the one that is worth its time
 
-A gentle jerk leaves less to cancel, so that a printer that is a little off is less off for it; it
-costs time. Worth it is what halves the error for PAID of the time or less.
+A gentle jerk excites less vibration, so an error of the model matters less; it costs time. That is
+worth it where it halves the error for a tenth of the time (PAID) or less.
 """
 
 from __future__ import annotations
@@ -39,14 +39,16 @@ class Point:
 
     @property
     def cost(self) -> float:
-        """Error, with the time that would be paid for less of it."""
+        """Return the error, weighted by the time that is worth paying for less of it."""
         return float(self.trial.robust * self.trial.seconds ** (math.log(2.0) / math.log1p(PAID)))
 
 
 @dataclass(frozen=True, slots=True)
 class Pareto:
-    """Points, those that motors can follow and none beats in time and error, the quickest first,
-    and the one whose time is worth its error; None if no motor can follow any."""
+    """All points; the front, see ``front``; the one that is worth its time.
+
+    chosen: None if the motors can follow none.
+    """
 
     points: tuple[Point, ...]
     front: tuple[Point, ...]
@@ -54,7 +56,7 @@ class Pareto:
 
 
 def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
-    """A short part of a print, whatever limits the file asks for. Raises HframeError."""
+    """Return a short part of a print, read with the printer's limits. Raises HframeError."""
     items = parsed(lines, printer, Options("racking", limits="printer"))
     kept = excerpt(items, first_layers=0)
     while len(kept) > 1 and sum(sum(p.seconds.values()) for p in kept) > ENOUGH:
@@ -65,7 +67,7 @@ def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
 def pareto(
     kept: list[Piece], printer: Printer, grid: list[tuple[Window, Window]], drawn: list[Plant]
 ) -> Pareto:
-    """Every window of the grid on every plan. Raises HframeError."""
+    """Try every window of the grid on every plan. Raises HframeError."""
     found = list[Point]()
     own = printer.limits
     for acceleration in dict.fromkeys(share * own.acceleration for share in ACCELERATIONS):
@@ -84,7 +86,7 @@ def pareto(
 
 
 def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:
-    """Those that motors can follow and none beats in time and error, the quickest first."""
+    """Return points that motors can follow and none beats in time and error, the quickest first."""
     able = [point for point in found if point.trial.within(motors)]
     able.sort(key=lambda point: (point.trial.seconds, point.trial.robust))
     best, least = list[Point](), math.inf
@@ -96,7 +98,7 @@ def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:
 
 
 def windows(trials: Iterable[Trial], best: Trial, motors: Motors) -> list[tuple[Window, Window]]:
-    """The recommended window, and those that are nearly as good with other weights or knots."""
+    """Return the recommended window and the next best ones."""
     able = sorted((t for t in trials if t.within(motors)), key=lambda t: t.robust)
     others = [t for t in able if t is not best][:OTHERS]
     return [best.windows, *(trial.windows for trial in others)]

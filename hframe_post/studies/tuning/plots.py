@@ -1,4 +1,4 @@
-"""The trade-off of ``tune``, drawn."""
+"""The figure of ``tune``."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hframe_post.plotting import canvas
 def trade_off(
     trials: Sequence[Trial], best: Trial | None, motors: Motors, pace: Pareto | None = None
 ) -> Figure:
-    """Contour error against peak belt acceleration: the model solid, under model error dashed.
+    """Draw contour error against belt acceleration: the model solid, under model error dashed.
 
-    pace: ways to plan and to compensate, whose error is drawn against time beside it.
+    pace: ways to plan and to compensate; their error is drawn against time in a second panel.
     """
     figure, axes = canvas(1, 2 if pace else 1, (11.0 if pace else 6.0, 4.0))
     axis = axes[0, 0]
@@ -43,7 +43,7 @@ def trade_off(
 
 
 def _pareto(axis: Axes, pace: Pareto) -> None:
-    """Contour error against time: all points, and those that none beats in both."""
+    """Draw contour error against time: all points, and those that none beats in both."""
     able = [point for point in pace.points if not point.trial.refused]
     quickest = min(point.trial.seconds for point in able)
 

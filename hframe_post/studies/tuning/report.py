@@ -1,4 +1,4 @@
-"""What is told of a tuning: a table and JSON."""
+"""The report of a tuning: tables and JSON."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 WHY_FAST = (
-    "fast is the default: what exact brings beyond it shows on few prints, its time on all of them"
+    "fast is the default: exact is visibly better on few prints and takes more time on all of them"
 )
 
 
 def trial_as_json(trial: Trial) -> dict[str, Any]:
-    """One candidate, ready for ``json.dumps``."""
+    """Return one candidate, ready for ``json.dumps``."""
     x, y = trial.windows
-    told: dict[str, Any] = {
+    values: dict[str, Any] = {
         "L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort],
     }  # fmt: skip
     if trial.refused:
-        return told | {"refused": trial.refused}
-    return told | {
+        return values | {"refused": trial.refused}
+    return values | {
         "contour_error_um": trial.contour.micrometres(),
         "median_under_model_error_um": round(trial.robust * 1e3, 4),
         "peak_belt_speed": round(trial.velocity, 3),
@@ -34,7 +34,7 @@ def trial_as_json(trial: Trial) -> dict[str, Any]:
 
 
 def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
-    """One setting of the stops, ready for ``json.dumps``."""
+    """Return one setting of the stops, ready for ``json.dumps``."""
     seconds = {"before": trial.samples - trial.resting, "after": trial.samples}
     return {
         "stops": trial.name,
@@ -44,7 +44,7 @@ def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
 
 
 def point_as_json(point: Point) -> dict[str, Any]:
-    """One way to plan and to compensate, ready for ``json.dumps``."""
+    """Return one way to plan and to compensate, ready for ``json.dumps``."""
     return {
         "acceleration": point.acceleration, "jerk": point.jerk,
         "seconds": round(point.trial.seconds, 3), **trial_as_json(point.trial),
@@ -52,7 +52,7 @@ def point_as_json(point: Point) -> dict[str, Any]:
 
 
 def pace_as_json(pace: Pareto) -> dict[str, Any]:
-    """Time against error: what no other beats in both, the quickest first."""
+    """Return the trials that no other beats in both time and error, the quickest first."""
     return {
         "pareto": [point_as_json(point) for point in pace.front],
         "chosen": point_as_json(pace.chosen) if pace.chosen else None,
@@ -60,7 +60,7 @@ def pace_as_json(pace: Pareto) -> dict[str, Any]:
 
 
 def pace_table(pace: Pareto) -> str:
-    """The same for a person, the chosen one marked."""
+    """Return the same as a table, with the chosen one marked."""
     front, chosen = pace.front, pace.chosen
     if chosen is None:
         return ""
@@ -92,7 +92,7 @@ def summary(
     trials: Sequence[Trial], best: Trial | None, model_error: float, draws: int,
     stops: Sequence[StopsTrial] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """All of them, ready for ``json.dumps``."""
+    """Return all trials, ready for ``json.dumps``."""
     return {
         "model_error": model_error if draws else 0.0,
         "draws": draws,
@@ -103,7 +103,7 @@ def summary(
 
 
 def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
-    """All trials, the recommended one marked."""
+    """Return a table of all trials, with the recommended one marked."""
     lines = [
         f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",
         f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'model error':>14s}{'mm/s':>10s}"
@@ -130,7 +130,7 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
 
 
 def stops_table(stops: Sequence[StopsTrial], own: str) -> str:
-    """The settings of ``compensation.stops`` with time and error; ``own`` is the profile's."""
+    """Return a table of ``compensation.stops`` with time and error; ``own`` is the profile's."""
     lines = [f"{'':2s}{'stops':8s}{'print time':>12s}{'more':>9s}{'contour error, µm RMS':>24s}"
              f"{'95 %':>8s}{'peak':>8s}"]  # fmt: skip
     for trial in stops:

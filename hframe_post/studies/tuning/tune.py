@@ -1,7 +1,7 @@
-"""Which λ and L? Contour error against how hard the belts are driven, for one print.
+"""The choice of λ and L: contour error against belt acceleration, for one print.
 
-Every candidate compensates the same planned samples, and is judged on the printer's plant
-and on printers that are not quite it. λ is λ of x; that of y keeps the profile's ratio.
+Every candidate compensates the same planned samples and is judged on the printer's plant and on
+random printers that differ a little. λ is λ of x; that of y keeps the profile's ratio.
 """
 
 from __future__ import annotations
@@ -36,8 +36,12 @@ ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them
 
 @dataclass
 class Trial:
-    """One candidate. refused: why it cannot be used at all; belts in mm/s and mm/s²;
-    furthest: mm that its commands leave the path; seconds: of what it was tried on."""
+    """One candidate and how it did.
+
+    refused: why it cannot be used at all. drawn: errors on random printers. velocity,
+    acceleration: of the belts, mm/s and mm/s². furthest: how far its commands are off the path,
+    mm. seconds: duration of the motion it was tried on.
+    """
 
     windows: tuple[Window, Window]
     refused: str = ""
@@ -50,11 +54,11 @@ class Trial:
 
     @property
     def robust(self) -> float:
-        """Median RMS contour error (mm) of the drawn printers; of the model if none is drawn."""
+        """Return the median RMS contour error (mm) of the random printers, or else of the model."""
         return median(statistics.rms for statistics in self.drawn or [self.contour])
 
     def within(self, motors: Motors) -> bool:
-        """Whether the motors can follow."""
+        """Return whether the motors can follow."""
         return (
             not self.refused
             and self.velocity <= motors.belt_velocity
@@ -66,7 +70,7 @@ class Trial:
 class StopsTrial:
     """One setting of ``compensation.stops``, with the profile's own window.
 
-    samples: all, and those in which the path stands for the command's sake; contour: of it.
+    samples: all; resting: those where the path waits for the command.
     """
 
     name: str
@@ -78,7 +82,7 @@ class StopsTrial:
 def candidates(
     compensation: Compensation, knots: Iterable[int] = KNOTS, efforts: Iterable[float] = EFFORTS
 ) -> list[tuple[Window, Window]]:
-    """Windows of x and y for every L and λ."""
+    """Return windows of x and y for every L and λ."""
     x, y = compensation.effort
     ratio = y / x if x > 0.0 and y > 0.0 else 1.0
     grid = []
@@ -104,30 +108,30 @@ def tune(
     options: Options = RACKING,
     stops: Iterable[StopsTrial] = (),
 ) -> list[Trial]:
-    """A trial of every candidate, in one pass over the print. Raises HframeError.
+    """Return a trial of every candidate, in one pass over the print. Raises HframeError.
 
-    stops: settings that are tried in the same pass, where the profile's own window can be used.
+    stops: settings to try in the same pass, if the profile's own window can be used.
     """
     check_model(printer)
     try:
-        own = Compensator(printer.plant, printer.compensation.windows)
+        usual = Compensator(printer.plant, printer.compensation.windows)
         stops = list(stops)
     except ValueError:  # of the profile's window, which may be why it is tuned
         stops = []
     items, *others = branches(planned(lines, printer, options), 1 + len(stops))
-    beside = [
-        _stopped(trial, own, each, printer) for trial, each in zip(stops, others, strict=True)
+    in_step = [
+        _stopped(trial, usual, each, printer) for trial, each in zip(stops, others, strict=True)
     ]
-    return tried(sampled(items, printer, options), printer, grid, drawn, beside)
+    return tried(sampled(items, printer, options), printer, grid, drawn, in_step)
 
 
 def tried(
     samples: Iterable[Samples], printer: Printer, grid: list[tuple[Window, Window]],
-    drawn: list[Plant], beside: Iterable[Iterator[None]] = (),
+    drawn: list[Plant], in_step: Iterable[Iterator[None]] = (),
 ) -> list[Trial]:  # fmt: skip
-    """A trial of every candidate on samples of the path, in one pass. Raises HframeError.
+    """Return a trial of every candidate on samples of a path, in one pass. Raises HframeError.
 
-    beside: what goes on in step with it, a chunk at a time.
+    in_step: iterators that are advanced in the same pass, a chunk at a time.
     """
     check_model(printer)
     trials = [Trial(windows) for windows in grid]
@@ -138,7 +142,7 @@ def tried(
         except ValueError as error:
             trial.refused = str(error)
     running = [
-        *beside,
+        *in_step,
         *(
             _tried(trial, compensator, branch, printer, drawn)
             for (trial, compensator), branch in zip(
@@ -152,14 +156,14 @@ def tried(
     for trial in trials:
         if trial.furthest > furthest:
             trial.refused = (
-                f"its commands leave the path by {trial.furthest:.1f} mm, and the plant's own lag "
-                f"explains {furthest:.1f} mm"
+                f"its commands are up to {trial.furthest:.1f} mm off the path; the plant's "
+                f"lag explains {furthest:.1f} mm"
             )
     return trials
 
 
 def recommended(trials: list[Trial], motors: Motors) -> Trial | None:
-    """The gentlest of those that are about as good as the best the motors can follow."""
+    """Return the gentlest trial that is about as good as the best the motors can follow."""
     able = [trial for trial in trials if trial.within(motors)]
     if not able:
         return None
@@ -175,7 +179,6 @@ def _tried(
     printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:
-    """Fills the trial, a chunk at a time."""
     commands = Stages(printer, RACKING, compensator).compensated(samples)
     standing = _rated(commands, trial, printer.kinematics)
     trial.drawn = [ContourErrors() for _ in drawn]
@@ -192,7 +195,6 @@ def _tried(
 def _stopped(
     trial: StopsTrial, compensator: Compensator, items: Iterable[Planned], printer: Printer
 ) -> Iterator[None]:
-    """Fills the trial, a chunk at a time."""
     printer = replace(printer, compensation=replace(printer.compensation, stops=trial.name))
     samples = sampled(items, printer, RACKING)
     commands = Stages(printer, RACKING, compensator).compensated(samples)
@@ -205,7 +207,7 @@ def _stopped(
 
 
 def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
-    """The chunks as they are; how hard the belts are driven is noted."""
+    """Note in the trial how hard the belts are driven; yield the chunks unchanged."""
     differences = Differences(kinematics)
     for chunk in chunks:
         trial.seconds += TS * len(chunk)
@@ -214,8 +216,8 @@ def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> I
             trial.velocity = max(trial.velocity, float(np.abs(rates.belt_velocity).max()))
             acceleration = float(np.abs(rates.belt_acceleration).max())
             trial.acceleration = max(trial.acceleration, acceleration)
-            off = np.hypot(*(chunk.commands["racking"] - chunk.xyze[:, :Z]).T)
-            trial.furthest = max(trial.furthest, float(off.max()))
+            distance = np.hypot(*(chunk.commands["racking"] - chunk.xyze[:, :Z]).T)
+            trial.furthest = max(trial.furthest, float(distance.max()))
         if chunk.ends_stretch:
             differences = Differences(kinematics)
         yield chunk
