@@ -59,7 +59,8 @@ def _reading(text: str) -> tuple[float, float, float]:
 )  # fmt: skip
 @click.option(
     "-b", "--bridge", type=(FILE, FILE, FILE), multiple=True, metavar="COMMAND P1 P2",
-    help="A command of x, and the recordings of sensors on the bridge's ends: P1 at the greater x.",
+    help="The command of a sweep of x, and the recordings of sensors at the ends of the bridge; P1 "
+    "is at the greater x.",
 )  # fmt: skip
 @click.option(
     "--bridge-length", "L_G", type=click.FloatRange(1.0), metavar="MM",
@@ -72,7 +73,7 @@ def _reading(text: str) -> tuple[float, float, float]:
 )  # fmt: skip
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
-    help="Names of time and accelerations in recordings that another program than Klipper wrote.",
+    help="Names of time (s) and accelerations in recordings not written by Klipper.",
 )  # fmt: skip
 @click.option(
     "--band", type=(float, float), default=(3.0, 100.0), show_default=True, metavar="HZ HZ",
@@ -204,7 +205,7 @@ def _check_travel(runs: Sequence[Run], profile: Printer) -> None:
 
 @dataclass
 class _Reader:
-    """Reads the recordings; ``setup`` and ``findings`` collect what the report says of them."""
+    """Reader of recordings; ``setup`` and ``findings`` collect remarks for the report."""
 
     nozzle_axes: str
     bridge_axes: str

@@ -40,7 +40,7 @@ class IdentificationReport:
     findings: list[str]
 
     def warnings(self) -> list[str]:
-        """Return what the user should not rely on, and what it may cost."""
+        """Return what the user should not rely on, with the contour error that may remain."""
         identified = self.identified
         messages = [*self.findings, *identified.warnings]
         if identified.nonlinearity is not None:
@@ -72,7 +72,7 @@ class IdentificationReport:
         return messages
 
     def _uncompensated(self, share: float) -> str:
-        """Return what a share of the motion that no model explains may cost."""
+        """Return the contour error that may remain if a share of the motion is not explained."""
         if self.compensation is None:
             return ""
         none = self.compensation.rms("none")
@@ -85,7 +85,7 @@ class IdentificationReport:
         return f". At the ends of x the rectangle's contour error would be {worst:.0f} µm"
 
     def notes(self) -> list[str]:
-        """Return what is normal but good to know."""
+        """Return remarks that need no action."""
         if self.identified.racking_below_noise:
             return ["racking is below its measurement uncertainty; the profile has none"]
         return []

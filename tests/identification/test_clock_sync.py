@@ -20,7 +20,7 @@ from tests.recordings import Sensor, spline, sweep
 
 
 def resampler(swept: Array, sensor: Sensor) -> Resampler:
-    """Return a sensor's recording on a perfectly stiff machine, without delay of its own."""
+    """Return a sensor's recording on a perfectly stiff machine, which has no delay."""
     seconds = (len(swept) - 1) * TS
     recording = sensor.record(spline(swept, 0.0 * swept), seconds)
     rest = recording.a[:500].mean(axis=0)

@@ -31,7 +31,7 @@ def sweeps(draw: st.DrawFn) -> Sweep:
 
 
 def parts(sweep: Sweep, displacement: Array) -> tuple[Array, Array, Array, list[Array]]:
-    """First mark, sweep, second mark, and the four rests."""
+    """Return the first mark, the sweep, the second mark, and the four rests."""
     quiet = round(sweep.quiet / TS)
     first = quiet + np.arange(MARK_SAMPLES)
     last = len(displacement) - quiet - MARK_SAMPLES + np.arange(MARK_SAMPLES)
@@ -60,7 +60,7 @@ def test_starts_and_ends_at_rest_within_every_limit(
 
 
 def test_the_frequency_grows_at_the_rate_and_the_acceleration_has_the_amplitude() -> None:
-    """Zero crossings tell the frequency, peaks the amplitude, away from both ends."""
+    """Zero crossings show the frequency, peaks the amplitude, away from both ends."""
     sweep = Sweep(5.0, 100.0, 5.0, 4000.0, sway=0.0)
     _, sine, _, _ = parts(sweep, trajectory(sweep, 1000.0, 1000.0))
     acceleration = np.diff(sine, n=2) / TS**2
@@ -75,14 +75,14 @@ def test_the_frequency_grows_at_the_rate_and_the_acceleration_has_the_amplitude(
         assert np.abs(window).max() == pytest.approx(4000.0 * np.sinc(hz * TS) ** 2, rel=0.01)
 
 
-def test_low_frequencies_get_what_speed_and_travel_leave() -> None:
+def test_speed_and_travel_limit_low_frequencies() -> None:
     sweep = Sweep(1.0, 100.0, 1.0, 5000.0, stroke=20.0, sway=0.0)
     hz = np.array([1.0, 3.0, 80.0])
     w = 2.0 * np.pi * hz
-    given = amplitude(sweep, hz, 100.0, 8.0)
-    assert given[0] == pytest.approx(8.0 * w[0] ** 2, rel=0.1)  # travel
-    assert given[2] == pytest.approx(5000.0, rel=1e-3)
-    assert (given <= np.minimum(np.minimum(8.0 * w**2, 100.0 * w), 5000.0)).all()
+    commanded = amplitude(sweep, hz, 100.0, 8.0)
+    assert commanded[0] == pytest.approx(8.0 * w[0] ** 2, rel=0.1)  # travel
+    assert commanded[2] == pytest.approx(5000.0, rel=1e-3)
+    assert (commanded <= np.minimum(np.minimum(8.0 * w**2, 100.0 * w), 5000.0)).all()
     assert amplitude(sweep, hz, 50.0, 100.0)[1] == pytest.approx(50.0 * w[1], rel=0.1)  # speed
 
 
@@ -98,7 +98,7 @@ def test_a_mark_is_broad_band() -> None:
 
 
 def gain_error(displacement: Array, step: float) -> float:
-    """RMS over 40 to 80 Hz of gain − 1 from a command to where whole steps bring it."""
+    """Return the RMS of gain − 1, 40 to 80 Hz, from a command to its rounding to whole steps."""
     stepped = np.round(displacement / step) * step
     hz, power = signal.welch(displacement, 1.0 / TS, nperseg=4000)
     _, cross = signal.csd(displacement, stepped, 1.0 / TS, nperseg=4000)
@@ -126,6 +126,6 @@ def test_swaying_across_steps_keeps_their_rounding_out_of_the_gain() -> None:
         ({"amplitude": float("nan")}, "above 0"),
     ],
 )
-def test_what_is_no_sweep_is_refused(changed: dict[str, float], cause: str) -> None:
+def test_impossible_sweeps_are_refused(changed: dict[str, float], cause: str) -> None:
     with pytest.raises(ValueError, match=cause):
         Sweep(**changed)

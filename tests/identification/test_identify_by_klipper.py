@@ -1,7 +1,7 @@
-"""Identification of the paper's printer, from sweeps that the Klipper host plays.
+"""Identification of the paper's printer from sweeps that the Klipper host plays.
 
-Its Gyy has a pole at 1.7 Hz, below the band, that all but cancels: what is late by 0.1 ms there,
-or a sensor that is thought to read 0.5 % too much, costs more than the exact model's whole error.
+Its Gyy has a pole at 1.7 Hz, below the band, that almost cancels: an error of 0.1 ms in the delay
+or of 0.5 % in the sensor's gain costs more than the whole error of the exact model.
 """
 
 from __future__ import annotations

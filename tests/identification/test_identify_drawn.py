@@ -1,4 +1,4 @@
-"""Identification of printers that are drawn at random."""
+"""Identification of random printers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def resonance(hz: float, damping: float) -> tuple[complex, complex]:
     return pole, pole.conjugate()
 
 
-def drawn(seed: int) -> Plant:
-    """Resonances of 20 to 90 Hz, damped by 0.03 to 0.3, behind a motor's lag."""
+def random_plant(seed: int) -> Plant:
+    """Return a plant of resonances of 20 to 90 Hz, damped by 0.03 to 0.3, behind a motor's lag."""
     rng = np.random.default_rng(seed)
 
     def mode() -> tuple[complex, complex]:
@@ -45,4 +45,4 @@ def drawn(seed: int) -> Plant:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_other_printers_are_recovered(tmp_path: Path, quick: Path, seed: int) -> None:
-    check_recovered(Bench(tmp_path, drawn(seed), quick, klipper=False), (90.0, 140.0, 190.0))
+    check_recovered(Bench(tmp_path, random_plant(seed), quick, klipper=False), (90.0, 140.0, 190.0))

@@ -1,1 +1,1 @@
-"""Recordings: what is played, what a sensor wrote, and both on one clock."""
+"""The motion of a sweep, recordings of it by accelerometers, and their common clock."""

@@ -254,7 +254,7 @@ def energy_band(command: Array, shares: tuple[float, float]) -> tuple[float, flo
 
 
 def _within(track: Array, band: tuple[float, float]) -> Array:
-    """Return the track (n, 3) without what lies far from a band in Hz, such as motor steps."""
+    """Return the track (n, 3) without frequencies far from a band in Hz, such as motor steps."""
     hz = rfftfreq(len(track), TS)
     spectra = rfft(track, axis=0)
     spectra[(hz < band[0] / 1.5) | (hz > band[1] * 1.5)] = 0.0

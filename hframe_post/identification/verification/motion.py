@@ -57,10 +57,8 @@ def runs(printer: Printer) -> list[Run]:
 def _begin(wanted: Array) -> int:
     """Return the sample at which the test motion begins: after the last rest of the approach."""
     still = np.flatnonzero((np.diff(wanted, axis=0) == 0.0).all(axis=1))
-    ends = still[np.flatnonzero(np.diff(still, append=len(wanted) + 2) > 1)]
-    first = np.flatnonzero((wanted == wanted[ends[0]]).all(axis=1)) if len(ends) else [0]
-    candidates = [end for end in ends.tolist() if end < len(wanted) // 2]
-    return int(candidates[-1]) if candidates else int(first[0])
+    ends = still[np.diff(still, append=len(wanted) + 2) > 1]
+    return int(ends[ends < len(wanted) // 2][-1])  # the motion is far longer than its approach
 
 
 def _framed(motion: Array, printer: Printer) -> Array:

@@ -26,7 +26,7 @@ from hframe_post.model.plant import Response
 from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 
-LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # of what is integrated, completely from FLAT_HZ on
+LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on
 GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
 RACKING_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
 
