@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -34,10 +35,21 @@ from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.options import Extrusion, LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.choice import verification_as_text
+from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.profile import played_by
 from hframe_post.printer.settings import Printer
 from hframe_post.process import processor_count
 from hframe_post.writers.files.atomic_file import Outputs
+
+
+class FirmwareChoice(click.Choice[str]):
+    """A firmware that the output can be written for."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name. Raises PrinterError for a firmware that is no longer supported."""
+        if value == "reprapfirmware":
+            named(value, "--firmware")
+        return super().convert(value, param, ctx)
 
 
 @click.command()
@@ -59,7 +71,7 @@ from hframe_post.writers.files.atomic_file import Outputs
     "Default: compensation.strategy of the profile.",
 )  # fmt: skip
 @click.option(
-    "--firmware", type=click.Choice(tuple(FIRMWARES)),
+    "--firmware", type=FirmwareChoice(tuple(FIRMWARES)),
     help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
 )  # fmt: skip
 @limits_option

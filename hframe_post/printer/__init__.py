@@ -1,1 +1,1 @@
-"""Printer profiles: what they say, how they are checked, loaded and edited."""
+"""Printer profiles: their settings; how they are chosen, loaded, created and changed."""

@@ -1,4 +1,4 @@
-"""Changes to a profile's TOML text that leave the rest of it, and its comments, alone."""
+"""Changes to a profile's TOML text that keep the rest of it, comments included."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import model_digest, parse, shipped, text_of
 
+CANNOT_CHANGE = "this file cannot be changed safely: extend a shipped profile in a new one"
 Windows = tuple[Window, Window]
-Tables = Mapping[str, dict[str, Any]]  # of a profile: settings by name
+Tables = Mapping[str, dict[str, Any]]  # settings, by the names of their tables
 
 
 def with_windows(
     name_or_path: str, windows: Windows, limits: Mapping[str, float] | None = None
 ) -> str:
-    """The text of that profile with these windows. A shipped one is extended, not copied.
+    """Return a profile's text with these windows. A shipped profile is extended, not copied.
 
-    limits: what is changed in [limits]. Raises PrinterError where the text is laid out so that it
-    cannot be changed safely.
+    limits: changes to [limits]. Raises PrinterError if the text cannot be changed safely.
     """
     tables = {"compensation": _settings(windows), **({"limits": dict(limits)} if limits else {})}
     return _changed(name_or_path, tables, "")
@@ -37,14 +37,14 @@ def with_plant(
     name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
     uncertainty: float | None = None,
 ) -> str:  # fmt: skip
-    """The text of that profile with this plant, told about in ``notes``, and these windows.
+    """Return a profile's text with this plant, these windows, and notes as comments.
 
-    A shipped one is extended. It is the printer's own from now on: a profile that said
-    ``invented`` says so no more, and one that compensated nothing does. uncertainty: share by which
-    the printer may differ from the plant, where that is known. Raises PrinterError
-    where the text cannot be changed safely.
+    A shipped profile is extended, not copied. The plant counts as measured: ``invented`` is
+    removed, and a profile that compensated nothing compensates racking. uncertainty: share by
+    which the printer may differ from the plant, if known. Raises PrinterError if the text cannot
+    be changed safely.
     """
-    before = parse(_own(name_or_path)[0], name_or_path)
+    before = parse(_text_and_newline(name_or_path)[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
     table = _plant(plant, notes, before.invented, uncertainty)
@@ -52,11 +52,11 @@ def with_plant(
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
-    """The text of that profile with the mark that `verify` gives it.
+    """Return a profile's text with the mark of `verify`.
 
-    Raises PrinterError where the text cannot be changed safely.
+    Raises PrinterError if the text cannot be changed safely.
     """
-    text, newline = _own(name_or_path)
+    text, newline = _text_and_newline(name_or_path)
     firmware = parse(text, name_or_path).firmware.dialect
     mark = {"date": date, "reduction": round(reduction, 4), "firmware": firmware,
             "model": model_digest(text)}  # fmt: skip
@@ -66,36 +66,40 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
         table = tomlkit.dumps({"verified": mark})
         changed = f"{document.as_string().rstrip()}\n\n{table}"
         if tomllib.loads(changed) != {**tomllib.loads(text), "verified": mark}:
-            raise ValueError("more was changed than meant")
+            raise ValueError("more was changed than intended")
     except (TOMLKitError, ValueError, RecursionError):
-        advice = "this file cannot be changed: extend a shipped profile"
+        advice = (
+            "this file cannot be changed safely: start a new one that extends a shipped profile"
+        )
         raise PrinterError(advice, "verified", name_or_path) from None
     if parse(changed, name_or_path).verified is None:
-        raise PrinterError("the mark is not that of this model", "verified", name_or_path)
+        raise PrinterError("the mark does not fit this model", "verified", name_or_path)
     return changed.replace("\n", newline)
 
 
 def _changed(name_or_path: str, tables: Tables, plant: str) -> str:
-    """The profile's text with these settings and, unless empty, this table ``plant``."""
-    text, newline = _own(name_or_path)
+    """Return the profile's text with these settings and, unless empty, this table ``plant``."""
+    text, newline = _text_and_newline(name_or_path)
     try:
         changed = _edited(text, tables, plant)
         if tomllib.loads(changed) != _merged(text, tables, plant):
-            raise ValueError("more was changed than meant")
+            raise ValueError("more was changed than intended")
     except (TOMLKitError, ValueError, RecursionError):
         lines = ", ".join(
             f"{key} = {value}" for settings in tables.values() for key, value in settings.items()
         )
         advice = f"write these lines yourself: {lines}"
         if plant:
-            advice = "this file cannot be changed: extend a shipped profile"
+            advice = (
+                "this file cannot be changed safely: start a new one that extends a shipped profile"
+            )
         raise PrinterError(advice, next(iter(tables)), name_or_path) from None
-    parse(changed, name_or_path)  # what is written can be loaded
+    parse(changed, name_or_path)  # raises if it cannot be loaded
     return changed.replace("\n", newline)
 
 
-def _own(name_or_path: str) -> tuple[str, str]:
-    """What that profile's own file says, and how its lines end. A shipped one is extended."""
+def _text_and_newline(name_or_path: str) -> tuple[str, str]:
+    """Return the text to change and its line end. A shipped profile is extended."""
     if name_or_path in shipped():
         return f'extends = "{name_or_path}"\n', "\n"
     text = text_of(name_or_path)
@@ -118,19 +122,19 @@ def _edited(text: str, tables: Tables, plant: str) -> str:
         table: Any = document[name]
         for key, value in settings.items():
             if isinstance(value, list) and len(table.get(key, ())) == len(value):
-                for k, number in enumerate(value):  # one by one: comments between them stay
+                for k, number in enumerate(value):  # one by one, so that comments between them stay
                     table[key][k] = number
             else:
                 table[key] = value
     if not plant:
         return document.as_string()
     document.pop("plant", None)
-    document.pop("verified", None)  # it was of another plant
+    document.pop("verified", None)  # for another plant
     return f"{document.as_string().rstrip()}\n\n{plant}"
 
 
 def _merged(text: str, tables: Tables, plant: str) -> dict[str, Any]:
-    """What the changed text must say."""
+    """Return the contents that the changed text must have."""
     before = tomllib.loads(text)
     if plant:
         before.pop("verified", None)
@@ -141,12 +145,12 @@ def _merged(text: str, tables: Tables, plant: str) -> dict[str, Any]:
 def _plant(
     plant: Plant, notes: Sequence[str], was_invented: bool, uncertainty: float | None
 ) -> str:
-    """The table ``plant`` with notes, and its transfer functions.
+    """Return the table ``plant`` with notes, and its transfer functions.
 
-    What does not rack says so by a gain of zero: the profile that is extended may rack.
+    Without racking it has a gain of zero, since the profile that is extended may rack.
     """
-    silent = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
-    functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or silent}
+    no_racking = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
+    functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
     measured = "invented = false\n" if was_invented else ""
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"

@@ -1,6 +1,6 @@
-"""The tables ``[firmware.…]`` of a profile: what each firmware is to be left with, and how built.
+"""The tables ``[firmware.…]`` of a profile: a firmware's own settings, and how it was built.
 
-A firmware's name is that of its table. ``TABLES`` is all that loading and choosing know of them.
+A table has its firmware's name. ``TABLES`` lists them all.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any
 from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive, within
 
-FASTEST, HARDEST = 1e4, 1e7  # mm/s and mm/s² that a setting may be
+FASTEST, HARDEST = 1e4, 1e7  # largest mm/s and mm/s² of a setting
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
-S_CURVES = ("2.0", "2.1")  # whose S_CURVE_ACCELERATION is known
+S_CURVES = ("2.0", "2.1")  # planners whose S_CURVE_ACCELERATION is modelled
 
 
 @dataclass(frozen=True, slots=True)
 class KlipperTable:
-    """Klipper's own limits, in force outside the stream.
+    """Klipper's own limits, which hold before and after the print.
 
-    Macros, where named, replace the commands that set and restore limits.
+    begin_macro, end_macro: macros to call instead of the commands that set and restore limits.
     """
 
     velocity: float = positive(most=FASTEST)
@@ -36,10 +36,10 @@ class KlipperTable:
 
 @dataclass(frozen=True, slots=True)
 class MarlinTable:
-    """Marlin's own settings, in force outside the stream, and what bounds the stream.
+    """Marlin's own settings, which hold before and after the print, and bounds on the output.
 
-    Corners are those of ``junction_deviation`` or, in builds with CLASSIC_JERK, of ``jerk``
-    (x, y) and ``jerk_e``; the others are 0.
+    Corners follow ``junction_deviation`` or, in builds with CLASSIC_JERK, ``jerk`` (x, y) and
+    ``jerk_e``; the others are 0.
     """
 
     max_velocity: tuple[float, float] = positive(most=FASTEST)
@@ -69,24 +69,25 @@ class MarlinTable:
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)
         if any(jerks) != all(jerks) or any(jerks) == bool(self.junction_deviation):
-            cause = "give this, or jerk and jerk_e of a build with CLASSIC_JERK, and not both"
+            cause = "set either this or, for a build with CLASSIC_JERK, jerk and jerk_e"
             raise PrinterError(cause, "firmware.marlin.junction_deviation")
         if self.s_curve_acceleration and self.planner not in S_CURVES:
-            cause = f"is computed for planner {' and '.join(S_CURVES)}; turn it off in the build"
+            cause = (
+                f"works with planner {' and '.join(S_CURVES)} only; turn it off in Marlin's build"
+            )
             raise PrinterError(cause, "firmware.marlin.s_curve_acceleration")
 
     @property
     def classic_jerk(self) -> bool:
-        """Whether corners are those of jerk."""
         return self.junction_deviation == 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Who reads the output, and the tables of the firmwares that the profile knows.
+    """The firmware that plays the output (``dialect``), and the tables of all that the profile has.
 
-    harmless, returns: commands and macros, by name, that move nothing, or that may move but
-    come back to where they were with the same modes; a name may end in ``*``.
+    harmless: commands and macros that move nothing. returns: those that may move, but return to
+    the same position and modes. A name may end in ``*``.
     """
 
     dialect: str = "klipper"
@@ -98,10 +99,7 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A firmware as a profile knows it: what its table holds, in words, and what else it needs.
-
-    steps: why the table ``[steps]`` is needed, if it is.
-    """
+    """A firmware's table: its class, a description, and why it needs ``[steps]``, if it does."""
 
     kind: type
     holds: str
@@ -132,7 +130,7 @@ def named(dialect: str, key: str = "", source: str = "") -> Table:
 
 
 def load_firmware(table: dict[str, Any]) -> Firmware:
-    """``[firmware]`` with its tables, from TOML. Raises PrinterError."""
+    """Return ``[firmware]`` with its tables. Raises PrinterError."""
     if "reprapfirmware" in table:
         raise PrinterError(REPRAPFIRMWARE_REMOVED, "firmware.reprapfirmware")
     known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
@@ -143,52 +141,29 @@ def load_firmware(table: dict[str, Any]) -> Firmware:
     for name in TABLES.keys() & table.keys():
         if not isinstance(table[name], dict):
             raise PrinterError("the table is missing", f"firmware.{name}")
-    own: dict[str, Any] = {
+    tables: dict[str, Any] = {
         name: checked(each.kind, table[name], f"firmware.{name}")
         for name, each in TABLES.items()
         if name in table
     }
-    own |= {key: _names(table.get(key, []), f"firmware.{key}") for key in NAMES}
-    return Firmware(dialect, **own)
+    tables |= {key: _names(table.get(key, []), f"firmware.{key}") for key in NAMES}
+    return Firmware(dialect, **tables)
 
 
 def _names(value: Any, key: str) -> tuple[str, ...]:
-    """Names of commands. Raises PrinterError."""
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise PrinterError("must be a list of names", key)
     for name in value:
         if not NAME.fullmatch(name):
-            raise PrinterError(f"{name!r} is no name of a command or macro", key)
+            raise PrinterError(f"{name!r} is not the name of a command or macro", key)
     return tuple(value)
 
 
 def check_needs(firmware: Firmware, steps_known: bool) -> None:
-    """Raises PrinterError where a table is missing that the chosen firmware needs."""
+    """Raise PrinterError if the firmware needs a table that the profile does not have."""
     needed = named(firmware.dialect, "firmware.dialect")
     if getattr(firmware, firmware.dialect) is None:
         cause = f"the table is missing: {needed.holds}"
         raise PrinterError(cause, f"firmware.{firmware.dialect}")
     if needed.steps and not steps_known:
         raise PrinterError(f"the table is missing: {needed.steps}", "steps")
-
-
-KLIPPER_ONCE = ("begin_macro", "end_macro")  # keys of [firmware], when Klipper was the only one
-
-
-def modernised(document: dict[str, Any]) -> dict[str, Any]:
-    """A profile's document with ``[firmware.restore]`` and macros of old where they belong now.
-
-    Raises PrinterError where both the old and the new are given.
-    """
-    table = document.get("firmware")
-    if not isinstance(table, dict) or not table.keys() & {"restore", *KLIPPER_ONCE}:
-        return document
-    new = {key: value for key, value in table.items() if key not in ("restore", *KLIPPER_ONCE)}
-    restore, klipper = table.get("restore", {}), new.get("klipper", {})
-    for name, value in (("restore", restore), ("klipper", klipper)):
-        if not isinstance(value, dict):
-            raise PrinterError("the table is missing", f"firmware.{name}")
-    moved = {**restore, **{key: table[key] for key in KLIPPER_ONCE if key in table}}
-    if twice := moved.keys() & klipper.keys():
-        raise PrinterError("is given twice, here and as of old", f"firmware.klipper.{min(twice)}")
-    return {**document, "firmware": {**new, "klipper": {**klipper, **moved}}}

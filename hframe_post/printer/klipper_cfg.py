@@ -1,6 +1,6 @@
-"""Klipper's printer.cfg: read leniently, and laid beside a profile.
+"""Klipper's printer.cfg: read, and compared with a profile.
 
-Where Klipper has a default, it holds here too: https://www.klipper3d.org/Config_Reference.html
+Klipper's defaults hold here too: https://www.klipper3d.org/Config_Reference.html
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from pathlib import Path
 from hframe_post.errors import HframeError
 from hframe_post.printer.settings import Printer
 
-CLOSE = 1e-3  # of two numbers that are to agree
-AUTOSAVE = "#*# "  # before each line of what Klipper saved itself
-DEEPEST = 10  # includes within includes
-LARGEST = 1 << 22  # bytes
+CLOSE = 1e-3  # tolerated difference of two numbers
+AUTOSAVE = "#*# "  # starts each line that SAVE_CONFIG wrote
+MAX_DEPTH = 10  # of nested includes
+MAX_SIZE = 1 << 22  # bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """wrong: whether the printer would not do what was computed; else worth knowing."""
+    """A difference from the profile. wrong: the printer would not move as computed."""
 
     wrong: bool
     text: str
 
 
 class KlipperConfig:
-    """A printer.cfg with what it includes. Raises HframeError where it is none.
+    """A printer.cfg with its includes. Raises HframeError if it is not a printer.cfg.
 
-    missing: includes that are not there.
+    missing: includes that were not found.
     """
 
     def __init__(self, path: Path) -> None:
@@ -41,15 +41,15 @@ class KlipperConfig:
         )  # fmt: skip
         self.missing: list[str] = []
         self._path = path
-        self._read(path, DEEPEST)
+        self._read(path, MAX_DEPTH)
         if not self._parser.has_section("printer"):
-            raise HframeError(f"{path}: has no section [printer], so it is no printer.cfg")
+            raise HframeError(f"{path} has no section [printer]: is it a printer.cfg?")
 
     def _read(self, path: Path, depth: int) -> None:
         with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
-        if len(content) > LARGEST:
-            raise HframeError(f"{path}: more than {LARGEST} bytes are no printer.cfg")
+            content = file.read(MAX_SIZE + 1)
+        if len(content) > MAX_SIZE:
+            raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: is it a printer.cfg?")
         lines = (
             line.removeprefix(AUTOSAVE) for line in content.decode("utf-8", "replace").splitlines()
         )
@@ -58,7 +58,7 @@ class KlipperConfig:
             self._parser.read_string("\n".join(lines), str(path))
         except configparser.Error as error:
             raise HframeError(f"{path}: {error}") from None
-        except AttributeError:  # of configparser, where a key has no value and yet goes on
+        except AttributeError:  # raised by configparser for a value before the first key
             raise HframeError(f"{path}: a value begins before its key") from None
         for section in [each for each in self._parser.sections() if each not in before]:
             if section.startswith("include "):
@@ -70,30 +70,31 @@ class KlipperConfig:
                     self._read(each, depth - 1)
 
     def has(self, section: str) -> bool:
-        """Whether there is such a section."""
         return self._parser.has_section(section)
 
     def macro(self, name: str) -> bool:
-        """Whether there is such a macro; their names do not tell cases apart."""
+        """Return whether there is such a macro, in upper or lower case."""
         sections = (section.upper().split() for section in self._parser.sections())
         return ["GCODE_MACRO", name.upper()] in sections
 
     def text(self, section: str, key: str, default: str = "") -> str:
-        """A value as it stands."""
+        """Return a value as text."""
         return (self._parser.get(section, key, fallback=None) or default).strip()
 
     def number(self, section: str, key: str, default: float = math.nan) -> float:
-        """A value; the default where it is not given. Raises HframeError."""
+        """Return a value, or the default if there is none. Raises HframeError."""
         text = self.text(section, key)
         if not text:
             return default
         try:
             return float(text)
         except ValueError:
-            raise HframeError(f"{self._path}: [{section}] {key}: {text!r} is no number") from None
+            raise HframeError(
+                f"{self._path}: [{section}] {key}: {text!r} is not a number"
+            ) from None
 
     def step(self, section: str) -> float:
-        """mm a step of a motor; nan where it is not told."""
+        """Return mm per step of a motor; nan if it cannot be computed."""
         gears = 1.0
         for pair in filter(None, self.text(section, "gear_ratio").split(",")):
             driven, _, driving = pair.partition(":")
@@ -107,9 +108,9 @@ class KlipperConfig:
 
 
 def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """Where a printer.cfg and a profile do not fit each other. Raises HframeError."""
+    """Yield the differences of a printer.cfg from a profile. Raises HframeError."""
     for name in config.missing:
-        yield Finding(False, f"[include {name}]: not found beside printer.cfg, so not checked")
+        yield Finding(False, f"[include {name}] was not found and is not checked")
     yield from _kinematics(config, printer)
     yield from _steps(config, printer)
     yield from _numbers(config, printer)
@@ -128,7 +129,10 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
 
 
 def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float, str, str, float]]:
-    """Numbers of printer.cfg that the profile repeats: key, value, section, option, default."""
+    """Return the numbers of the profile that printer.cfg has too.
+
+    Each is a key of the profile, its value, a section, an option and its default.
+    """
     own, limits = printer.firmware.klipper, printer.limits
     velocity = config.number("printer", "max_velocity")
     acceleration = config.number("printer", "max_accel")
@@ -166,7 +170,6 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
 
 
 def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """Each number of printer.cfg that the profile repeats."""
     for key, wanted, section, option, default in _repeated(config, printer):
         has = config.number(section, option, default)
         if math.isnan(has):
@@ -205,19 +208,21 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """What the stream needs, and what is in its way."""
     own = printer.firmware.klipper
     for name in (own.begin_macro, own.end_macro) if own is not None else ():
         if name and not config.macro(name):
             yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
     if config.text("printer", "max_accel_to_decel"):
-        yield Finding(False, "[printer] max_accel_to_decel is of an older Klipper: the stream uses "
-                      "MINIMUM_CRUISE_RATIO, of March 2024 or newer")  # fmt: skip
+        yield Finding(
+            False,
+            "[printer] max_accel_to_decel belongs to an older Klipper: converted files need "
+            "MINIMUM_CRUISE_RATIO, of March 2024 or newer",
+        )
     if config.has("skew_correction"):
-        yield Finding(False, "[skew_correction] turns segments of the stream: leave it off")
+        yield Finding(False, "[skew_correction] distorts the converted motion: turn it off")
     if not config.macro("CANCEL_PRINT"):
         yield Finding(
             False,
-            "[gcode_macro CANCEL_PRINT] does not restore the limits: a print cancelled in the "
-            "stream leaves the printer with those of the stream (docs/klipper.md)",
+            "[gcode_macro CANCEL_PRINT] is missing: after a cancelled print the limits of the "
+            "converted file stay in force. Run 'hframe-post klipper-macros' (docs/klipper.md)",
         )

@@ -1,4 +1,4 @@
-"""A commented profile for a printer of one's own, from what is known of it."""
+"""A new profile, with comments, from a printer.cfg or from answers."""
 
 from __future__ import annotations
 
@@ -16,22 +16,19 @@ BASES = {
     "corexz": "example-cartesian",
     "cartesian": "example-cartesian",
 }
-KLIPPERS = {  # its kinematics, and what they are here if nobody says; it knows corexy, not hbot
+KINEMATICS = {  # ours, by Klipper's name; Klipper calls hbot corexy, too
     "corexy": "hbot",
     "hybrid_corexy": "hybrid-corexy",
     "corexz": "corexz",
     "cartesian": "cartesian",
 }
-START_JERK = 3e6  # mm/s³: on sliced parts it costs 1 % of time and takes an eighth of the error
+START_JERK = 3e6  # mm/s³; costs 1 % of print time and reduces the error by an eighth
 Range = tuple[float, float]
 
 
 @dataclass
 class Known:
-    """The few things that are particular to a printer; mm, s. The rest is the base profile's.
-
-    nan: not known, left to the base profile.
-    """
+    """A printer's properties; mm, s. The base profile has the rest, and those that are nan."""
 
     description: str
     kinematics: str
@@ -51,14 +48,15 @@ class Known:
 
 
 def from_klipper(config: KlipperConfig, description: str, kinematics: str | None) -> Known:
-    """What a printer.cfg tells. kinematics: Klipper does not know corexy from hbot.
+    """Return the properties in a printer.cfg.
 
-    Raises HframeError where a number is missing.
+    kinematics: needed to tell corexy from hbot; hbot if None. Raises HframeError if a number is
+    missing.
     """
-    told = config.text("printer", "kinematics")
-    if told not in KLIPPERS:
-        usable = ", ".join(KLIPPERS)
-        raise HframeError(f"[printer] kinematics: {told!r}: only {usable} can be used")
+    kind = config.text("printer", "kinematics")
+    if kind not in KINEMATICS:
+        usable = ", ".join(KINEMATICS)
+        raise HframeError(f"[printer] kinematics: {kind!r} is not supported, only {usable}")
     ranges = []
     for axis in "xy":
         low = config.number(f"stepper_{axis}", "position_min", 0.0)
@@ -74,7 +72,7 @@ def from_klipper(config: KlipperConfig, description: str, kinematics: str | None
     steps = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
     shaper = tuple(config.number("input_shaper", f"shaper_freq_{a}", 0.0) for a in "xy")
     return Known(
-        description, kinematics or KLIPPERS[told],
+        description, kinematics or KINEMATICS[kind],
         ranges[0], ranges[1], velocity, acceleration,
         config.number("printer", "square_corner_velocity", 5.0),
         config.number("printer", "max_z_velocity", velocity),
@@ -89,10 +87,10 @@ def from_klipper(config: KlipperConfig, description: str, kinematics: str | None
 
 
 def text(known: Known) -> str:
-    """The profile, as TOML with comments. Its plant is marked: it is not that printer's yet."""
+    """Return the profile as TOML with comments. Its plant is marked as not measured."""
     base = BASES[known.kinematics]
     return f"""\
-# A profile for hframe-post. Lengths in mm, times in s. What is not said here is as in the
+# A profile for hframe-post. Lengths in mm, times in s. All other settings are those of the
 # profile that this one extends: 'hframe-post printers show {base}'.
 
 extends = "{base}"
@@ -100,25 +98,24 @@ description = {json.dumps(known.description, ensure_ascii=False)}
 
 {_machine(known)}
 {_klipper(known)}
-[plant]                 # NOT YOURS yet but that of "{base}", so nothing is compensated until
-invented = true         # `hframe-post identify` has written yours here (docs/identify.md)
+[plant]                 # Not measured yet, so nothing is compensated until `hframe-post
+invented = true         # identify` has written your printer's plant here (docs/identify.md)
 """
 
 
 def _machine(known: Known) -> str:
-    """How it moves, and how far and fast it may."""
     return f"""\
 [kinematics]
 type = "{known.kinematics}"
 
-[travel]                # where the nozzle may be commanded: inside position_min, position_max
+[travel]                # where the nozzle may go, within position_min and position_max
 x = [{known.x[0]!r}, {known.x[1]!r}]
 y = [{known.y[0]!r}, {known.y[1]!r}]
 
-[limits]                # what the planner may ask; a file's own limits lower these
+[limits]                # limits of the planned path; limits set in a file lower these
 velocity = {known.velocity:g}
 acceleration = {known.acceleration:g}
-jerk = {START_JERK!r}        # gentle, for a model that is a little off; see `tune`
+jerk = {START_JERK!r}        # low, for a model with small errors; see `hframe-post tune`
 square_corner_velocity = {known.corner:g}
 {_given("z_velocity", known.z_velocity, "max_z_velocity of printer.cfg")}\
 {_given("z_acceleration", known.z_acceleration, "max_z_accel")}\
@@ -126,17 +123,16 @@ square_corner_velocity = {known.corner:g}
 {_given("extruder_acceleration", known.extruder_acceleration, "max_extrude_only_accel")}\
 extruder_corner_velocity = {known.extruder_corner_velocity:g}  # instantaneous_corner_velocity
 
-# [motors]              # what no command may exceed; the base profile's until you know better
+# [motors]              # limits of every command; without this table, the base profile's
 # belt_velocity = …
 # belt_acceleration = …
 """
 
 
 def _klipper(known: Known) -> str:
-    """Its steps, if they are known, and what Klipper is to be left with."""
-    told = [f"{name} = {step:.9g}\n" for name, step in known.steps.items() if step > 0.0]
-    comment = "[steps]                 # mm a step, from rotation_distance and microsteps\n"
-    steps = "".join([comment, *told, "\n"]) if told else ""
+    steps_lines = [f"{name} = {step:.9g}\n" for name, step in known.steps.items() if step > 0.0]
+    comment = "[steps]                 # mm per step, from rotation_distance and microsteps\n"
+    steps = "".join([comment, *steps_lines, "\n"]) if steps_lines else ""
     shapers = "".join(
         f"shaper_freq_{axis} = {hz:g}\n"
         for axis, hz in zip("xy", known.shaper_freq, strict=True)
@@ -146,7 +142,7 @@ def _klipper(known: Known) -> str:
 {steps}[firmware]
 dialect = "klipper"
 
-[firmware.klipper]      # in force before and after the stream: those of printer.cfg
+[firmware.klipper]      # limits before and after a print: those of printer.cfg
 velocity = {known.velocity:g}
 acceleration = {known.acceleration:g}
 square_corner_velocity = {known.corner:g}

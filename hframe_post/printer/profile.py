@@ -1,4 +1,4 @@
-"""Printer profiles: TOML → frozen dataclasses, checked whole on load."""
+"""Profiles: read from TOML and checked completely."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.firmware_tables import check_needs, load_firmware, modernised
+from hframe_post.printer.firmware_tables import check_needs, load_firmware
 from hframe_post.printer.schema import (
     checked,
     checked_value,
@@ -40,14 +40,14 @@ LARGEST_FILE = 1 << 20  # bytes of a profile
 
 
 def shipped() -> dict[str, str]:
-    """Name → TOML text of the profiles that come with the package."""
+    """Return the TOML texts of the profiles that come with hframe-post, by name."""
     folder = resources.files(__package__) / "profiles"
     found = (f for f in folder.iterdir() if f.name.endswith(".toml"))
     return {f.name.removesuffix(".toml"): f.read_text("utf-8") for f in sorted(found, key=str)}
 
 
 def load(name_or_path: str) -> Printer:
-    """The shipped profile of that name, or the one in that file. Raises PrinterError."""
+    """Return the shipped profile of that name, or the one in that file. Raises PrinterError."""
     profiles = shipped()
     if name_or_path in profiles:
         return parse(profiles[name_or_path], name_or_path)
@@ -55,7 +55,7 @@ def load(name_or_path: str) -> Printer:
 
 
 def text_of(path: str) -> str:
-    """What a profile's file says, with its line ends. Raises PrinterError."""
+    """Return the text of a profile's file, line ends unchanged. Raises PrinterError."""
     if not Path(path).is_file():
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
@@ -63,14 +63,14 @@ def text_of(path: str) -> str:
         with Path(path).open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
-            raise PrinterError(f"more than {LARGEST_FILE} bytes are no profile", source=path)
+            raise PrinterError(f"a profile is not larger than {LARGEST_FILE} bytes", source=path)
         return content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
 
 def parse(text: str, name: str, source: str = "") -> Printer:
-    """A profile from its TOML text. Raises PrinterError with the key that is wrong."""
+    """Return a profile from its TOML text. Raises PrinterError, which names the bad key."""
     try:
         document = _extended(_loaded(text))
         known = {key: value for key, value in document.items() if key != "verified"}
@@ -90,21 +90,20 @@ def _loaded(text: str) -> dict[str, Any]:
 
 
 def _extended(document: dict[str, Any]) -> dict[str, Any]:
-    """The document on top of the shipped profile that it extends, if any."""
-    document = modernised(document)
+    """Return the document merged into the shipped profile that it extends, if any."""
     if "extends" not in document:
         return document
     base, profiles = document["extends"], shipped()
     if not isinstance(base, str) or base not in profiles:
         raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", "extends")
-    own = {key: value for key, value in document.items() if key != "extends"}
-    return _merged(_extended(tomllib.loads(profiles[base])), own)
+    changes = {key: value for key, value in document.items() if key != "extends"}
+    return _merged(_extended(tomllib.loads(profiles[base])), changes)
 
 
-def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """``own`` over ``base``, table by table; a transfer function is replaced whole."""
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the keys of ``changes``; transfer functions are replaced as a whole."""
     merged = dict(base)
-    for key, value in own.items():
+    for key, value in changes.items():
         tables = isinstance(value, dict) and isinstance(base.get(key), dict)
         whole = not tables or key in ("Gxx", "Gyy", "Gxtheta")
         merged[key] = value if whole else _merged(base[key], value)
@@ -152,7 +151,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
 
 
 def _verified(document: dict[str, Any]) -> Verified | None:
-    """The mark of `verify`, if it is of this plant and window."""
+    """Return the mark of `verify`, if it was for this plant and window."""
     if "verified" not in document:
         return None
     mark = checked(Verified, document["verified"], "verified")
@@ -160,18 +159,17 @@ def _verified(document: dict[str, Any]) -> Verified | None:
 
 
 def _model_digest(document: dict[str, Any]) -> str:
-    """Identifies plant and window."""
     deciding = repr((document["plant"], document["compensation"]))
     return hashlib.sha256(deciding.encode()).hexdigest()[:12]
 
 
 def model_digest(text: str) -> str:
-    """Identifies plant and window of a profile's text."""
+    """Return the digest of the plant and window of a profile's text."""
     return _model_digest(_extended(tomllib.loads(text)))
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:
-    """The printer with another firmware. Raises PrinterError if the profile does not know it."""
+    """Return the printer with another firmware. Raises PrinterError if the profile lacks it."""
     if dialect == printer.firmware.dialect:
         return printer
     firmware = replace(printer.firmware, dialect=dialect)
@@ -184,7 +182,7 @@ def played_by(printer: Printer, dialect: str) -> Printer:
 
 
 def check_identified(printer: Printer) -> None:
-    """Raises PrinterError where a command would be computed for a plant that is no printer's."""
+    """Raise PrinterError if the plant was not measured on this printer."""
     if printer.invented:
         raise PrinterError(
             "this plant is not your printer's, so nothing is compensated with it: measure yours "
@@ -211,7 +209,9 @@ def _plant(table: dict[str, Any]) -> Plant:
             raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
     racking = functions.get("Gxtheta")
     if racking is not None and not abs(racking.dc_gain) <= 1e-9:
-        raise PrinterError("a standing gantry must not rack: gain at rest not 0", "plant.Gxtheta")
+        raise PrinterError(
+            "gain at rest must be 0: a gantry at rest does not rack", "plant.Gxtheta"
+        )
     if racking is not None and racking.gain == 0.0:
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")

@@ -14,10 +14,10 @@ from hframe_post.arrays import Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
-Rules: TypeAlias = Mapping[str, Any]  # of a field: its bounds, ``choices``, ``ascending``
+Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, ``choices``, ``ascending``, ``names``
 
-LARGEST = 1e15  # a number beyond is a mistake
-MOST_ROOTS = 50  # of a transfer function; the products of so many within ROOTS are finite
+LARGEST = 1e15  # a larger number is a mistake
+MOST_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
 ROOTS = {"least": -1e5, "most": 1e5}
 KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
@@ -29,22 +29,22 @@ BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
 
 
 def positive(default: Any = MISSING, **bounds: float) -> Any:
-    """A field that must be above zero, and within more bounds: any of ``BOUNDS``."""
+    """Return a field that must be above zero and within these ``BOUNDS``."""
     return field(default=default, metadata={"above": 0.0, **bounds})
 
 
 def not_negative(default: Any = MISSING, **bounds: float) -> Any:
-    """A field that may be zero, within more bounds."""
+    """Return a field that must be at least zero and within these ``BOUNDS``."""
     return field(default=default, metadata={"least": 0.0, **bounds})
 
 
 def within(least: float, most: float, default: Any = MISSING) -> Any:
-    """A field between two bounds, both possible."""
+    """Return a field between two bounds, inclusive."""
     return field(default=default, metadata={"least": least, "most": most})
 
 
 def roots(pairs: Any, key: str) -> Complex:
-    """Complex roots from pairs [real, imaginary], within ``ROOTS``."""
+    """Return complex roots from pairs [real, imaginary]. Raises PrinterError."""
     if not isinstance(pairs, list):
         raise PrinterError("must be a list of pairs [real, imaginary]", key)
     if len(pairs) > MOST_ROOTS:
@@ -57,7 +57,7 @@ def roots(pairs: Any, key: str) -> Complex:
 
 
 def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
-    """A dataclass from a TOML table: every key known, typed and within its bounds."""
+    """Return a dataclass from a TOML table. Raises PrinterError for a bad key or value."""
     hints = get_type_hints(kind)
     members: tuple[Field[Any], ...] = fields(kind)  # type: ignore[arg-type]
     known_keys(table, tuple(m.name for m in members), path)
@@ -76,7 +76,7 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
 
 
 def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
-    """One value of the type ``hint``, within the rules of its field."""
+    """Return a value of the type ``hint``. Raises PrinterError if it breaks its field's rules."""
     if hint == tuple[float, float]:
         return _range(value, rules, key)
     if hint == dict[str, float]:
@@ -103,7 +103,7 @@ def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
 
 
 def _by_name(value: Any, rules: Rules, key: str) -> dict[str, float]:
-    """Numbers by name, of ``rules["names"]``; one alone goes under none."""
+    """Return numbers by name; a single number gets the name ''."""
     table = value if isinstance(value, dict) else {"": value}
     known_keys(table, ("", *rules["names"]), key)
     return {
@@ -127,7 +127,7 @@ def _shown(choice: str | float) -> str:
 
 
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:
-    """Raises PrinterError, with the nearest known key, where one is unknown."""
+    """Raise PrinterError for an unknown key, with the nearest known one."""
     for key in table:
         if key not in known:
             near = get_close_matches(key, known, n=1, cutoff=0.0)

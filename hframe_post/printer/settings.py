@@ -1,4 +1,4 @@
-"""What a profile says: frozen dataclasses, each a table of it. Lengths mm, times s."""
+"""A profile's settings: a frozen dataclass for each table. Lengths in mm, times in s."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from hframe_post.stream.features import KINDS
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 SHARE = {"least": 0.0, "most": 0.99}
-STOPS = {"fast": 2, "exact": 8}  # samples of standstill of the path before and after a stop
+STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
 LONGEST_RAMP = 60.0  # s
-LONGEST_PREVIEW = 2000  # samples; a window is solved with a matrix of its square
-HIGHEST_HZ = 200.0  # of a sweep: five samples a period, which are played as straight lines
-SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper keeps no more than 1000 s of acceleration
-QUIET = 0.1  # s at least: what tells the parts of a sweep from one another
+LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and columns
+HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
+SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper records at most 1000 s
+QUIET = 0.1  # s; a shorter rest does not separate the parts of a sweep
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """Where the nozzle may be commanded: (least, greatest) of x, y and, if it says so, z; mm."""
+    """Where the nozzle may go: (minimum, maximum) of x, y and, if limited, z; mm."""
 
     x: tuple[float, float] = field(metadata=PLACES)
     y: tuple[float, float] = field(metadata=PLACES)
@@ -34,11 +34,11 @@ class Travel:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the planner may ask of the path; mm, s. See the shipped profile for each.
+    """Limits of the planned path; mm, s. The shipped profiles explain each.
 
-    flow (mm³/s) and min_layer_time bound only what is made faster than the file has it. Where
-    travel_velocity and travel_acceleration are not 0, travel has them, whatever the file asks.
-    Raises ValueError where full speed would take more than LONGEST_RAMP.
+    flow (mm³/s) and min_layer_time limit only what is printed faster than in the file.
+    travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
+    Raises ValueError if reaching full speed would take more than LONGEST_RAMP.
     """
 
     velocity: float = within(1.0, 1e4)
@@ -59,17 +59,17 @@ class Limits:
 
     @property
     def filament_velocity(self) -> float:
-        """mm of filament a second that the hot end can melt: from ``flow``, mm³/s."""
+        """Return how fast the hot end can melt filament, mm/s."""
         return self.flow / (math.pi / 4.0 * self.filament_diameter**2)
 
     @property
     def fastest(self) -> float:
-        """Greatest speed of travel, mm/s."""
+        """Return the maximum speed of travel, mm/s."""
         return self.travel_velocity or self.velocity
 
     @property
     def hardest(self) -> float:
-        """Greatest acceleration of travel, mm/s²."""
+        """Return the maximum acceleration of travel, mm/s²."""
         return self.travel_acceleration or self.acceleration
 
     def __post_init__(self) -> None:
@@ -89,7 +89,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """What no command may exceed: speed and acceleration of the belts A and B."""
+    """Limits of every command: speed and acceleration of the belts A and B."""
 
     belt_velocity: float = within(1.0, 1e5)
     belt_acceleration: float = within(1.0, 1e8)
@@ -97,9 +97,9 @@ class Motors:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """How the motors step: mm of x-y belt, z and filament per step, and the stepping clock.
+    """Step size of the motors: mm of x-y belt, z and filament; and the frequency of the step clock.
 
-    direction_setup (s): from a change of direction to the first step after it.
+    direction_setup: s between a change of direction and the next step.
     """
 
     belt: float = within(1e-6, 10.0)
@@ -111,9 +111,9 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Strategy and window of the limited-preview filtered B-splines; how stops are made.
+    """Strategy, window of the limited-preview filtered B-splines, and method for stops.
 
-    Raises ValueError where the window is impossible or sees more than LONGEST_PREVIEW samples.
+    Raises ValueError if the window is impossible or longer than LONGEST_PREVIEW.
     """
 
     L: int = positive(most=500)
@@ -134,18 +134,17 @@ class Compensation:
 
     @property
     def windows(self) -> tuple[Window, Window]:
-        """The windows of x and y, which differ in effort alone."""
+        """Return the windows of x and y, which differ in effort only."""
         x, y = (Window(self.L, self.n_C, self.n_up, e, self.degree) for e in self.effort)
         return x, y
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """What is asked of the motion. Raises ValueError, as a whole, where that cannot be.
+    """The motion that measures a printer. Raises ValueError if the settings do not fit together.
 
-    amplitude: mm/s²; stroke: mm to either side that low frequencies may take; sway: mm to
-    either side of the slow motion under it; quiet: s of standstill before, after and between
-    the parts.
+    amplitude: mm/s²; stroke: limit of the amplitude at low frequencies, ± mm; sway: amplitude of
+    the slow motion below the sweep, ± mm; quiet: s of rest before, after and between the parts.
     """
 
     start_hz: float = positive(2.0)
@@ -157,8 +156,8 @@ class Sweep:
     quiet: float = positive(1.0)
 
     def __post_init__(self) -> None:
-        asked = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
-        if not all(0.0 < value < math.inf for value in asked):
+        values = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
+        if not all(0.0 < value < math.inf for value in values):
             raise ValueError("frequencies, rate, amplitude and stroke must be above 0")
         if not 0.0 <= self.sway < math.inf:
             raise ValueError(f"sway must be at least 0, it is {self.sway:g}")
@@ -177,13 +176,13 @@ class Sweep:
 
     @property
     def seconds(self) -> float:
-        """Duration of the sine alone."""
+        """Return the duration of the sine without the rests."""
         return (self.end_hz - self.start_hz) / self.rate_hz_per_s
 
 
 @dataclass(frozen=True, slots=True)
 class Retraction:
-    """What G10 and G11 do: mm of filament and mm/s; return_speed 0: that of retracting."""
+    """What G10 and G11 do: mm of filament and mm/s. return_speed 0: the same as speed."""
 
     length: float = within(0.01, 100.0)
     speed: float = within(0.1, 1e3)
@@ -193,13 +192,13 @@ class Retraction:
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """How accuracy is spent on speed where no option says so.
+    """Trading accuracy for speed, unless options say otherwise.
 
-    max_error: mm that may not be exceeded, by kind of feature, of all others under no name;
-    empty: prints keep the file's speeds. error_measure: what of the error that is. speed_up:
-    times the file's feed rates, at most. model_error: share by which the printer may be off.
-    filament_acceleration: mm/s² of filament being laid, at most, where a move is driven harder than
-    the file has it; 0: no bound. Pressure advance pushes the extruder in proportion to it.
+    max_error: largest error (mm) by feature, '' for all others; empty: the file's speeds.
+    error_measure: statistic compared with it. speed_up: largest factor on the file's feed rates.
+    model_error: share by which the printer may differ from its model. filament_acceleration:
+    largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
+    moves that accelerate harder than in the file; 0: no limit.
     """
 
     max_error: dict[str, float] = field(
@@ -213,8 +212,8 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What `verify` found on the machine. date: of the recording, ISO; reduction: share of the
-    contour error that compensation took away; model: digest of the plant and window it was of."""
+    """The result of `verify`. date: of the recording, ISO; reduction: share of the contour error
+    that compensation removed; model: digest of the plant and window that were verified."""
 
     date: str
     reduction: float = field(metadata={"least": -1e3, "below": 1.001})
@@ -224,12 +223,11 @@ class Verified:
 
 @dataclass(frozen=True, slots=True)
 class Printer:
-    """A whole profile. ``digest`` identifies its contents; ``steps`` may be left out.
+    """A whole profile.
 
-    sweep: the motion by which its plant is identified, of no part in a conversion. verified:
-    None unless this very plant and window were; ``digest`` does not tell it. invented: the
-    plant is of no printer, or of another one. speed: of conversions alone. uncertainty: share by
-    which the printer may differ from its plant, where that was measured.
+    digest: identifies the contents, apart from ``verified``. verified: None unless this plant and
+    window were verified. invented: the plant was not measured on this printer. uncertainty: share
+    by which the printer may differ from its plant; None if it was not measured.
     """
 
     name: str
@@ -252,11 +250,11 @@ class Printer:
 
     @property
     def known_speed(self) -> Speed:
-        """``speed``, its model error at least what is not known of the plant."""
+        """Return ``speed`` with a model error of at least the plant's uncertainty."""
         known = max(self.speed.model_error, self.uncertainty or 0.0)
         return replace(self.speed, model_error=known)
 
     @property
     def asked_speed(self) -> Speed | None:
-        """The same, where the profile asks for any: None prints as fast as the file."""
+        """Return ``known_speed``; None if the profile keeps the file's speeds."""
         return self.known_speed if self.speed.max_error else None

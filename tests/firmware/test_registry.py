@@ -66,29 +66,6 @@ def test_firmware_without_its_table_is_an_error_in_the_library() -> None:
         player(with_dialect("marlin"), None)
 
 
-OLD = """
-begin_macro = "BEGIN"
-[firmware.restore]
-velocity = 150.0
-"""
-
-
-def test_tables_of_old_profiles_are_klippers() -> None:
-    old = parse(f'extends = "paper"\n[firmware]{OLD}', "mine")
-    new = '[firmware.klipper]\nvelocity = 150.0\nbegin_macro = "BEGIN"'
-    assert old.firmware == parse(f'extends = "paper"\n{new}', "mine").firmware
-    assert old.firmware.klipper is not None
-    assert (old.firmware.klipper.velocity, old.firmware.klipper.acceleration) == (150.0, 1e4)
-    assert old.firmware.klipper.begin_macro == "BEGIN"
-
-
-def test_old_and_new_at_once_is_an_error() -> None:
-    both = f'extends = "paper"\n[firmware]{OLD}[firmware.klipper]\nvelocity = 1.0\n'
-    with pytest.raises(PrinterError) as caught:
-        parse(both, "mine")
-    assert caught.value.key == "firmware.klipper.velocity"
-
-
 @pytest.mark.parametrize("name", TABLES)
 def test_every_number_of_a_firmwares_table_has_bounds(name: str) -> None:
     for member in fields(TABLES[name].kind):

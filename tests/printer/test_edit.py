@@ -141,7 +141,7 @@ def test_settings_of_other_tables_and_in_comments_are_left_alone(mine: Path) -> 
         ("[compensation]\neffort = [\n  1.0, # of x\n  2.0,\n]\n", "  30.0, # of x"),
         ("[compensation]\neffort = [ # one\n1.0,\n2.0,\n3.0]\nL=5 #five\n", "L=8 #five"),
         ('description = """\n[compensation]\n"""\n[compensation]\nL = 5 # in\n', "L = 8 # in"),
-        ("[firmware]\n[compensation]\n[firmware.restore]\nvelocity = 90 # out of order\n",
+        ("[firmware]\n[compensation]\n[firmware.klipper]\nvelocity = 90 # out of order\n",
          "velocity = 90 # out of order"),
     ],
     ids=["dotted", "inline", "quoted table", "quoted key", "many lines", "too many numbers",

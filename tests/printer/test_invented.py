@@ -53,7 +53,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     told = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
     assert told.returncode == 0, told.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
-    assert b"[invented plant]" in run("printers").stdout
+    assert b"[example: not measured on a printer]" in run("printers").stdout
     assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout
 
 

@@ -146,7 +146,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
     changes = (
         "[limits]\nvelocity = 299.0",
         "[plant]\nx_c = 141.0",
-        "[firmware]\nbegin_macro = 'BEGIN'",
+        "[firmware.klipper]\nbegin_macro = 'BEGIN'",
         '[compensation]\nstops = "exact"',
     )
     assert len({digest(PAPER), *(digest(extending(change)) for change in changes)}) == 5
@@ -190,8 +190,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nstrategy = 3", "compensation.strategy", "must be text"),
         ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
         ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
-        ("[firmware]\nbegin_macro = 3", "firmware.klipper.begin_macro", "must be text"),
-        ("[firmware]\nrestore = 3", "firmware.restore", "table is missing"),
+        ("[firmware.klipper]\nbegin_macro = 3", "firmware.klipper.begin_macro", "must be text"),
         ("[firmware.klipper]\nminimum_cruise_ratio = 1.0",
          "firmware.klipper.minimum_cruise_ratio", "below 1"),
         ("[kinematics]\ntype = 'delta'", "kinematics.type", "hybrid-corexy, corexz, cart"),
@@ -217,7 +216,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nn_C = 20000", "compensation.n_C", "at most 1000"),
         ("[compensation]\ndegree = 40", "compensation.degree", "at most 9"),
         ("[plant]\nx_c = 1e14", "plant.x_c", "at most 10000"),
-        ("[firmware]\nbegin_macro = \"A\\nG1 X9999\"", "firmware.klipper.begin_macro",
+        ("[firmware.klipper]\nbegin_macro = \"A\\nG1 X9999\"", "firmware.klipper.begin_macro",
          "one line of printable text"),
         ("[steps]\nbelt = 0", "steps.belt", "at least 1e-06"),
         ("[steps]\nclock_hz = 1e11", "steps.clock_hz", "at most 9.9e+09"),
@@ -279,12 +278,12 @@ def test_bad_transfer_function_is_an_error(gain: str, zeros: str, poles: str, ca
     assert cause in found.cause
 
 
-def test_standing_gantry_must_not_rack() -> None:
+def test_a_gantry_at_rest_does_not_rack() -> None:
     found = error(
         extending("[plant.Gxtheta]\ngain = 0.1\nzeros = [[0.9, 0.0]]\npoles = [[0.5, 0.0]]")
     )
     assert found.key == "plant.Gxtheta"
-    assert "must not rack" in found.cause
+    assert "gain at rest must be 0" in found.cause
 
 
 # ---------------------------------------------------------------------- missing things
@@ -340,7 +339,7 @@ def test_what_is_not_toml_is_an_error(text: str) -> None:
         ("a = " + 2_000 * "{a=" + "1" + 2_000 * "}", "nested too deeply"),
         ("[" + ".".join(3_000 * "a") + "]", "nested too deeply"),
         ("[limits]\njerk = 1" + 5_000 * "0", "not valid TOML: Exceeds the limit"),
-        ("description = '" + 2_000_000 * "x" + "'", "bytes are no profile"),
+        ("description = '" + 2_000_000 * "x" + "'", "a profile is not larger than"),
     ],
     ids=["arrays", "tables", "keys", "digits", "length"],
 )
