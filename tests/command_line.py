@@ -9,11 +9,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 
+from hframe_post.process import CHILD
 from tests.command_server import ask
 from tests.conftest import ROOT, SAMPLES
 
@@ -41,6 +42,24 @@ def run(
         for file in files[1:]:
             file.seek(0)
         return subprocess.CompletedProcess(command, status, files[1].read(), files[2].read())
+
+
+@contextmanager
+def started(*arguments: str | Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Start ``hframe-post``; at the end of the block, or of this process, it is gone."""
+    reading_end, writing_end = os.pipe()  # which closes with this process: see ``process``
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hframe_post", *map(str, arguments)],
+        stdin=reading_end, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, CHILD: "1"},
+    )  # fmt: skip
+    os.close(reading_end)
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+            os.close(writing_end)
 
 
 @cache

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.model.strategies import Compensator
@@ -24,7 +24,9 @@ from hframe_post.resources import one_blas_thread
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)  # the same examples on each machine, however slow or busy it is
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parent.parent

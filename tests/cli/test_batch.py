@@ -6,15 +6,13 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.command_line import RECTANGLE, WAIT, run, until
+from tests.command_line import RECTANGLE, WAIT, run, started, until
 from tests.conftest import SAMPLES
 
 
@@ -63,19 +61,17 @@ def test_resume_converts_what_is_missing_changed_or_of_other_settings(
 def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_path: Path) -> None:
     long = tmp_path / "long.gcode"
     shutil.copy(SAMPLES / "prism.gcode", long)
-    command = [sys.executable, "-m", "hframe_post", "batch", str(long), str(jobs[0])]
-    batch = subprocess.Popen([*command, "-d", str(tmp_path / "out"), "-j", "2"],
-                             stderr=subprocess.PIPE)  # fmt: skip
-    children = Path(f"/proc/{batch.pid}/task")
 
     def converting() -> list[int]:
         text = " ".join(each.read_text() for each in children.glob("*/children"))
         lines = {int(pid): Path(f"/proc/{pid}/cmdline") for pid in text.split()}
         return [pid for pid, line in lines.items() if b"long.gcode" in line.read_bytes()]
 
-    until(lambda: bool(converting()))
-    os.kill(converting()[0], signal.SIGKILL)
-    _, error = batch.communicate(timeout=WAIT)
+    with started("batch", long, jobs[0], "-d", tmp_path / "out", "-j", "2") as batch:
+        children = Path(f"/proc/{batch.pid}/task")
+        until(lambda: bool(converting()))
+        os.kill(converting()[0], signal.SIGKILL)
+        _, error = batch.communicate(timeout=WAIT)
     assert batch.returncode == 1
     assert b"killed by SIGKILL" in error
     assert (tmp_path / "out" / "a.gcode").is_file()
@@ -86,9 +82,7 @@ def test_what_lands_in_a_watched_folder_is_converted(tmp_path: Path) -> None:
     pytest.importorskip("watchfiles")
     uploads, out = tmp_path / "uploads", tmp_path / "out"
     uploads.mkdir()
-    command = [sys.executable, "-m", "hframe_post", "batch", "--watch", str(uploads)]
-    batch = subprocess.Popen([*command, "-d", str(out)], stderr=subprocess.PIPE)
-    try:
+    with started("batch", "--watch", uploads, "-d", out) as batch:
         until(out.is_dir)
         shutil.copy(RECTANGLE, uploads / "part.gcode.part")  # an upload, renamed at its end
         (uploads / "part.gcode.part").rename(uploads / "part.gcode")
@@ -96,11 +90,10 @@ def test_what_lands_in_a_watched_folder_is_converted(tmp_path: Path) -> None:
         (uploads / "bad.gcode").write_text("nonsense without a move\n")
         until((out / "part.gcode").is_file)
         assert (out / "part.gcode").read_bytes().startswith(b"; processed by hframe-post")
-        time.sleep(2.0)
+        time.sleep(1.0)  # longer than it takes to notice a change
         assert [path.name for path in out.iterdir()] == ["part.gcode"]
-    finally:
         batch.send_signal(signal.SIGINT)
-    _, error = batch.communicate(timeout=WAIT)
+        _, error = batch.communicate(timeout=WAIT)
     assert error.count(b"failed") == 1  # the bad one, once
 
 
