@@ -38,7 +38,7 @@ from hframe_post.studies.simulation import simulate as simulation
 from hframe_post.studies.simulation.report import SimulationReport
 from hframe_post.studies.simulation.uncertainty import draws as drawn
 from hframe_post.studies.speed.report import speed_as_json, speed_as_text
-from hframe_post.studies.speed.search import hastened
+from hframe_post.studies.speed.search import find_fastest
 from hframe_post.studies.tuning import tune as tuning
 from hframe_post.studies.tuning.tune import StopsTrial, Trial
 from hframe_post.writers.files.atomic_file import Outputs
@@ -183,7 +183,7 @@ def convert(
     )  # fmt: skip
     fastest = None
     if options.speed is not None:
-        fastest = hastened(_again(source), printer, options)
+        fastest = find_fastest(_again(source), printer, options)
         printer, options = fastest.printer, fastest.options
     with ExitStack() as opened:
         if outputs is None:

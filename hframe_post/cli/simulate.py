@@ -25,8 +25,8 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.options import Extrusion, LimitSource
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.shapers.report import rivals_as_json, rivals_as_text
-from hframe_post.studies.shapers.rivals import Rival, rivals
+from hframe_post.studies.shapers.comparison import ShaperComparison, compare_shapers
+from hframe_post.studies.shapers.report import comparison_as_json, comparison_as_text
 from hframe_post.studies.simulation.reference_path import rectangle
 from hframe_post.writers.files.atomic_file import Outputs
 
@@ -101,8 +101,8 @@ def simulate(
         if shapers:
             options = Options("racking", (), limits, True, extrusion=extrusion)
             found = _simulate_shapers(source, profile, options)
-            text += "\n" + rivals_as_text(found)
-            summary["against"] = rivals_as_json(found)
+            text += "\n" + comparison_as_text(found)
+            summary["against"] = comparison_as_json(found)
         write_json(summary)
         if report_file is not None and source is not None:
             options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
@@ -114,7 +114,9 @@ def simulate(
         click.echo(text, err=str(json_file) == "-")
 
 
-def _simulate_shapers(source: Path | None, profile: Printer, options: Options) -> list[Rival]:
+def _simulate_shapers(
+    source: Path | None, profile: Printer, options: Options
+) -> list[ShaperComparison]:
     def lines() -> Iterator[bytes]:
         if source is None:
             yield from rectangle(profile)
@@ -122,4 +124,4 @@ def _simulate_shapers(source: Path | None, profile: Printer, options: Options) -
             with source.open("rb") as file:
                 yield from file
 
-    return rivals(lines, profile, options)
+    return compare_shapers(lines, profile, options)

@@ -13,7 +13,7 @@ import click
 from hframe_post.cli.options import removed_option, share
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import KINDS
-from hframe_post.studies.speed.search import MOST_SPEED_UP
+from hframe_post.studies.speed.search import MAX_SPEED_UP
 
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
@@ -41,11 +41,11 @@ def error_bounds(text: str) -> dict[str, float]:
 def speed_factor(text: str) -> float:
     """Read a number from 1, or ``max``."""
     try:
-        value = MOST_SPEED_UP if text == "max" else float(text)
+        value = MAX_SPEED_UP if text == "max" else float(text)
     except ValueError:
         value = 0.0
-    if not 1.0 <= value <= MOST_SPEED_UP:
-        raise click.BadParameter(f"{text!r} is neither 'max' nor from 1 to {MOST_SPEED_UP:g}")
+    if not 1.0 <= value <= MAX_SPEED_UP:
+        raise click.BadParameter(f"{text!r} is neither 'max' nor from 1 to {MAX_SPEED_UP:g}")
     return value
 
 

@@ -42,8 +42,8 @@ def test_a_short_path_is_taken_whole(corner: Paths) -> None:
     assert np.ptp(path, axis=0) == pytest.approx([120.0, 20.0], abs=0.01)
 
 
-def test_of_a_slice_it_is_what_rings(paper: Printer) -> None:
-    """The cube's first layer is laid at 20 mm/s, and any shaper would do."""
+def test_pieces_of_a_slice_are_above_its_first_layer(paper: Printer) -> None:
+    """The cube's first layer is printed at 20 mm/s, with which any shaper is accurate."""
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     with (SAMPLES / "cube.gcode").open("rb") as cube:
         pieces = paths(cube, paper, Options("none"))
@@ -56,7 +56,7 @@ def test_nothing_extruded_is_an_error(paper: Printer) -> None:
         paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, Options("none"))
 
 
-def test_the_best_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
+def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms
     usual = error(paper.plant, calibrated(paper.plant), corner).rms
@@ -80,18 +80,18 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
 
 
 @pytest.mark.slow
-def test_simulate_against_shapers(tmp_path: Path) -> None:
+def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
     done = run("simulate", "--shapers", "--json", out)
     assert done.returncode == 0
     assert "3hump_ei as calibrated" in done.stdout.decode()
-    rivals = json.loads(out.read_text())["against"]
-    rms = {rival["name"]: rival["contour_error_um"]["rms"] for rival in rivals}
+    compared = json.loads(out.read_text())["against"]
+    rms = {each["name"]: each["contour_error_um"]["rms"] for each in compared}
     assert list(rms.values()) == sorted(rms.values())
     assert next(iter(rms)) == "racking"
     for name in KLIPPER:  # searched on this very path
         assert rms[name] < rms[f"{name} as calibrated"] < rms["none"]
-    times = {rival["name"]: rival["print_time_s"] for rival in rivals}
+    times = {each["name"]: each["print_time_s"] for each in compared}
     assert times["none"] <= min(times.values())
 
 

@@ -1,16 +1,16 @@
-"""What is told of input shapers: a table, the section for printer.cfg, and JSON."""
+"""Reports on input shapers: tables, the section for printer.cfg, and JSON."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from hframe_post.studies.shapers.rivals import Rival
+from hframe_post.studies.shapers.comparison import ShaperComparison
 from hframe_post.studies.shapers.shapers import KLIPPER, Shaping
 from hframe_post.writers.stream.print_time import duration
 
 
 def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
-    """The best first, and what Klipper's own calibration would leave; µm."""
+    """Return the shapers, the best first, and the choice of Klipper's calibration; µm."""
     return {"shapers": [_as_json(s) for s in found], "klipper_calibration": _as_json(usual)}
 
 
@@ -31,11 +31,11 @@ def _placed(shaping: Shaping) -> tuple[str, str]:
 
 
 def shapings_as_text(found: list[Shaping], usual: Shaping) -> str:
-    """A table, and what to write into printer.cfg."""
+    """Return a table, and the section for printer.cfg."""
     lines = [f"{'shaper':12s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
     lines += [_row(s.x.name, s) for s in found]
     names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
-    lines += [_row(f"as Klipper's calibration would set it: {names}", usual)]
+    lines += [_row(f"Klipper's calibration: {names}", usual)]
     best = next(s for s in found if s.x.name in KLIPPER)
     return "\n".join([*lines, "", best.config()])
 
@@ -47,31 +47,30 @@ def _row(name: str, s: Shaping) -> str:
     return f"{name:12s}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"
 
 
-def rivals_as_json(found: list[Rival]) -> list[dict[str, Any]]:
-    """The most accurate first; µm and s."""
+def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
+    """Return the compared prints, the most accurate first; µm and s."""
     return [
         {
-            "name": rival.name,
-            "contour_error_um": rival.contour.micrometres(),
-            "print_time_s": round(rival.seconds, 3),
-            **({} if rival.shaping is None else _axes(rival.shaping)),
+            "name": compared.name,
+            "contour_error_um": compared.contour.micrometres(),
+            "print_time_s": round(compared.seconds, 3),
+            **({} if compared.shaping is None else _axes(compared.shaping)),
         }
-        for rival in found
+        for compared in found
     ]
 
 
-def rivals_as_text(found: list[Rival]) -> str:
-    """A table."""
+def comparison_as_text(found: list[ShaperComparison]) -> str:
     lines = [
         "",
-        f"{'against shapers':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
+        f"{'comparison':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
         f"{'µm RMS':>9s}{'95 %':>8s}{'peak':>7s}{'time':>13s}",
     ]
-    for rival in found:
-        um = rival.contour.micrometres()
-        axes = ("", "") if rival.shaping is None else _placed(rival.shaping)
+    for compared in found:
+        um = compared.contour.micrometres()
+        axes = ("", "") if compared.shaping is None else _placed(compared.shaping)
         lines.append(
-            f"{rival.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
-            f"{um['peak']:7.0f}{duration(rival.seconds):>13s}"
+            f"{compared.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
+            f"{um['peak']:7.0f}{duration(compared.seconds):>13s}"
         )
     return "\n".join(lines)

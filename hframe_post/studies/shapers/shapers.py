@@ -1,14 +1,14 @@
-"""What an input shaper would do for this printer: the best there is, and what Klipper would take.
+"""Input shapers for a printer: the best settings of each, and those that Klipper would choose.
 
-An honest yardstick: each shaper gets the frequencies and damping with which it serves this
-plant and path best, found by trial, not those of a rule of thumb. And a fallback: who does not
-want a dense stream finds the lines for printer.cfg here.
+Each shaper gets the frequencies and damping with which it is most accurate on this plant and path,
+so a comparison with it is fair. Its section for printer.cfg is an alternative to compensation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,23 +25,18 @@ from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 from hframe_post.studies.speed.excerpt import excerpt
 
-PIECES = 5  # of a print, of some seconds, for which shapers are chosen
-HZ = np.geomspace(12.0, 120.0, 14)  # tried first on each axis
+PIECES = 5  # of a print, of some seconds each, on which settings are compared
+HZ = np.geomspace(12.0, 120.0, 14)  # of the grid search
 DAMPING = (0.05, 0.15, 0.3)
-ROUNDS = 2  # of the axes in turn, before both are refined together
-REFINED = 120  # trials of that
 
-# Klipper's calibration: what it measures, and how it weighs smoothing against ringing
+# Klipper's calibration (klippy/extras/shaper_calibrate.py)
 KLIPPER = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
 KLIPPER_HZ = np.arange(5.0, 200.0, 0.2)
 KLIPPER_DAMPING = 0.1
-KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, at which smoothing is judged
+KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, of the smoothing
 KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_ei": 48.0}  # Hz
-UNFELT = 1.0 / 20.0  # of the greatest vibration; less is noise
-MUCH_AS_QUIET = 1.1  # times the least vibration that a shaper can leave
-CLEARLY_BETTER = 1.0 / 1.2  # of the score of a shorter shaper
 
-Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which of its samples count, (n,)
+Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,20 +49,20 @@ class AxisShaping:
 
     @property
     def shaper(self) -> Shaper:
-        """Its impulses."""
+        """Return the impulses."""
         return shaper(self.name, self.hz, self.damping)
 
 
 @dataclass(frozen=True, slots=True)
 class Shaping:
-    """Shapers of x and y, and the RMS contour error (mm) on the path they were chosen for."""
+    """Shapers of x and y, and their RMS contour error (mm) on the path they were chosen for."""
 
     x: AxisShaping
     y: AxisShaping
     rms: float = np.inf
 
     def config(self) -> str:
-        """The section of Klipper's printer.cfg."""
+        """Return the section for Klipper's printer.cfg."""
         lines = ["[input_shaper]"]
         for axis, chosen in (("x", self.x), ("y", self.y)):
             lines += [
@@ -79,7 +74,7 @@ class Shaping:
 
 
 def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[Samples]:
-    """The samples with the commands, beside theirs, that each shaper makes of the path."""
+    """Yield the samples with the command of each shaper in addition to theirs."""
     pairs = {name: (s.x.shaper, s.y.shaper) for name, s in shapings.items()}
     reach = max((s.reach for pair in pairs.values() for s in pair), default=0)
     for stretch in stretches(chunks):
@@ -95,16 +90,16 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
 
 
 def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
-    """Motion from all over a print, above its first layer where there is more. Raises HframeError.
+    """Return pieces of motion from all over a print. Raises HframeError if nothing is extruded.
 
-    What is laid slowly, as first layers are, tells shapers little apart.
+    The first layer is left out where there are more: it is so slow that all shapers are alike.
     """
     pieces = excerpt(parsed(lines, printer, options), first_layers=0)
     pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
     if not pieces:
         raise HframeError("nothing is extruded at a known place: there is no path to shape")
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
-    options = Options("none", tolerance=None)  # the path alone, without rests for a command
+    options = Options("none", tolerance=None)  # the path without standstills
     plans = (plan(pieces[k].items, printer.limits) for k in chosen)
     return [_path(sampled(items, printer, options)) for items in plans]
 
@@ -115,7 +110,7 @@ def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
 
 
 def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
-    """The shaping with its RMS contour error on paths, over the samples that count."""
+    """Return the shaping with its RMS contour error (mm) on the extruding samples of paths."""
     off = [
         contour_error(path, _nozzle(plant, shaping, path)[at], at)
         for path, counted in paths
@@ -130,10 +125,10 @@ def _nozzle(plant: Plant, shaping: Shaping, path: Array) -> Array:
 
 
 def best(plant: Plant, paths: Paths, name: str) -> Shaping:
-    """The frequencies and damping with which that shaper follows paths best.
+    """Return the frequencies and damping with which that shaper is most accurate on paths.
 
-    Both axes are searched in turn on a grid, then refined together, because y also feels what x
-    leaves of racking.
+    A grid search of one axis after the other, twice, is followed by a refinement of both together,
+    because racking couples them.
     """
     from scipy.optimize import minimize
 
@@ -142,11 +137,9 @@ def best(plant: Plant, paths: Paths, name: str) -> Shaping:
 
     grid = [AxisShaping(name, float(hz), damping) for hz in HZ for damping in DAMPING]
     x = y = AxisShaping(name, 40.0, DAMPING[1])
-    for _ in range(ROUNDS):
-        held = y
-        x = min(grid, key=lambda tried: rms(tried, held))
-        other = x
-        y = min(grid, key=lambda tried: rms(other, tried))
+    for _ in range(2):
+        x = min(grid, key=partial(lambda y, x: rms(x, y), y))
+        y = min(grid, key=partial(rms, x))
 
     def chosen(v: Array) -> tuple[AxisShaping, AxisShaping]:
         hz = np.exp(np.clip(v[:2], np.log(HZ[0] / 2.0), np.log(2.0 * HZ[-1])))
@@ -158,7 +151,7 @@ def best(plant: Plant, paths: Paths, name: str) -> Shaping:
 
     start = np.array([np.log(x.hz), np.log(y.hz), x.damping, y.damping])
     found = minimize(
-        lambda v: rms(*chosen(v)), start, method="Nelder-Mead", options={"maxfev": REFINED}
+        lambda v: rms(*chosen(v)), start, method="Nelder-Mead", options={"maxfev": 120}
     )
     refined = chosen(found.x)
     return min(
@@ -168,55 +161,55 @@ def best(plant: Plant, paths: Paths, name: str) -> Shaping:
 
 
 def search(plant: Plant, paths: Paths) -> list[Shaping]:
-    """Every shaper at its best on these paths, the best first; see ``best``."""
+    """Return every shaper with its best settings for these paths, the most accurate first."""
     found = [best(plant, paths, name) for name in SHAPERS]
     return sorted(found, key=lambda tried: tried.rms)
 
 
 def calibrated(plant: Plant) -> Shaping:
-    """What Klipper's own calibration would set up, from the accelerations that it would measure.
+    """Return the shaping that Klipper's calibration would choose for this plant.
 
-    Each axis is shaken with an acceleration that grows with the frequency; a shaper is scored by
-    the vibration that it leaves and the smoothing that it costs, and the least of it is taken.
+    It excites each axis with an acceleration proportional to the frequency, scores each shaper by
+    residual vibration and smoothing, and takes the lowest score.
     """
     return Shaping(_calibrated(plant.Gxx), _calibrated(plant.Gyy))
 
 
-def calibrated_as(plant: Plant, name: str) -> Shaping:
-    """The same where the shaper is given: its frequencies."""
-    x, y = (_placed(G, name)[1] for G in (plant.Gxx, plant.Gyy))
+def calibrated_with(plant: Plant, name: str) -> Shaping:
+    """Return the frequencies that Klipper's calibration would choose for a given shaper."""
+    x, y = (_best_frequency(G, name)[1] for G in (plant.Gxx, plant.Gyy))
     return Shaping(AxisShaping(name, x, KLIPPER_DAMPING), AxisShaping(name, y, KLIPPER_DAMPING))
 
 
 def _calibrated(G: TransferFunction) -> AxisShaping:
     best_score, best_axis = np.inf, AxisShaping("mzv", 40.0, KLIPPER_DAMPING)
     for name in KLIPPER:
-        score, hz = _placed(G, name)
-        if score < CLEARLY_BETTER * best_score:
+        score, hz = _best_frequency(G, name)
+        if score < best_score / 1.2:  # a longer shaper must be clearly better
             best_score, best_axis = score, AxisShaping(name, hz, KLIPPER_DAMPING)
     return best_axis
 
 
-def _placed(G: TransferFunction, name: str) -> tuple[float, float]:
-    """Score and frequency (Hz) of a shaper where it is best for an axis."""
+def _best_frequency(G: TransferFunction, name: str) -> tuple[float, float]:
+    """Return the lowest score of a shaper on an axis, and its frequency (Hz)."""
     hz = KLIPPER_HZ[KLIPPER_HZ < 200.0]
-    felt = np.square(np.abs(G.response(2.0 * np.pi * hz * TS))) * hz
-    floor = UNFELT * felt.max()
-    loud = np.maximum(felt - floor, 0.0).sum()
+    measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS))) * hz
+    floor = measured.max() / 20.0  # noise of the accelerometer
+    loud = np.maximum(measured - floor, 0.0).sum()
     scored = []
     for f in np.arange(150.0, KLIPPER_LEAST[name], -0.5).tolist():
         tried = shaper(name, f, KLIPPER_DAMPING)
         left = tried.residual(hz, KLIPPER_DAMPING)
-        vibration = float(np.maximum(left * felt - floor, 0.0).sum() / loud)
+        vibration = float(np.maximum(left * measured - floor, 0.0).sum() / loud)
         score = _smoothing(tried) * (vibration**1.5 + 0.2 * vibration + 0.01)
         scored.append((score, vibration, f))
     quietest = min(vibration for _, vibration, _ in scored)
-    score, _, f = min(row for row in scored if row[1] <= MUCH_AS_QUIET * quietest)
+    score, _, f = min(row for row in scored if row[1] <= 1.1 * quietest)
     return score, f
 
 
 def _smoothing(tried: Shaper) -> float:
-    """How far a shaper rounds a corner of 90° or a way there and back, mm, as Klipper sees it."""
+    """Return by how many mm a shaper rounds a corner of 90° or a reversal, as Klipper computes."""
     T, half = tried.T, KLIPPER_ACCELERATION / 2.0
     late = T >= 0.0
     by_corner = float((tried.A * (KLIPPER_CORNER + half * T) * T)[late].sum())

@@ -1,6 +1,6 @@
-"""A print driven in some way: each kind of feature as hard as is said, and judged by its error.
+"""Trial prints: set speeds and accelerations by feature, convert, and judge the error.
 
-print, or pieces of it ──► paces ──► plan ──► commands ──► error of each kind on each plant
+print, or pieces of it ──► paces ──► plan ──► commands ──► error of each feature on each plant
 """
 
 from __future__ import annotations
@@ -26,28 +26,26 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.studies.speed.excerpt import Piece, excerpt, hurry
+from hframe_post.studies.speed.excerpt import Piece, excerpt, useful_feeds
 from hframe_post.studies.speed.trial import (
-    FIRST,
+    FIRST_LAYERS,
     JUDGED_EVERY,
-    Driven,
     Freedom,
     Measure,
-    Seen,
+    SpeedSettings,
     Trial,
-    count,
+    TrialMeter,
+    add_layer_times,
     judged,
     measured,
 )
 
-Lines = Callable[[], Iterable[bytes]]  # the file's lines anew at each call
-OF_BELTS = 0.5  # of the belts' acceleration that the path may have; compensation needs the rest
-CORNER_AT = 1e4  # mm/s²; speeds at corners grow with the acceleration, which keeps their shape
+Lines = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
 
 
 @dataclass(frozen=True, slots=True)
 class Original:
-    """The print as the file has it, without compensation: seconds, of layers too, and errors."""
+    """The file's own print, not compensated: seconds, seconds by layer, error (mm) by feature."""
 
     seconds: float
     layers: dict[int, float]
@@ -55,108 +53,161 @@ class Original:
 
 
 class Drive:
-    """A print on a printer, to be driven. measure: what of the error is told."""
+    """Trial prints of one file on one printer. measure: the statistic of the errors."""
 
     def __init__(
-        self, lines: Lines, printer: Printer, options: Options, measure: Measure, free: Freedom
+        self, lines: Lines, printer: Printer, options: Options, measure: Measure, freedom: Freedom
     ) -> None:
-        self._lines, self._printer, self._measure, self._free = lines, printer, measure, free
+        self._lines, self._printer = lines, printer
+        self._measure, self._freedom = measure, freedom
+        self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
-        self._asked = options
         self._compensator = prepared(printer)
         self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
-        self.top = OF_BELTS * printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
+        # The path may use half of the belts' acceleration; compensation needs the rest.
+        belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
+        self.max_acceleration = 0.5 * belts
 
-    def settings(self, driven: Driven) -> tuple[Printer, Options]:
-        """A printer and options under which the print is driven so."""
+    def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
+        """Return a printer and options that print with these settings."""
         kinds = {
-            name: self._pace(driven, a, driven.feed[name])
-            for name, a in driven.acceleration.items()
+            name: self._pace(settings, acceleration, settings.feed[name])
+            for name, acceleration in settings.acceleration.items()
         }
-        gentlest = min(driven.acceleration.values())  # what rings at a travel's end is printed
-        kinds[TRAVEL] = self._pace(driven, driven.travel * gentlest, self._free.speed_up)
-        own = self._printer.limits
+        # The ringing at the end of a travel is printed, so travel must be gentle, too.
+        travel = settings.travel * min(settings.acceleration.values())
+        kinds[TRAVEL] = self._pace(settings, travel, self._freedom.speed_up)
+        limits = self._printer.limits
+        highest = max(limits.acceleration, *(p.acceleration for p in kinds.values()))
+        corner = max(limits.square_corner_velocity, *(p.corner for p in kinds.values()))
         limits = replace(
-            own, jerk=driven.jerk,
-            acceleration=max(own.acceleration, *(p.acceleration for p in kinds.values())),
-            square_corner_velocity=max(
-                own.square_corner_velocity, *(p.corner for p in kinds.values())
-            ),
-        )  # fmt: skip
-        paces = Paces(
-            kinds, self._free.flow, FIRST, driven.slowed, self._free.filament_acceleration
+            limits, jerk=settings.jerk, acceleration=highest, square_corner_velocity=corner
         )
-        printer = replace(self._printer, limits=limits)
-        return printer, replace(self._asked, paces=paces)
+        paces = Paces(
+            kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
+            self._freedom.filament_acceleration,
+        )  # fmt: skip
+        return replace(self._printer, limits=limits), replace(self._requested, paces=paces)
 
-    def _pace(self, driven: Driven, acceleration: float, feed: float) -> Pace:
-        acceleration = min(acceleration, self.top)
-        corner = driven.corner * acceleration / CORNER_AT
-        return Pace(acceleration, corner, feed)
+    def _pace(self, settings: SpeedSettings, acceleration: float, feed: float) -> Pace:
+        """Return a pace; corner speed grows with the acceleration, so corners keep their shape."""
+        acceleration = min(acceleration, self.max_acceleration)
+        return Pace(acceleration, settings.corner * acceleration / 1e4, feed)
 
     # ------------------------------------------------------------------ trials
 
     def excerpt(self) -> list[Piece]:
-        """Pieces that stand for the print."""
-        return excerpt(parsed(self._lines(), self._printer, self._options), FIRST)
+        """Return pieces that represent the print."""
+        return excerpt(parsed(self._lines(), self._printer, self._options), FIRST_LAYERS)
 
-    def hurry(self, pieces: Iterable[Piece]) -> dict[str, float]:
-        """Times its feed, the fastest that each kind can be."""
-        return hurry(pieces, self._printer.limits.velocity, self._free.flow)
+    def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
+        """Return the factor on each feature's feed rates beyond which nothing gets faster."""
+        return useful_feeds(pieces, self._printer.limits.velocity, self._freedom.flow)
 
-    def of_pieces(
-        self, pieces: Iterable[Piece], driven: Driven, plants: tuple[Plant, ...]
+    def try_pieces(
+        self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> Trial:
-        """Pieces driven so, judged on each plant."""
-        printer, options = self.settings(driven)
-        seen = Seen(driven, self._free, self._measure, self.top)
+        """Return the outcome of printing pieces, judged on each plant."""
+        printer, options = self.configured(settings)
+        assert options.paces is not None
+        meter = self._meter(settings)
         stages = Stages(
             printer, self._options, self._compensator, self._options.strategies, self._at_stops
         )
         refused = ""
         try:
             for piece in pieces:
-                assert options.paces is not None
                 items = pace(piece.items, options.paces, piece.start)
                 commands = stages.commands(plan(items, printer.limits))
-                seen.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
+                meter.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
         except HframeError as error:
             refused = str(error)
-        return seen.trial(stages.summary.clamped.samples, refused)
+        return meter.trial(stages.summary.clamped.samples, refused)
 
-    def of_all(self, driven: Driven, plants: tuple[Plant, ...]) -> Trial:
-        """The whole print driven so, judged on each plant."""
-        printer, options = self.settings(driven)
+    def try_whole(self, settings: SpeedSettings, plants: tuple[Plant, ...]) -> Trial:
+        """Return the outcome of the whole print, judged on each plant."""
+        printer, options = self.configured(settings)
         options = replace(self._options, paces=options.paces)
         commands = Commands(self._lines(), printer, options, compensator=self._compensator)
-        seen = Seen(driven, self._free, self._measure, self.top)
+        meter = self._meter(settings)
         try:
-            seen.add(commands, Labels(by_name=False), plants)
-        except HframeError as error:  # the file itself was read to its end before
-            return seen.trial(0, str(error))
-        return seen.trial(commands.report().clamped.samples)
+            meter.add(commands, Labels(by_name=False), plants)
+        except HframeError as error:  # not from the file, which was read to its end before
+            return meter.trial(0, str(error))
+        return meter.trial(commands.report().clamped.samples)
 
-    def layers(self, driven: Driven) -> dict[int, float]:
-        """Seconds of each layer, by place in the print: planned, not compensated."""
-        printer, options = self.settings(driven)
+    def _meter(self, settings: SpeedSettings) -> TrialMeter:
+        return TrialMeter(settings, self._freedom, self._measure, self.max_acceleration)
+
+    def layer_times(self, settings: SpeedSettings) -> dict[int, float]:
+        """Return the seconds of each layer by its number, planned without compensation."""
+        printer, options = self.configured(settings)
         options = replace(options, retract="standing")
         items = planned(self._lines(), printer, options)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sampled(items, printer, options):
-            count(layers, labels.number(chunk)[0])
+            add_layer_times(layers, labels.number(chunk)[0])
         return layers
 
     def original(self) -> Original:
-        """The print as the file has it."""
+        """Return time and error of the print as the file has it."""
         options = replace(self._options, strategy="none")
         commands = Commands(self._lines(), self._printer, options, compensator=self._compensator)
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
         for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
-            count(layers, layer)
+            add_layer_times(layers, layer)
             for name, here in judged(judgement, layer, feature, labels):
-                of = statistics.setdefault(name, ErrorStatistics())
-                of.add(judgement.contour["none"][here])
-        told = {name: measured(of, self._measure) for name, of in statistics.items()}
-        return Original(commands.report().time.before, layers, told)
+                errors = statistics.setdefault(name, ErrorStatistics())
+                errors.add(judgement.contour["none"][here])
+        found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
+        return Original(commands.report().time.before, layers, found)
+
+
+# ---------------------------------------------------------------------- cooling
+
+
+@dataclass(frozen=True, slots=True)
+class LayerTimes:
+    """The least time of each layer by its number, s. No layer is slowed below the file's speed."""
+
+    least: dict[int, float]
+
+    @classmethod
+    def from_original(cls, original: Original, min_layer_time: float) -> LayerTimes:
+        """Require the minimum of each layer, or its time in the file if that is shorter."""
+        layers = original.layers.items()
+        return cls({layer: min(seconds, min_layer_time) for layer, seconds in layers if layer})
+
+    def short(self, layers: dict[int, float]) -> dict[int, float]:
+        """Return the layers that take less than 98 % of their least time: their share of it."""
+        return {
+            layer: seconds / self.least[layer]
+            for layer, seconds in layers.items()
+            if seconds < 0.98 * self.least.get(layer, 0.0)
+        }
+
+    def slowed(self, settings: SpeedSettings, layers: dict[int, float]) -> SpeedSettings:
+        """Return settings with lower feed rates in the layers that took less than their time.
+
+        The exponent makes up for the part of a layer's time that does not depend on the feed rate.
+        """
+        factors = {
+            layer: max(settings.layer_feed.get(layer, 1.0) * (share / 1.01) ** 1.3, 0.05)
+            for layer, share in self.short(layers).items()
+        }
+        return replace(settings, layer_feed={**settings.layer_feed, **factors})
+
+    def planned(self, drive: Drive, settings: SpeedSettings) -> SpeedSettings:
+        """Return settings whose plan leaves each layer its time.
+
+        Planning the layers takes a tenth of the time of a whole trial, and is repeated six times
+        at most.
+        """
+        for _ in range(6):
+            layers = drive.layer_times(settings)
+            if not self.short(layers):
+                break
+            settings = self.slowed(settings, layers)
+        return settings

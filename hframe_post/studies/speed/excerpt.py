@@ -1,10 +1,10 @@
-"""A minute or two of a print that stand for all of it: pieces from everywhere, of every kind.
+"""Pieces of a minute or two in total that represent a whole print.
 
-    items ──► pieces of some seconds ──► those of kinds of which little has been kept yet
+    items ──► pieces of some seconds ──► those with features of which little has been kept
 
-Of each kind of feature an even share is kept, in the order of the print; a larger one of what is
-rare, as its root. Once that is too much, every other piece goes and the share is halved: what is
-held does not grow with the print.
+The time kept of each kind of feature is a share of the whole, larger for rare kinds. Once too much
+is kept, every other piece is dropped and the share is halved, so that memory does not grow with the
+print.
 """
 
 from __future__ import annotations
@@ -21,15 +21,12 @@ from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
 
 PIECE = 3.0  # s at the file's feed rates
-SHARE = 0.03  # of a print, at least,
-LEAST, MOST = 40.0, 100.0  # s, and within these, that are kept; up to twice as much
-FEWEST = 0.02  # of a kind's way that is passed over
-NOTICED = 0.2  # s of a kind in a piece for whose sake it is kept
+SHARE = 0.03  # of a print to keep; up to twice as much is kept
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Items in succession, from rest to rest. seconds: by kind, as the file asks for them."""
+    """Items between two standstills. seconds: by feature, at the file's feed rates."""
 
     start: Start
     items: tuple[Item, ...]
@@ -38,25 +35,27 @@ class Piece:
 
 @dataclass
 class _Kept:
-    """The pieces kept so far, the share that they are, and what was seen and kept of each kind."""
+    """Pieces kept so far, their share of the print, and seconds seen and kept by feature."""
 
+    seconds: tuple[float, float]
     pieces: list[Piece] = field(default_factory=list)
     share: float = 1.0
     seen: dict[str, float] = field(default_factory=dict)
     kept: dict[str, float] = field(default_factory=dict)
 
     def take(self, piece: Piece) -> None:
-        """Keeps the piece if little has been kept of one of its kinds."""
+        """Keep the piece if it has 0.2 s of a feature of which little was kept."""
         _add(self.seen, piece)
-        so_far = sum(self.seen.values())
+        total = sum(self.seen.values())
         if any(
-            seconds > NOTICED
-            and self.kept.get(name, 0.0) < self.share * np.sqrt(self.seen[name] * so_far)
+            seconds > 0.2
+            and self.kept.get(name, 0.0) < self.share * np.sqrt(self.seen[name] * total)
             for name, seconds in piece.seconds.items()
         ):
             self.pieces.append(piece)
             _add(self.kept, piece)
-        enough = min(max(SHARE * sum(self.seen.values()), LEAST), MOST)
+        least, most = self.seconds
+        enough = min(max(SHARE * sum(self.seen.values()), least), most)
         while sum(self.kept.values()) > 2.0 * enough and len(self.pieces) > 1:
             self.pieces, self.share = self.pieces[::2], self.share / 2.0
             self.kept.clear()
@@ -64,18 +63,23 @@ class _Kept:
                 _add(self.kept, left)
 
 
-def excerpt(items: Iterable[Item], first_layers: int = 1) -> list[Piece]:
-    """Pieces of a print, all of it if it is short; nothing of its first layers."""
-    kept = _Kept()
+def excerpt(
+    items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = (40.0, 100.0)
+) -> list[Piece]:
+    """Return pieces of a print, or all of it if it is short, without its first layers.
+
+    seconds: least and most to keep; up to twice as much may be kept.
+    """
+    kept = _Kept(seconds)
     for piece in _pieces(items, first_layers):
         kept.take(piece)
     return kept.pieces
 
 
-def hurry(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, float]:
-    """Times its feed, the fastest that each kind can be: all of it but FEWEST of its way.
+def useful_feeds(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, float]:
+    """Return the factor on each feature's feed rates that 98 % of its path can make use of.
 
-    velocity: mm/s of the path; flow: mm of filament a second.
+    velocity: greatest speed of the path, mm/s; flow: greatest feed of filament, mm/s.
     """
     factors: dict[str, list[Array]] = {}
     for piece in pieces:
@@ -93,14 +97,14 @@ def hurry(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, fl
                 for k in np.unique(kinds).tolist():
                     rows = np.stack([factor, length])[:, kinds == k]
                     factors.setdefault(NAMES[k], []).append(rows)
-    return {name: _most(np.concatenate(rows, axis=1)) for name, rows in factors.items()}
+    return {name: _nearly_greatest(np.concatenate(rows, axis=1)) for name, rows in factors.items()}
 
 
-def _most(rows: Array) -> float:
-    """The greatest factor of rows (2, n), factors and lengths, but for FEWEST of the length."""
+def _nearly_greatest(rows: Array) -> float:
+    """Return the factor below which 98 % of the length is, from rows (2, n) of both."""
     factor, length = rows[:, np.argsort(rows[0])]
     way = np.cumsum(length)
-    return float(factor[np.searchsorted(way, (1.0 - FEWEST) * way[-1])])
+    return float(factor[np.searchsorted(way, 0.98 * way[-1])])
 
 
 def _add(total: dict[str, float], piece: Piece) -> None:
@@ -109,15 +113,15 @@ def _add(total: dict[str, float], piece: Piece) -> None:
 
 
 def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
-    """The whole print in pieces. What must reach the machine at rest lies between two of them."""
+    """Yield the print in pieces. Lines that the machine must take at rest are between them."""
     labeller = Labeller(Start())
-    start, held, seconds = labeller.start, list[Item](), dict[str, float]()
+    start, collected, seconds = labeller.start, list[Item](), dict[str, float]()
 
     def ended() -> Iterator[Piece]:
-        nonlocal start, held, seconds
+        nonlocal start, collected, seconds
         if any(name != TRAVEL for name in seconds):
-            yield Piece(start, tuple(held), seconds)
-        start, held, seconds = labeller.start, [], {}
+            yield Piece(start, tuple(collected), seconds)
+        start, collected, seconds = labeller.start, [], {}
 
     for item in items:
         if isinstance(item, Moves):
@@ -126,7 +130,7 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
                 if first.any():
                     yield from ended()
                     continue
-                held.append(part)
+                collected.append(part)
                 for name, more in _seconds(part, kinds).items():
                     seconds[name] = seconds.get(name, 0.0) + more
                 if sum(seconds.values()) >= PIECE:
@@ -134,16 +138,16 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
         elif isinstance(item, Passthrough):
             labeller.mark(item.text)
             if item.handling is Handling.CARRY:
-                held.append(item)
+                collected.append(item)
             else:
                 yield from ended()
-        elif held:
-            held.append(item)
+        elif collected:
+            collected.append(item)
     yield from ended()
 
 
 def _parts(moves: Moves) -> Iterator[Moves]:
-    """The moves in parts of about a piece's length."""
+    """Yield the moves in parts of about a piece's duration."""
     at = np.cumsum(_durations(moves)) // PIECE
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(moves.line)]
     for low, high in pairwise(cuts):

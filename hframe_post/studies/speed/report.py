@@ -1,4 +1,4 @@
-"""What is told of a print that was made as fast as its error allows: text and JSON."""
+"""Report of the search for the fastest print: text and JSON."""
 
 from __future__ import annotations
 
@@ -9,85 +9,91 @@ from hframe_post.writers.stream.print_time import duration
 
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
 CAUSES = {
-    "file": "what keeps the file's speeds",
-    "cooling": "least time of a layer",
+    "file": "features that keep the file's speed",
+    "cooling": "minimum layer time",
     "travel": "travel",
-    "flow": "the hot end",
-    "extruder": "the extruder",
-    "feed": "feed rates",
-    "motors": "the motors",
-    "error": "the error allowed",
+    "flow": "flow of the hot end",
+    "extruder": "extruder acceleration",
+    "feed": "feed rate",
+    "motors": "motors",
+    "error": "permitted error",
 }
-NOTHING = 1e-5  # mm; straight lines at one speed, such as those that prime
-VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the first first
-HARDLY = 0.01  # of the time; a cause of less is not told
+VISIBLE = (
+    "outer-wall",
+    "inner-wall",
+    "skin",
+    "infill",
+    "support",
+    "other",
+)  # the most visible first
 
 
 def speed_as_json(found: Fastest) -> dict[str, Any]:
-    """Everything, ready for ``json.dumps``."""
+    """Return all results, ready for ``json.dumps``."""
     trial, original = found.trial, found.original
+    limited_by = {cause: round(seconds, 3) for cause, seconds in trial.limited_by.items()}
     return {
         "print_time_s": {
             "before": round(original.seconds, 3), "after": round(trial.seconds, 3),
         },
         "measure": found.bound.measure,
-        "jerk": trial.driven.jerk,
-        "corner": trial.driven.corner,
-        "travel": trial.driven.travel,
+        "jerk": trial.settings.jerk,
+        "corner": trial.settings.corner,
+        "travel": trial.settings.travel,
         "features": {
             name: {
-                "bound_um": round(found.bound.of(name) * 1e3, 4),
+                "bound_um": round(found.bound.limit(name) * 1e3, 4),
                 "predicted_um": round(errors[0] * 1e3, 4),
                 "under_model_error_um": round(max(errors) * 1e3, 4),
                 "uncompensated_um": round(original.errors.get(name, 0.0) * 1e3, 4),
-                "acceleration": round(trial.driven.acceleration[name], 1),
-                "feed": round(trial.driven.feed[name], 3),
+                "acceleration": round(trial.settings.acceleration[name], 1),
+                "feed": round(trial.settings.feed[name], 3),
             }
             for name, errors in trial.errors.items()
         },
-        "held_by_s": {cause: round(seconds, 3) for cause, seconds in trial.held_by.items()},
+        "limited_by_s": limited_by, "held_by_s": limited_by,  # the old name, for one release
     }  # fmt: skip
 
 
 def speed_as_text(found: Fastest) -> str:
-    """A few lines for a person."""
+    """Return a summary of a few lines."""
     trial, original = found.trial, found.original
     change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
     measure = MEASURES[found.bound.measure]
     lines = [
         f"faster      {duration(trial.seconds)} instead of {duration(original.seconds)} "
-        f"({change:+.0f} %){_promised(found, measure)}"
+        f"({change:+.0f} %){_error_of_most_visible(found, measure)}"
     ]
     for name, errors in sorted(trial.errors.items()):
-        if errors[0] < NOTHING:
+        if errors[0] < 1e-5:  # straight lines at one speed, such as those that prime
             continue
         um, worse = errors[0] * 1e3, max(errors) * 1e3
         before = original.errors.get(name, 0.0) * 1e3
-        feed = trial.driven.feed[name]
+        feed = trial.settings.feed[name]
         slower = f"; at {100.0 * feed:.0f} % of the file's feed" if feed < 1.0 else ""
         lines.append(
-            f"within      {name} {um:.0f} µm {measure}, {worse:.0f} if the "
-            f"model is off; {found.bound.of(name) * 1e3:.0f} allowed; {before:.0f} as the file "
-            f"has it, uncompensated{slower}"
+            f"error       {name} {um:.0f} µm {measure}, {worse:.0f} with model uncertainty; "
+            f"{found.bound.limit(name) * 1e3:.0f} permitted; {before:.0f} without hframe-post"
+            f"{slower}"
         )
-    total = sum(trial.held_by.values()) or 1.0
-    held = [
+    total = sum(trial.limited_by.values()) or 1.0
+    causes = [
         f"{CAUSES[cause]} {100.0 * seconds / total:.0f} %"
-        for cause, seconds in sorted(trial.held_by.items(), key=lambda item: -item[1])
-        if seconds > HARDLY * total
+        for cause, seconds in sorted(trial.limited_by.items(), key=lambda item: -item[1])
+        if seconds > 0.01 * total
     ]
-    lines.append(f"held by     {', '.join(held)} of the time")
+    lines.append(f"limited by  {', '.join(causes)} of the time")
     return "\n".join(lines)
 
 
-def _promised(found: Fastest, measure: str) -> str:
-    """What the most visible kind of feature is within, and would be without compensation."""
+def _error_of_most_visible(found: Fastest, measure: str) -> str:
+    """Return the error of the most visible feature, with and without compensation."""
     name = next((name for name in VISIBLE if found.trial.errors.get(name)), None)
     if name is None:
         return ""
     worse = max(found.trial.errors[name]) * 1e3
     before = found.original.errors.get(name, 0.0) * 1e3
     return (
-        f", {name} within {worse:.0f} µm ({measure}), model error included; "
-        f"uncompensated it would be {before:.0f} µm"
+        f", {name} within {worse:.0f} µm ({measure}), model uncertainty included; "
+        f"{before:.0f} µm without hframe-post"
     )

@@ -1,50 +1,79 @@
-"""The fastest print whose predicted error stays within a bound, on printers a little off, too.
+"""Search for the fastest print whose predicted error stays within a bound.
 
-Error grows nearly in proportion to the acceleration of the path and to the speed at its
-corners, and it is local: each kind of feature can be driven as hard as its own bound allows. So
+The error grows nearly in proportion to the acceleration of the path and to the speed at its
+corners, and it is local: each kind of feature can be accelerated as far as its own bound allows.
+The bound holds for the model and for random printers near it. So the search
 
- 1. on pieces from all over the print: which of the drawn printers decide, and with which limit
-    on jerk, speed at corners and hurry between features it takes the least time within the bound;
- 2. by planning alone: the feed of layers that would be over too soon;
- 3. on the whole print and the printers that decide: whether the bound holds. If not, or if more
-    is allowed, each kind is corrected by its error, and the whole print is judged again.
+ 1. prints pieces from all over the file and finds which plants have the greatest error, and which
+    feed rates, jerk, corner speed and travel acceleration give the least time within the bound;
+ 2. plans the whole print and slows layers that need time to cool;
+ 3. prints the whole file on those plants. If an error is beyond its bound, or well within it, the
+    acceleration of that feature is corrected and the whole file is printed again.
 
-What was judged last is what is taken, so its error is a prediction and no extrapolation.
+The result is one of the whole prints, so its error is a prediction, not an extrapolation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
+import numpy as np
+
+from hframe_post.arrays import Array
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer
 from hframe_post.resources import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.speed.bound import AIM, TINY, Bound, gentler, harder, milder, slower
-from hframe_post.studies.speed.cooling import Cooling
-from hframe_post.studies.speed.drive import Drive, Lines, Original
-from hframe_post.studies.speed.pieces import Pieces
-from hframe_post.studies.speed.trial import AS_IT_IS, Driven, Freedom, Measure, Trial
+from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
+from hframe_post.studies.speed.trial import (
+    ADJUSTED,
+    CAUSES,
+    Freedom,
+    Measure,
+    SpeedSettings,
+    Trial,
+)
 
-ROUNDS, MOST_ROUNDS = 2, 6  # of the whole print; more only while none is within the bound
-HOLDS = 0.95  # share of a bound that the judged printers may use up: another may be worse
-SAFER = 0.85  # of that share, after each round that did not keep it
-NEAR = 0.85  # share of a bound from which a kind is as fast as it can be
-DRAWS, SEED = 40, 0  # printers that are off by the model error, on which a bound must hold too
-MOST_SPEED_UP = 20.0  # times the file's feed; what the printer allows binds long before
-HARDLY = 0.05  # share of the time below which it is not worth while
+MAX_SPEED_UP = 20.0  # times the file's feed rates
+ROUNDS, MAX_ROUNDS = 2, 6  # of the whole print; more than ROUNDS only until one is within bounds
+LIMIT = 0.95  # share of a bound that may be used up: other printers may have a greater error
+AIM = 0.92  # share of a bound to aim at
+NEAR = 0.85  # share of a bound beyond which a feature is fast enough
+RESTRAINT = 0.85  # factor on the aim after each round beyond the limit
+QUICKER = 0.995  # share of the time below which a change is worth making
+MIN_FEED = 0.3  # times the file's feed rates, where the error is too great
+LADDERS = {  # values tried of the other settings
+    "jerk": (1e5, 2e5, 5e5, 1e6, 3e6, 1e7, 5e7),
+    "corner": (2.5, 5.0, 10.0, 20.0, 40.0),
+    "travel": (1.0, 2.0, 4.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """Greatest errors (mm): by kind of feature, and of all others."""
+
+    others: float
+    kinds: dict[str, float] = field(default_factory=dict)
+    measure: Measure = "p95"
+
+    def limit(self, name: str) -> float:
+        """Return the bound of a kind of feature, mm."""
+        return self.kinds.get(name, self.others)
+
+    def shares(self, trial: Trial) -> dict[str, float]:
+        """Return the share of its bound that each feature uses up on its worst plant."""
+        return {name: max(errors) / self.limit(name) for name, errors in trial.errors.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """A printer whose limits allow the pace and options that ask for it, and the prediction.
-
-    trial: of the whole print, on the model and on the drawn printers that decide.
-    """
+    """Printer and options that make the print fast, and the trial of the whole print."""
 
     printer: Printer
     options: Options
@@ -53,102 +82,287 @@ class Fastest:
     original: Original
 
 
-def hastened(lines: Lines, printer: Printer, options: Options) -> Fastest:
-    """How a print is made as fast as ``options.speed`` asks for. Raises HframeError."""
-    asked, limits = options.speed, printer.limits
-    assert asked is not None
-    errors = asked.max_error
+def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
+    """Return the fastest print within the error that ``options.speed`` allows.
+
+    Raises HframeError if no print is within it.
+    """
+    speed, limits = options.speed, printer.limits
+    assert speed is not None
+    errors = speed.max_error
     bound = Bound(
         errors.get("", max(errors.values())),
         {name: error for name, error in errors.items() if name},
-        cast(Measure, asked.error_measure),
+        cast(Measure, speed.error_measure),
     )
     freedom = Freedom(
-        asked.speed_up, limits.filament_velocity, limits.min_layer_time,
-        asked.filament_acceleration or math.inf,
+        speed.speed_up, limits.filament_velocity, limits.min_layer_time,
+        speed.filament_acceleration or math.inf,
     )  # fmt: skip
-    drawn = draws(printer.plant, asked.model_error, DRAWS if asked.model_error else 0, SEED)
-    found = fastest(lines, printer, options, bound, freedom, tuple(drawn))
+    near = draws(printer.plant, speed.model_error, 40 if speed.model_error else 0, seed=0)
+    found = search(lines, printer, options, bound, freedom, tuple(near))
     release_memory()
     return found
 
 
 @one_blas_thread()
-def fastest(
+def search(
     lines: Lines,
     printer: Printer,
     options: Options,
     bound: Bound,
-    freedom: Freedom = AS_IT_IS,
-    drawn: tuple[Plant, ...] = (),
+    freedom: Freedom | None = None,
+    near: tuple[Plant, ...] = (),
 ) -> Fastest:
-    """How to print it in the least time within the bound. Raises HframeError.
+    """Return the fastest print within the bound, or raise HframeError.
 
-    lines: gives the file's lines anew at each call. drawn: printers on which the bound must hold
-    too.
+    freedom: by default, feed rates are not raised. near: plants in addition to the printer's on
+    which the bound must hold.
     """
+    freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom)
     original = drive.original()
-    cooling = Cooling.of(original, freedom)
-    driven, plants = Pieces(drive, bound, (printer.plant, *drawn), freedom.speed_up).quickest()
-    driven = cooling.planned(drive, driven)
-    trial = _within(drive, bound, driven, plants, cooling, options.clamp)
-    return Fastest(*drive.settings(trial.driven), bound, trial, original)
+    least = LayerTimes.from_original(original, freedom.min_layer_time)
+    pieces = _PieceSearch(drive, bound, (printer.plant, *near), freedom.speed_up)
+    settings, plants = pieces.fastest()
+    settings = least.planned(drive, settings)
+    trial = _fastest_whole(drive, bound, settings, plants, least, options.clamp)
+    return Fastest(*drive.configured(trial.settings), bound, trial, original)
 
 
-def _within(
-    drive: Drive, bound: Bound, driven: Driven, plants: tuple[Plant, ...], cooling: Cooling,
+def _fastest_whole(
+    drive: Drive,
+    bound: Bound,
+    settings: SpeedSettings,
+    plants: tuple[Plant, ...],
+    least: LayerTimes,
     may_clamp: bool,
-) -> Trial:  # fmt: skip
-    """The quickest of a few trials of the whole print within the bound. Raises HframeError."""
-    good, aims = list[Trial](), dict[str, float]()
-    for number in range(1, MOST_ROUNDS + 1):
-        trial = drive.of_all(driven, plants)
-        shares, short = bound.shares(trial), cooling.short(trial.layers)
-        allowed = HOLDS if number < MOST_ROUNDS else 1.0
-        keeps = all(share <= allowed for share in shares.values())
-        outruns = trial.clamped > 0 and not may_clamp and number < MOST_ROUNDS
+) -> Trial:
+    """Return the fastest of a few prints of the whole file within the bound, or raise HframeError.
+
+    Each round corrects the settings by the outcome of the one before.
+    """
+    accepted, aims = list[Trial](), dict[str, float]()
+    for number in range(1, MAX_ROUNDS + 1):
+        last_round = number == MAX_ROUNDS
+        trial = drive.try_whole(settings, plants)
         if trial.refused:
-            driven = gentler(driven)
+            settings = _gentler(settings)
             continue
-        if keeps and not short and not outruns:
-            good.append(trial)
-        if good and (number >= ROUNDS or spent(trial, shares, drive.top)):
-            return min(good, key=lambda t: t.seconds)
-        if not (keeps and short):  # what is driven harder would make other layers short
+        shares, short = bound.shares(trial), least.short(trial.layers)
+        within = all(share <= (1.0 if last_round else LIMIT) for share in shares.values())
+        clamped = trial.clamped > 0 and not may_clamp and not last_round
+        if within and not short and not clamped:
+            accepted.append(trial)
+        if accepted and (number >= ROUNDS or _exhausted(trial, shares, drive.max_acceleration)):
+            return min(accepted, key=lambda t: t.seconds)
+        if not within or not short:  # more acceleration would make further layers short
             gains = _gains(shares, aims)
-            driven = slower(harder(driven, gains, drive.top), gains)
-        if outruns:
-            driven = milder(driven) if number < ROUNDS else gentler(driven)
-        driven = cooling.planned(drive, cooling.slowed(driven, trial.layers))
+            settings = _accelerated(settings, gains, drive.max_acceleration)
+            settings = _with_lower_feeds(settings, gains)
+        if clamped and number < ROUNDS:
+            milder = {name: 0.93 * a for name, a in settings.acceleration.items()}
+            settings = replace(settings, acceleration=milder)
+        elif clamped:
+            settings = _gentler(settings)
+        settings = least.planned(drive, least.slowed(settings, trial.layers))
     if trial.refused:
         raise HframeError(trial.refused)
     worst = max(shares, key=lambda name: shares[name])
     raise HframeError(
-        f"no pace keeps this print within that error: {worst} is off by "
-        f"{max(trial.errors[worst]) * 1e3:.0f} µm however gently it is printed, model error "
-        "included; allow more"
+        f"this print cannot be kept within that error: even at the lowest speed tried, {worst} has "
+        f"an error of {max(trial.errors[worst]) * 1e3:.0f} µm, model uncertainty included; allow "
+        "more with --max-error"
     )
 
 
 def _gains(shares: dict[str, float], aims: dict[str, float]) -> dict[str, float]:
-    """Times its acceleration with which each kind should use up its bound.
+    """Return the factor on each feature's acceleration with which it should use up its bound.
 
-    aims: by kind, of those that were beyond it; lowered with each time.
+    aims: share of the bound to aim at, of features that were beyond it; updated here.
     """
-    aims.update({k: SAFER * aims.get(k, AIM) for k, share in shares.items() if share > HOLDS})
-    return {
-        name: aims[name] / share if share > HOLDS
-        else 1.0 if share > NEAR or name in aims
-        else AIM / max(share, TINY)
+    gains = {}
+    for name, share in shares.items():
+        if share > LIMIT:
+            aims[name] = RESTRAINT * aims.get(name, AIM)
+            gains[name] = aims[name] / share
+        elif share > NEAR or name in aims:
+            gains[name] = 1.0
+        else:
+            gains[name] = AIM / max(share, 1e-9)
+    return gains
+
+
+def _exhausted(trial: Trial, shares: dict[str, float], max_acceleration: float) -> bool:
+    """Return whether more acceleration would gain next to nothing."""
+    if trial.limited_by["error"] < 0.05 * trial.seconds:
+        return max(shares.values(), default=0.0) <= LIMIT
+    used = trial.settings.acceleration
+    return all(
+        share <= LIMIT and (share >= NEAR or used[name] >= max_acceleration)
         for name, share in shares.items()
-    }  # fmt: skip
+    )
 
 
-def spent(trial: Trial, shares: dict[str, float], top: float) -> bool:
-    """Whether harder driving would gain next to nothing."""
-    if trial.held_by["error"] < HARDLY * trial.seconds:
-        return max(shares.values(), default=0.0) <= HOLDS
-    own = trial.driven.acceleration
-    return all(NEAR <= share <= HOLDS or (share <= HOLDS and own[name] >= top)
-               for name, share in shares.items())  # fmt: skip
+# ---------------------------------------------------------------------- changing settings
+
+
+def _accelerated(settings: SpeedSettings, gains: dict[str, float], most: float) -> SpeedSettings:
+    """Return settings with each feature's acceleration times its gain, from 200 to ``most`` mm/s².
+
+    A gain counts from 0.3 to 3. Features without a gain get the least acceleration of the others.
+    """
+    present = settings.acceleration
+    changed = {
+        name: float(np.clip(present[name] * np.clip(gain, 0.3, 3.0), 200.0, most))
+        for name, gain in gains.items()
+    }
+    least = min(changed.values(), default=8e3)
+    return replace(settings, acceleration={name: changed.get(name, least) for name in present})
+
+
+def _with_lower_feeds(settings: SpeedSettings, gains: dict[str, float]) -> SpeedSettings:
+    """Return settings with lower feed rates for features whose gain is below 1."""
+    feed = {
+        name: max(present * gains[name], MIN_FEED) if gains.get(name, 1.0) < 1.0 else present
+        for name, present in settings.feed.items()
+    }
+    return replace(settings, feed=feed)
+
+
+def _gentler(settings: SpeedSettings) -> SpeedSettings:
+    """Return settings with the highest accelerations cut, and all else a rung lower."""
+    present = settings.acceleration
+    highest = 0.8 * max(present.values())
+    lower: dict[str, Any] = {
+        name: ladder[max(ladder.index(getattr(settings, name)) - 1, 0)]
+        for name, ladder in LADDERS.items()
+    }
+    acceleration = {name: min(value, highest) for name, value in present.items()}
+    return replace(settings, acceleration=acceleration, **lower)
+
+
+# ---------------------------------------------------------------------- search on pieces
+
+
+class _PieceSearch:
+    """Search on pieces of the print. plants: the model, and random ones near it."""
+
+    def __init__(
+        self, drive: Drive, bound: Bound, plants: tuple[Plant, ...], speed_up: float
+    ) -> None:
+        self._drive, self._bound, self._plants = drive, bound, plants
+        self._pieces = drive.excerpt()
+        useful = drive.useful_feeds(self._pieces)
+        self._max_feed = {
+            name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED
+        }
+
+    def fastest(self) -> tuple[SpeedSettings, tuple[Plant, ...]]:
+        """Return settings to begin with, and the plants with the greatest errors."""
+        acceleration = dict.fromkeys(ADJUSTED, min(8e3, self._drive.max_acceleration))
+        settings = SpeedSettings(acceleration, self._max_feed, jerk=1e6)
+        settings, plants = self._worst_plants(settings)
+        best = self._with_best_feeds(self._try(settings, plants), plants)
+        for name, ladder in LADDERS.items():
+            best = self._with_best(name, ladder, best, plants)
+        return self._worst_plants(self._corrected(best))
+
+    def _try(self, settings: SpeedSettings, plants: tuple[Plant, ...]) -> Trial:
+        """Return the outcome with these settings, or with gentler ones if they are refused."""
+        for _ in range(6):
+            trial = self._drive.try_pieces(self._pieces, settings, plants)
+            if not trial.refused:
+                return trial
+            settings = _gentler(settings)
+        raise HframeError(trial.refused)
+
+    def _worst_plants(self, settings: SpeedSettings) -> tuple[SpeedSettings, tuple[Plant, ...]]:
+        """Return settings corrected on all plants; the model and the two worst for each feature."""
+        trial = self._try(settings, self._plants)
+        worst = {k for errors in trial.errors.values() for k in np.argsort(errors)[-2:].tolist()}
+        plants = (self._plants[0], *(self._plants[k] for k in sorted(worst - {0})))
+        return self._corrected(trial), plants
+
+    def _corrected(self, trial: Trial) -> SpeedSettings:
+        """Return settings with which each feature should use up its bound."""
+        shares = self._bound.shares(trial).items()
+        gains = {name: AIM / max(share, 1e-9) for name, share in shares}
+        return _accelerated(trial.settings, gains, self._drive.max_acceleration)
+
+    def _with_best_feeds(self, best: Trial, plants: tuple[Plant, ...]) -> Trial:
+        """Lower each feature's feed rate in steps of 20 % as long as that makes it quicker.
+
+        Where a plant is slightly off the model, the path is missed at speed, and a slower feature
+        may accelerate more.
+        """
+        first = best
+        times, feeds = self._times(best), dict(best.settings.feed)
+        improving = set(times)
+        for step in range(1, 20):
+            shares = self._bound.shares(best)
+            least = {name: MIN_FEED if shares.get(name, 0.0) > 1.0 else 1.0 for name in feeds}
+            feed = {
+                name: max(self._max_feed[name] * 0.8**step, least[name])
+                if name in improving
+                else present
+                for name, present in feeds.items()
+            }
+            if feed == feeds:
+                break
+            trial = self._try(replace(self._corrected(best), feed=feed), plants)
+            now = self._times(trial)
+            improving = {
+                name for name in improving if now.get(name, np.inf) < QUICKER * times[name]
+            }
+            if not improving:
+                break
+            best = trial
+            feeds |= {name: feed[name] for name in improving}
+            times |= {name: now[name] for name in improving}
+        if best is first:
+            return first
+        return self._try(replace(self._corrected(best), feed=feeds), plants)
+
+    def _with_best(
+        self, name: str, ladder: tuple[float, ...], best: Trial, plants: tuple[Plant, ...]
+    ) -> Trial:
+        """Raise a setting as long as the print gets quicker; if it does not, lower it likewise."""
+        start = ladder.index(getattr(best.settings, name))
+        for values in (ladder[start + 1 :], ladder[:start][::-1]):
+            first = best
+            for value in values:
+                changed: dict[str, Any] = {name: value}
+                trial = self._try(replace(self._corrected(best), **changed), plants)
+                if not self._time(trial) < QUICKER * self._time(best):
+                    break
+                best = trial
+            if best is not first:
+                break
+        return best
+
+    def _time(self, trial: Trial) -> float:
+        """Estimate the seconds of the trial with each feature using up its bound."""
+        measured = sum(self._seconds(trial, name).sum() for name in trial.errors)
+        return trial.seconds - float(measured) + sum(self._times(trial).values())
+
+    def _times(self, trial: Trial) -> dict[str, float]:
+        """Estimate the seconds of each feature if it used up its bound.
+
+        The time of speed changes falls with the root of the acceleration, which the motors limit.
+        A feature whose error is too great must be slower as a whole.
+        """
+        changing_causes = [CAUSES.index(cause) for cause in ("motors", "error")]
+        times, used = dict[str, float](), trial.settings.acceleration
+        for name, share in self._bound.shares(trial).items():
+            seconds = self._seconds(trial, name)
+            changing = float(seconds[changing_causes].sum())
+            least = max(0.3, used[name] / self._drive.max_acceleration)
+            log_gain = float(np.log(np.clip(share, least, 1.0)))
+            times[name] = float(seconds.sum()) * max(share, 1.0) + 0.5 * changing * log_gain
+        return times
+
+    @staticmethod
+    def _seconds(trial: Trial, name: str) -> Array:
+        """Return the seconds of a feature by cause, (CAUSES,)."""
+        return np.asarray(trial.limited[NAMES.index(name)])

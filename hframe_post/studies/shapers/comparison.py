@@ -1,9 +1,9 @@
-"""A print under each input shaper, beside no compensation and this tool's own.
+"""Comparison of a print with input shapers to one without compensation and to this tool's.
 
-    plan ──► commands ──► and those of shapers ──► nozzle ──► contour error of each
+    plan ──► commands ──► with those of shapers ──► nozzle ──► contour error of each
 
-Each shaper stands twice: with the frequencies and damping that serve the printer best on pieces
-from all over the print, and with the frequencies that Klipper's own calibration would choose.
+Each shaper appears twice: with the frequencies and damping that are most accurate on pieces of the
+print, and with the frequencies that Klipper's calibration would choose.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from hframe_post.resources import one_blas_thread
 from hframe_post.studies.shapers.shapers import (
     KLIPPER,
     Shaping,
-    calibrated_as,
+    calibrated_with,
     paths,
     search,
     shape,
 )
 
-CALIBRATED = " as calibrated"  # after the name of a shaper that Klipper's calibration places
+CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
-    """What a print would be. name: of a strategy or a shaper; shaping: None of a strategy's own.
+class ShaperComparison:
+    """Predicted print with a strategy or a shaper. shaping: None for a strategy.
 
-    seconds: of the print; of a shaper with the time that its last motion is longer.
+    seconds: duration; for a shaper, including the time by which it delays the last motion.
     """
 
     name: str
@@ -45,29 +45,31 @@ class Rival:
 
 
 @one_blas_thread()
-def rivals(lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options) -> list[Rival]:
-    """Strategies and shapers on a print, the most accurate first. Raises HframeError.
+def compare_shapers(
+    lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options
+) -> list[ShaperComparison]:
+    """Return the predicted print with each strategy and shaper, the most accurate first.
 
-    lines: gives the print anew at each call.
+    lines: opens the file and yields its lines, at each call again. Raises HframeError.
     """
     searched = search(printer.plant, paths(lines(), printer, options))
     shapings = {found.x.name: found for found in searched}
-    shapings |= {name + CALIBRATED: calibrated_as(printer.plant, name) for name in KLIPPER}
+    shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
     source = Commands(lines(), printer, options, tuple(STRATEGIES))
     contours: dict[str, ContourErrors] = {}
     for judgement in judge(shape(source, shapings), printer.plant, JUDGED_EVERY):
         for name, errors in judgement.contour.items():
             contours.setdefault(name, ContourErrors()).add(errors, judgement.extruding)
     time = source.report().time
-    own = {name: time.before if name == "none" else time.after for name in STRATEGIES}
-    late = {
+    durations = {name: time.before if name == "none" else time.after for name in STRATEGIES}
+    durations |= {
         name: time.before + TS * max(s.x.shaper.reach, s.y.shaper.reach)
         for name, s in shapings.items()
     }
     return sorted(
         (
-            Rival(name, shapings.get(name), contour, own.get(name, late.get(name, 0.0)))
+            ShaperComparison(name, shapings.get(name), contour, durations[name])
             for name, contour in contours.items()
         ),
-        key=lambda rival: rival.contour.rms,
+        key=lambda compared: compared.contour.rms,
     )
