@@ -182,7 +182,7 @@ def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) 
     assert (tmp_path / "same.gcode").read_bytes() == made
     plain = convert(list(cube()), tmp_path / "plain.gcode", printer, speed=Speed())
     assert plain.time.before > fast.time.before + 1.0
-    with pytest.raises(HframeError, match="no iterator"):
+    with pytest.raises(HframeError, match="a list of lines"):
         convert(iter(cube()), tmp_path / "once.gcode", printer)
 
 
