@@ -10,7 +10,7 @@ from hframe_post.printer import profile
 
 
 def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> TransferFunction:
-    """A resonance and real poles at ``real`` Hz; 1 at rest, or 0 with ``moving``."""
+    """Return a resonance and real poles at ``real`` Hz; 1 at rest, or 0 with ``moving``."""
     s = 2.0 * np.pi * hz * (-damping + 1j * np.sqrt(1.0 - damping**2))
     poles = np.exp(1e-3 * np.array([s, s.conjugate(), *(-2.0 * np.pi * np.array(real))]))
     zeros = np.ones(int(moving), complex)
@@ -19,7 +19,7 @@ def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> T
 
 
 def drawn(seed: int) -> list[TransferFunction]:
-    """Gxx, Gyy, Gxθ of a printer: resonances 20–90 Hz, damping 0.03–0.3."""
+    """Return Gxx, Gyy, Gxθ of a random printer: resonances 20–90 Hz, damping 0.03–0.3."""
     rng = np.random.default_rng(seed)
     hz, damping = rng.uniform(20.0, 90.0, 3), rng.uniform(0.03, 0.3, 3)
     real = rng.uniform(30.0, 150.0, 3)
@@ -31,7 +31,7 @@ def drawn(seed: int) -> list[TransferFunction]:
 
 
 def all_of_them() -> list[TransferFunction]:
-    """The paper's three and three drawn printers'."""
+    """Return the paper's three and those of three random printers."""
     plant = profile.load("paper").plant
     assert plant.Gxtheta is not None
     paper = [plant.Gxx, plant.Gyy, plant.Gxtheta]
@@ -47,7 +47,7 @@ def at(G: TransferFunction, hz: Array, delay: float = 0.0) -> Complex:
 
 
 def sweep(rate: float = 1.0) -> Array:
-    """3000 mm/s² from 2 to 120 Hz at ``rate`` Hz/s, with two seconds of rest on both sides."""
+    """Return 3000 mm/s² from 2 to 120 Hz at ``rate`` Hz/s, and 2 s of rest on both sides."""
     seconds = 118.0 / rate
     t = np.arange(0.0, seconds, 1e-3)
     taper = np.clip(np.minimum(t, seconds - t) / 0.5, 0.0, 1.0)

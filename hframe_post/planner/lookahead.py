@@ -41,9 +41,14 @@ MELTED = 50.0  # mm/s of filament, more than any hot end melts
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
 
 
-def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
-    """Yield the items with final speeds; the motion stops before what must happen at rest."""
-    queue = _Queue(limits)
+def plan(
+    items: Iterable[Item], limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE
+) -> Iterator[Planned]:
+    """Yield the items with final speeds; the motion stops before what must happen at rest.
+
+    batch: moves planned at once; longest: moves queued at most. Speeds may depend on both.
+    """
+    queue = _Queue(limits, batch, longest)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
             queue.append(item)
@@ -60,12 +65,12 @@ def plan(items: Iterable[Item], limits: Limits) -> Iterator[Planned]:
 class _Queue:
     """Moves that are not planned yet, and the speed at which the first of them begins."""
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
+    def __init__(self, limits: Limits, batch: int, longest: int) -> None:
+        self._limits, self._batch, self._longest = limits, batch, longest
         self._moves: list[_Limited] = []
         self._marks: list[Mark] = []
         self._speed = 0.0
-        self._want = BATCH
+        self._want = self._batch
         self.count = 0
 
     def append(self, moves: Moves) -> None:
@@ -86,11 +91,11 @@ class _Queue:
             stopping = _runs(batch, caps, self._limits.jerk, 0.0)
             rolling = _runs(batch, caps, self._limits.jerk, float(caps[-1]))
             final = _agreement(stopping, rolling)
-            if final or self._want >= LONGEST_QUEUE:
+            if final or self._want >= self._longest:
                 ends, speed = stopping
                 cut = final or len(ends) // 2
                 self._moves = [moves.part(int(ends[cut]), len(moves.line))]
-                self._want = BATCH
+                self._want = self._batch
                 return self._take(batch, ends[: cut + 1], speed[: cut + 1])
             self._want *= 2
         return None
@@ -102,7 +107,7 @@ class _Queue:
             caps = _junction_speeds(moves, self._limits)
             caps[0] = self._speed
             ends, speed = _runs(moves, caps, self._limits.jerk, 0.0)
-            self._moves, self._want = [], BATCH
+            self._moves, self._want = [], self._batch
             yield self._take(moves, ends, speed)
 
     def _take(self, moves: _Limited, ends: Integers, speed: Array) -> Plan:

@@ -40,9 +40,15 @@ SAMPLES_PER_CHUNK = 1 << 15
 SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 
 
-def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator[Samples]:
-    """Yield the samples of the whole stream. A chunk ends where the machine is released."""
-    sampler = _Sampler(limits, rests)
+def sample(
+    planned: Iterable[Planned], limits: Limits, rests: Rests, size: int | None = None
+) -> Iterator[Samples]:
+    """Yield the samples of the whole stream, in chunks of about ``size`` if it is given.
+
+    A chunk ends where the machine is released.
+    """
+    size = size or SAMPLES_PER_CHUNK
+    sampler = _Sampler(limits, rests, size)
     for item, motion in _with_motion_after(planned, rests.needs_rest):
         if isinstance(item, Plan):
             yield from sampler.run(item)
@@ -54,7 +60,7 @@ def sample(planned: Iterable[Planned], limits: Limits, rests: Rests) -> Iterator
             sampler.mark(item.text)
         else:
             yield from sampler.wait(item)
-        if sampler.output.count >= SAMPLES_PER_CHUNK:  # many moves in a row while x and y stand
+        if sampler.output.count >= size:  # many moves in a row while x and y stand
             yield from sampler.output.flush()
     sampler.pass_waiting_lines()
     yield from sampler.output.flush()
@@ -88,9 +94,10 @@ class _State(Enum):
 
 
 class _Output:
-    """Samples and events that are not yielded yet."""
+    """Samples and events that are not yielded yet. size: samples in a chunk of standstill."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
+        self.size = size
         self.index = 0  # of the next sample
         self.line = 0  # source line of samples at standstill
         self.last: Array | None = None  # x, y, z, e at the last sample; None if unknown
@@ -110,8 +117,8 @@ class _Output:
 
     def stand(self, where: Array, samples: int) -> Iterator[Samples]:
         """Add standstill; yield the chunks that are full."""
-        for first in range(0, samples, SAMPLES_PER_CHUNK):
-            n = min(samples - first, SAMPLES_PER_CHUNK)
+        for first in range(0, samples, self.size):
+            n = min(samples - first, self.size)
             self.add(np.tile(where, (n, 1)), np.full(n, self.line))
             if first + n < samples:
                 yield from self.flush()
@@ -130,10 +137,10 @@ class _Output:
 class _Sampler:
     """The machine's state on the clock of samples, and what it yields."""
 
-    def __init__(self, limits: Limits, rests: Rests) -> None:
+    def __init__(self, limits: Limits, rests: Rests, size: int) -> None:
         self._limits, self._rests = limits, rests
         self._profiler = Profiler()
-        self.output = _Output()
+        self.output = _Output(size)
         self._state = _State.ASIDE
         self._section, self._clock = 0, 0.0  # sample of the last standstill, s since then
         self._acceleration = 0.0  # of the last motion, mm/s²
@@ -162,8 +169,8 @@ class _Sampler:
         if stops:
             self._waiting_lines = [mark.text for mark in marks if mark.index == end]
             marks = [mark for mark in marks if mark.index < end]
-        for first in range(self.output.index, last + 1, SAMPLES_PER_CHUNK):
-            n = min(SAMPLES_PER_CHUNK, last + 1 - first)
+        for first in range(self.output.index, last + 1, self.output.size):
+            n = min(self.output.size, last + 1 - first)
             arrives = stops and first + n > last
             s = phases.path(first - self._section, n, float(plan.s[-1]))
             if arrives:
@@ -266,8 +273,8 @@ class _Sampler:
         out.line = move.line
         out.events.append(Pause(out.index, profile.samples, move, profile.seconds, entry, leaving))
         start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
-        for first in range(0, profile.samples, SAMPLES_PER_CHUNK):
-            n = min(profile.samples - first, SAMPLES_PER_CHUNK)
+        for first in range(0, profile.samples, out.size):
+            n = min(profile.samples - first, out.size)
             xyze = np.tile(np.array(move.end), (n, 1))
             xyze[:, Z:] = start + profile.share(np.arange(first + 1, first + n + 1)) * (end - start)
             out.add(xyze, np.full(n, move.line))

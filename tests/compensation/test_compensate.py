@@ -1,4 +1,4 @@
-"""Commands through the plant trace the path; rests are cut to what they need."""
+"""Commands through the plant trace the path; standstill is as long as settling takes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hframe_post.stream.types import Samples
 
 
 def stroke(length: float, speed: float, rest: int, acceleration: float = 5000.0) -> Array:
-    """Positions (n,) of one trapezoidal move with rest around it."""
+    """Return positions (n,) of one trapezoidal move with rest around it."""
     ramp = np.arange(0.0, speed + 1e-9, acceleration * TS)
     cruise = np.full(int(length / speed / TS), speed)
     moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS

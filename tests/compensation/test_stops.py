@@ -1,4 +1,4 @@
-"""At stops the command stands, wherever it stands; what is printed next to them is traced."""
+"""At stops the command stands still, on the path or off it; next to them the print is traced."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -
     return list(sample(plan(items, printer.limits), printer.limits, waits))
 
 
-def stood(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
+def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     compensator = prepared(printer)
     commands = compensate(chunks, compensator, NAMES)
     return list(hold_at_stops(commands, stop_solvers(compensator, NAMES, printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
-    """Those in which anything moves."""
+    """Return the stretches in which anything moves."""
     return [block for block in (join(list(s)) for s in stretches(chunks)) if len(block) > 1]
 
 
-def held(block: Samples) -> list[tuple[int, int]]:
-    """Samples from the one before each pause to its last."""
+def standstills(block: Samples) -> list[tuple[int, int]]:
+    """Return the samples from the one before each pause to its last."""
     return [
         (max(e.index - 1 - block.first, 0), e.index + e.samples - block.first)
         for e in block.events
@@ -66,7 +66,7 @@ def hardest(command: Array, printer: Printer) -> float:
 
 
 def errors(blocks: list[Samples], printer: Printer, name: str = "racking") -> Array:
-    """While extruding."""
+    """Return the contour errors while extruding."""
     judged = list(judge([b for b in blocks if len(b)], printer.plant))
     return np.concatenate([j.contour[name][j.extruding] for j in judged])
 
@@ -80,11 +80,11 @@ def test_the_command_stands_while_the_machine_does_something_else(
     paper: Printer, kind: str, lift: float
 ) -> None:
     printer = replace(paper, compensation=replace(paper.compensation, stops=kind))
-    (block,) = whole_stretches(stood(planned(strokes(0, 12, lift), printer), printer))
-    assert len(held(block)) >= 24
+    (block,) = whole_stretches(compensated(planned(strokes(0, 12, lift), printer), printer))
+    assert len(standstills(block)) >= 24
     for name in NAMES:
         command = block.commands[name]
-        for a, b in held(block):
+        for a, b in standstills(block):
             np.testing.assert_array_equal(command[a:b], np.tile(command[a], (b - a, 1)))
         np.testing.assert_allclose(command[[0, -1]], block.xyze[[0, -1], :2], atol=1e-9)
         assert hardest(command, printer) <= printer.motors.belt_acceleration
@@ -102,7 +102,7 @@ def test_the_command_stands_while_the_machine_does_something_else(
         max_size=24,
     ),
 )  # fmt: skip
-def test_whatever_comes_when_stops_stand_and_limits_hold(seed: int, body: list[str]) -> None:
+def test_any_sequence_of_stops_stands_still_within_the_limits(seed: int, body: list[str]) -> None:
     """Long and short waits, pauses in a row, moves of 20 µm between stops, released machines."""
     printer, rng, lines = load("paper"), np.random.default_rng(seed), list(HEAD)
     x, y = 100.0, 100.0
@@ -113,13 +113,13 @@ def test_whatever_comes_when_stops_stand_and_limits_hold(seed: int, body: list[s
         x, y = (fx, fy) if "{x}" in text else (nx, ny) if "{nx}" in text else (x, y)
         if text == "M600":
             lines.append(f"G0 X{x} Y{y} Z1 F6000")
-    blocks = stood(planned(lines, printer), printer)
+    blocks = compensated(planned(lines, printer), printer)
     assert [b.first for b in blocks] == np.cumsum([0, *map(len, blocks[:-1])]).tolist()
     for block in whole_stretches(blocks):
         for name in NAMES:
             command = block.commands[name]
             assert np.isfinite(command).all()
-            for a, b in held(block):
+            for a, b in standstills(block):
                 np.testing.assert_array_equal(command[a:b], np.tile(command[a], (b - a, 1)))
             np.testing.assert_allclose(command[[0, -1]], block.xyze[[0, -1], :2], atol=1e-9)
             assert hardest(command, printer) <= printer.motors.belt_acceleration
@@ -127,8 +127,8 @@ def test_whatever_comes_when_stops_stand_and_limits_hold(seed: int, body: list[s
 
 def test_a_long_wait_is_made_on_the_path(paper: Printer) -> None:
     lines = [*HEAD, "G1 X90 Y60 E1 F6000", f"G4 P{LONGEST + 500}", "G1 X90 Y90 E1"]
-    (block,) = whole_stretches(stood(planned(lines, paper), paper))
-    waits = [(a, b) for a, b in held(block) if b - a > LONGEST]
+    (block,) = whole_stretches(compensated(planned(lines, paper), paper))
+    waits = [(a, b) for a, b in standstills(block) if b - a > LONGEST]
     assert len(waits) == 1
     for a, b in waits:
         np.testing.assert_array_equal(block.commands["racking"][a:b], block.xyze[a:b, :2])
@@ -148,10 +148,10 @@ def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
 
 def test_stops_cost_little_and_the_print_is_exact(paper: Printer) -> None:
     """Retractions of 67 ms every half second, at 10 000 mm/s² in any direction."""
-    blocks = stood(planned(strokes(1, 40), paper), paper)
-    own = sum(len(b) for b in planned(strokes(1, 40), paper, "none"))
+    blocks = compensated(planned(strokes(1, 40), paper), paper)
+    uncompensated = sum(len(b) for b in planned(strokes(1, 40), paper, "none"))
     off = errors(blocks, paper)
-    assert sum(map(len, blocks)) <= 1.025 * own
+    assert sum(map(len, blocks)) <= 1.025 * uncompensated
     assert np.sqrt(np.square(off).mean()) < 0.010
     assert np.quantile(off, 0.95) < 0.020
     assert off.max() < 0.150
@@ -159,13 +159,13 @@ def test_stops_cost_little_and_the_print_is_exact(paper: Printer) -> None:
 
 def test_exact_stops_are_more_exact_and_take_longer(paper: Printer) -> None:
     exact = replace(paper, compensation=replace(paper.compensation, stops="exact"))
-    fast, slow = (stood(planned(strokes(1, 20), p), p) for p in (paper, exact))
+    fast, slow = (compensated(planned(strokes(1, 20), p), p) for p in (paper, exact))
     assert sum(map(len, slow)) > sum(map(len, fast))
     rms = [np.sqrt(np.square(errors(blocks, paper)).mean()) for blocks in (fast, slow)]
     assert rms[1] < 0.9 * rms[0]
 
 
-def test_no_peak_beside_a_short_travel_nor_at_a_corner_just_after_a_stop(paper: Printer) -> None:
+def test_no_peak_next_to_a_short_travel_or_at_a_corner_just_after_a_stop(paper: Printer) -> None:
     """29 ms of travel between two stops, which motors can just do; a zigzag of 0.5 mm."""
     fast = replace(paper.limits, acceleration=20_000.0, square_corner_velocity=20.0)
     stroke = ["G1 E-1.6 F2400", "G1 Z0.7 F1200", "G0 X{} Y{} F12000", "G1 Z0.3", "G1 E1.6 F2400"]
@@ -179,7 +179,7 @@ def test_no_peak_beside_a_short_travel_nor_at_a_corner_just_after_a_stop(paper: 
     zigzag += [f"G1 X{a} Y{b} E0.02 F3600" for a, b in zip(x, y, strict=True)]
     for lines, limits in ((short, fast), (zigzag, paper.limits)):
         printer = replace(paper, limits=limits)
-        blocks = stood(planned(lines, printer), printer)
+        blocks = compensated(planned(lines, printer), printer)
         assert errors(blocks, printer).max() < 0.130
         assert max(hardest(b.commands["racking"], printer) for b in blocks if len(b) > 2) <= 50_000
 
@@ -187,7 +187,7 @@ def test_no_peak_beside_a_short_travel_nor_at_a_corner_just_after_a_stop(paper: 
 def test_the_bed_is_kept_to_at_its_edge(paper: Printer) -> None:
     lines = [*HEAD, "G1 X0 Y60 F18000", "G1 E-1 F2400", "G1 X140 F18000", "G1 Y295", "G4 P50"]
     lines += ["G1 Y60"]
-    (block,) = whole_stretches(stood(planned(lines, paper), paper))
+    (block,) = whole_stretches(compensated(planned(lines, paper), paper))
     command = block.commands["racking"]
     assert (command >= -1e-9).all()
     assert (command <= np.array([280.0, 295.0]) + 1e-9).all()
@@ -215,10 +215,10 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
             np.testing.assert_array_equal(one.commands[name], other.commands[name])
 
 
-def test_a_wait_of_hours_is_not_held(paper: Printer) -> None:
+def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
     """Half an hour in chunks: nothing but the surroundings of its ends is kept."""
     lines = [*HEAD, "G1 X90 Y60 E1 F6000", "G4 P1800000", "G1 X90 Y90 E1"]
-    compensator, held_back = prepared(paper), 0
+    compensator, buffered = prepared(paper), 0
     raw = (line.encode() + b"\n" for line in lines)
     items = read(raw, ReadOptions.from_printer(paper, "printer"))
     taken = 0
@@ -229,12 +229,12 @@ def test_a_wait_of_hours_is_not_held(paper: Printer) -> None:
             taken += len(chunk)
             yield chunk
 
-    given_back = 0
+    returned = 0
     for chunk in hold_at_stops(
         compensate(counted(), compensator, ("racking",)),
         stop_solvers(compensator, NAMES[1:], paper),
     ):
-        given_back += len(chunk)
-        held_back = max(held_back, taken - given_back)
-    assert given_back == taken > 1_800_000
-    assert held_back < 200_000
+        returned += len(chunk)
+        buffered = max(buffered, taken - returned)
+    assert returned == taken > 1_800_000
+    assert buffered < 200_000

@@ -1,4 +1,4 @@
-"""Corners as Klipper passes them."""
+"""Junction speeds are those of Klipper."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_square_corner_of_short_segments_is_slower() -> None:
 
 
 def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
-    """Its unit vectors are d·(1/|d|), which is not always ±1: 0.7 µm/s that 20 ns are lost by."""
+    """Its unit vectors are d·(1/|d|), which is not always ±1: the speed is 0.7 µm/s, not 0."""
     for d in np.random.default_rng(1).uniform(1e-4, 0.1, (200, 2)):
         back = [float(one) * (1.0 / float(one)) for one in d]
         cosine = back[0] * back[1]

@@ -47,7 +47,7 @@ def test_matrix_is_that_of_the_belts_and_can_be_undone(kinematics: Kinematics) -
 
 
 @pytest.mark.parametrize("kinematics", ALL)
-def test_reach_is_the_fastest_direction_that_both_belts_allow(kinematics: Kinematics) -> None:
+def test_max_speed_ratio_is_that_of_the_fastest_direction(kinematics: Kinematics) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 721)
     belts = np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)
     assert kinematics.max_speed_ratio == pytest.approx(
@@ -56,7 +56,7 @@ def test_reach_is_the_fastest_direction_that_both_belts_allow(kinematics: Kinema
 
 
 @pytest.mark.parametrize("kinematics", ALL)
-def test_what_is_reached_everywhere_is_the_slowest_direction(kinematics: Kinematics) -> None:
+def test_min_speed_ratio_is_that_of_the_slowest_direction(kinematics: Kinematics) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 721)
     belts = np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)
     assert kinematics.min_speed_ratio == pytest.approx((1.0 / belts).min(), rel=5e-3)
@@ -74,7 +74,7 @@ def test_stream_of_a_cartesian_printer_may_be_faster_than_its_belts() -> None:
 @pytest.mark.parametrize(
     "change", ["swap = true", "signs = [-1, 1]", "swap = true\nsigns = [1, -1]"]
 )
-def test_stream_in_x_and_y_does_not_know_how_the_motors_are_connected(change: str) -> None:
+def test_stream_in_x_and_y_does_not_depend_on_how_the_motors_are_connected(change: str) -> None:
     mine = parse(f'extends = "paper"\n[kinematics]\n{change}\n', "mine")
     paper = load("paper")
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
@@ -121,13 +121,13 @@ def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
 def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> None:
     """Exchanged, its two models no longer fit."""
     printer = load("example-cartesian")
-    own = printer.plant
-    other = replace(own, Gxx=own.Gyy, Gyy=own.Gxx)
+    right_plant = printer.plant
+    wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
     command = join(list(Commands(iter(lines), printer, Options("fbs")).computed()))
     errors = [
         np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
-        for plant in (own, other)
+        for plant in (right_plant, wrong_plant)
     ]
     right, wrong = (float(np.sqrt(np.square(error).mean())) for error in errors)
     assert right < 0.001

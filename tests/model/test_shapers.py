@@ -1,4 +1,4 @@
-"""Input shapers: what each of them promises."""
+"""Input shapers: the properties that define each of them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def test_a_shaper_is_a_mean_without_delay(name: str, hz: float, damping: float) 
 
 @pytest.mark.parametrize("name", ["zv", "mzv", "2hump_ei", "zvd", "zvdd", "zvddd"])
 @pytest.mark.parametrize("damping", [0.0, 0.1, 0.3])
-def test_these_leave_nothing_of_their_mode(name: str, damping: float) -> None:
+def test_these_cancel_their_mode(name: str, damping: float) -> None:
     assert shaper(name, 40.0, damping).residual(np.array([40.0]), damping)[0] < 1e-9
 
 
 @pytest.mark.parametrize("name", ["smooth_zv", "smooth_zvd"])
-def test_means_leave_nothing_of_an_undamped_mode(name: str) -> None:
+def test_means_cancel_an_undamped_mode(name: str) -> None:
     s = shaper(name, 40.0, 0.0)
     assert s.residual(np.array([40.0]), 0.0)[0] < 1e-9
     assert np.ptp(s.T) * 40.0 == pytest.approx(
@@ -40,7 +40,7 @@ def test_means_leave_nothing_of_an_undamped_mode(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["ei", "3hump_ei"])
-def test_these_leave_what_is_tolerated_and_are_deafer_for_it(name: str) -> None:
+def test_these_leave_the_tolerated_ringing_over_a_wider_band(name: str) -> None:
     s = shaper(name, 40.0, 0.0)
     assert s.residual(np.array([40.0]), 0.0)[0] == pytest.approx(TOLERATED)
     off = np.linspace(36.0, 44.0, 41)

@@ -1,4 +1,4 @@
-"""A strategy is a class and a row: everything else follows from the registry."""
+"""A strategy is a class and a row of the registry, from which everything else follows."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.conftest import SAMPLES
 
 
 class Late:
-    """The path, some samples late: a strategy that holds samples back."""
+    """The path, some samples late: a strategy that buffers samples."""
 
     def __init__(self, compensator: Compensator, origin: Array) -> None:
-        self._held = np.tile(origin, (20, 1))
+        self._buffered = np.tile(origin, (20, 1))
 
     def feed(self, xy: Array) -> Array:
-        known = np.concatenate([self._held, xy])
-        self._held = known[len(xy) :]
+        known = np.concatenate([self._buffered, xy])
+        self._buffered = known[len(xy) :]
         return known[: len(xy)]
 
     def finish(self) -> Array:
@@ -33,19 +33,19 @@ class Late:
 
 @pytest.fixture
 def late(monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setitem(STRATEGIES, "late", Strategy("late", "as it is, late", "#00a000", Late))
+    monkeypatch.setitem(STRATEGIES, "late", Strategy("late", "path, late", "#00a000", Late))
     return "late"
 
 
 def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_path: Path) -> None:
-    out, summary = tmp_path / "out.gcode", tmp_path / "told.json"
+    out, summary = tmp_path / "out.gcode", tmp_path / "summary.json"
     part = str(SAMPLES / "rectangle.gcode")
     done = CliRunner().invoke(main, [part, "-c", late, "-o", str(out), "--json", str(summary)])
     assert done.exit_code == 0, done.output
-    assert "as it is, late: contour error" in done.output
+    assert "path, late: contour error" in done.output
     assert out.read_bytes() != b""
     studied = CliRunner().invoke(main, ["simulate"])
-    assert "as it is, late" in studied.output
+    assert "path, late" in studied.output
     assert "-c, --compensation [none|fbs|racking|late]" in _help()
 
 
@@ -54,7 +54,7 @@ def _help() -> str:
     return " ".join(shown.output.split())
 
 
-def test_names_that_no_strategy_has_are_errors_everywhere() -> None:
+def test_unknown_strategies_are_errors_everywhere() -> None:
     with pytest.raises(HframeError, match="unknown strategy 'late': choose one of none, fbs"):
         strategy("late")
     with pytest.raises(HframeError, match=r"compensation\.strategy"):
@@ -62,15 +62,15 @@ def test_names_that_no_strategy_has_are_errors_everywhere() -> None:
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
-def test_what_was_given_is_never_more_than_what_was_taken_and_all_in_the_end(name: str) -> None:
+def test_a_strategy_never_returns_more_than_it_took_and_all_in_the_end(name: str) -> None:
     printer = load("paper")
-    course = strategy(name).begin(
+    state = strategy(name).begin(
         Compensator(printer.plant, printer.compensation.windows), np.array([100.0, 50.0])
     )
     path = np.tile([100.0, 50.0], (150_000, 1))
-    taken = given = 0
+    taken = returned = 0
     for piece in np.array_split(path, [1, 2, 500, 60_000, 60_001]):
         taken += len(piece)
-        given += len(course.feed(piece))
-        assert given <= taken
-    assert given + len(course.finish()) == taken
+        returned += len(state.feed(piece))
+        assert returned <= taken
+    assert returned + len(state.finish()) == taken

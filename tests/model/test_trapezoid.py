@@ -1,4 +1,4 @@
-"""One axis from speed to speed: never faster or harder than it may, and all of its way."""
+"""Motion of one axis from speed to speed: within its limits and over all of its length."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ SHARES = st.floats(0.0, 1.0)
 
 @st.composite
 def trapezoids(draw: st.DrawFn) -> Trapezoid:
-    """Whose ends can be had: both speeds within half of the way."""
+    """Return feasible ones: both end speeds are reached within half of the length."""
     length, cruise, a = draw(LENGTHS), draw(st.floats(1.0, 100.0)), draw(st.floats(10.0, 5000.0))
     most = min(cruise, math.sqrt(length * a / 2.0))
     return Trapezoid(length, cruise, a, draw(SHARES) * most, draw(SHARES) * most)
 
 
 @given(trapezoids(), st.floats(1.0, 3.0))
-def test_a_way_is_whole_and_within_its_limits(way: Trapezoid, longer: float) -> None:
-    for one in (way, way.slowed_to(longer * way.seconds)):
+def test_a_motion_is_complete_and_within_its_limits(motion: Trapezoid, longer: float) -> None:
+    for one in (motion, motion.slowed_to(longer * motion.seconds)):
         t = np.linspace(0.0, one.seconds, 4001)
         s = one.distance(t)
         assert s[0] == 0.0
@@ -38,12 +38,12 @@ def test_a_way_is_whole_and_within_its_limits(way: Trapezoid, longer: float) -> 
 
 
 @given(trapezoids(), st.floats(1.0, 1.5))
-def test_it_takes_as_long_as_it_shall(way: Trapezoid, longer: float) -> None:
-    slower = way.slowed_to(longer * way.seconds)
-    assume(slower.cruise > max(way.v_s, way.v_e))
-    assert slower.seconds == pytest.approx(longer * way.seconds, rel=1e-9)
+def test_a_slowed_motion_takes_the_time_asked(motion: Trapezoid, longer: float) -> None:
+    slower = motion.slowed_to(longer * motion.seconds)
+    assume(slower.cruise > max(motion.v_s, motion.v_e))
+    assert slower.seconds == pytest.approx(longer * motion.seconds, rel=1e-9)
 
 
-def test_it_is_never_hurried() -> None:
-    way = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
-    assert way.slowed_to(0.5 * way.seconds) is way
+def test_a_motion_is_never_sped_up() -> None:
+    motion = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
+    assert motion.slowed_to(0.5 * motion.seconds) is motion

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E, Z
 from hframe_post.planner import lookahead
-from hframe_post.planner.lookahead import plan
+from hframe_post.planner.lookahead import BATCH, LONGEST_QUEUE, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -92,8 +92,10 @@ def gentle_spiral(n: int, radius: float = 30.0, step: float = 0.2, speed: float 
     return moves(np.stack(columns, axis=1), speed)
 
 
-def plans(items: Iterable[Item], limits: Limits = LIMITS) -> list[Plan]:
-    return [item for item in plan(items, limits) if isinstance(item, Plan)]
+def plans(
+    items: Iterable[Item], limits: Limits = LIMITS, batch: int = BATCH, longest: int = LONGEST_QUEUE
+) -> list[Plan]:
+    return [item for item in plan(items, limits, batch, longest) if isinstance(item, Plan)]
 
 
 def one(whole: Moves, limits: Limits = LIMITS) -> Plan:

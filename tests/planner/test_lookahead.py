@@ -1,4 +1,4 @@
-"""Look-ahead: Klipper's junctions, limits of moves, reachable speeds, no trace of the cutting."""
+"""Look-ahead: Klipper's junctions, limits of moves, reachable speeds, independence of cuts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E
-from hframe_post.planner import lookahead
-from hframe_post.planner.lookahead import plan, reachable_speed
+from hframe_post.planner.lookahead import BATCH, plan, reachable_speed
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -45,14 +44,11 @@ from tests.planner.planning import (
     seeds,
 )
 
-# ---------------------------------------------------------------------- making streams
-
-
 # ---------------------------------------------------------------------- reach
 
 
 def distance(v0: float, v1: float, a: float, j: float) -> float:
-    """Path over which v0 rises to v1, by numerical integration of the acceleration."""
+    """Return the path over which v0 rises to v1, by numerical integration of the acceleration."""
     peak = min(a, math.sqrt((v1 - v0) * j))
     ramp = peak / j
     flat = max((v1 - v0) / peak - ramp, 0.0)
@@ -79,26 +75,28 @@ accelerations = st.floats(2.0, 5.0).map(lambda power: 10.0**power)
 @example(0.0, 1e-4, 1e4, 5e7)
 @example(500.0, 1e-4, 1e2, 1e9)
 @example(0.0, 1e3, 1e5, 1e9)
-def test_reach_takes_its_length(v0: float, length: float, a: float, j: float) -> None:
+def test_reachable_speed_takes_its_length(v0: float, length: float, a: float, j: float) -> None:
     v1 = reached(v0, length, a, j)
     assert v1 > v0
     assert distance(v0, v1, a, j) == pytest.approx(length, rel=1e-3)
 
 
 @given(speeds, lengths, st.floats(0.0, 1.0), accelerations, jerks)
-def test_reach_never_falls_with_length(
+def test_reachable_speed_never_falls_with_length(
     v0: float, length: float, more: float, a: float, j: float
 ) -> None:
     assert reached(v0, length * (1.0 + more), a, j) >= reached(v0, length, a, j) - 1e-9
 
 
 @given(speeds, lengths, accelerations)
-def test_reach_without_jerk_limit_is_torricellis(v0: float, length: float, a: float) -> None:
+def test_reachable_speed_without_jerk_limit_is_torricellis(
+    v0: float, length: float, a: float
+) -> None:
     expected = math.sqrt(v0 * v0 + 2.0 * a * length)
     assert reached(v0, length, a, 1e16) == pytest.approx(expected, rel=1e-4)
 
 
-def test_reach_is_continuous_where_full_acceleration_begins() -> None:
+def test_reachable_speed_is_continuous_where_full_acceleration_begins() -> None:
     a, j, v0 = 1e4, 5e7, 3.0
     edge = (v0 + a * a / j / 2.0) * 2.0 * a / j
     below, above = reached(v0, edge * (1 - 1e-9), a, j), reached(v0, edge * (1 + 1e-9), a, j)
@@ -110,7 +108,7 @@ def test_reach_is_continuous_where_full_acceleration_begins() -> None:
 
 
 def corner_speed(points: Array, limits: Limits = LIMITS, corner: float = INF) -> float:
-    """Speed at the only corner of two moves."""
+    """Return the speed at the only corner of two moves."""
     planned = one(moves(points, corner=corner), limits)
     assert planned.ends.tolist() == [0, 1, 2]
     return float(planned.speed[1])
@@ -189,7 +187,7 @@ def test_corner_that_allows_almost_nothing_is_a_stop() -> None:
 def limited(
     step: tuple[float, float, float, float], speed: float = 100.0, acceleration: float = INF
 ) -> tuple[float, float]:
-    """Cruise speed and acceleration of one move."""
+    """Return cruise speed and acceleration of one move."""
     planned = one(moves(line(step), speed, acceleration))
     return float(planned.cruise[0]), float(planned.acceleration[0])
 
@@ -215,7 +213,7 @@ def test_retraction_while_moving_is_limited() -> None:
     assert acceleration == pytest.approx(2000.0 / 3.0 * 2.0)
 
 
-def test_extrusion_while_moving_is_limited_by_what_melts_alone() -> None:
+def test_extrusion_while_moving_is_limited_only_by_what_melts() -> None:
     assert limited((10, 0, 0, 1.6), speed=300.0) == (300.0, 1e4)
     cruise, _ = limited((10, 0, 0, 5), speed=300.0)
     assert cruise == pytest.approx(100.0)
@@ -308,7 +306,7 @@ def test_long_move_cruises_and_short_one_does_not_stop() -> None:
 # ---------------------------------------------------------------------- other items
 
 
-def test_carried_line_becomes_a_mark_where_it_stands() -> None:
+def test_pass_through_line_becomes_a_mark_at_its_place() -> None:
     first, second = cut(moves(line((5, 0, 0, 0), (5, 0, 0, 0))), 1)
     items = list(plan([first, carried(b"A"), second, carried(b"B")], LIMITS))
     (planned,) = items
@@ -316,7 +314,7 @@ def test_carried_line_becomes_a_mark_where_it_stands() -> None:
     assert planned.marks == (Mark(1, b"A"), Mark(2, b"B"))
 
 
-def test_carried_line_at_rest_passes_as_it_is() -> None:
+def test_pass_through_line_at_rest_is_unchanged() -> None:
     assert list(plan([carried(b"A")], LIMITS)) == [carried(b"A")]
 
 
@@ -337,7 +335,7 @@ def test_what_happens_at_rest_follows_a_stop(item: Item) -> None:
     assert before.speed[-1] == after.speed[0] == after.speed[-1] == 0.0
 
 
-def test_nothing_gives_nothing() -> None:
+def test_no_items_give_no_plan() -> None:
     assert list(plan([], LIMITS)) == []
 
 
@@ -380,7 +378,7 @@ def test_mark_between_two_blocks_may_go_with_either() -> None:
 
 
 def slow_giant(n: int) -> Moves:
-    """A gentle spiral so quick for its acceleration that braking takes thousands of moves."""
+    """Return a gentle spiral, so fast that braking takes thousands of moves."""
     return replace(gentle_spiral(n, 500.0, 0.05, 300.0), acceleration=np.full(n, 100.0))
 
 
@@ -394,21 +392,19 @@ def test_queue_that_must_grow_does_not_depend_on_cuts(size: int) -> None:
     speed[::1500] = 200.0
     whole = replace(whole, speed=speed)
     expected = plans([whole])
-    assert max(len(p.line) for p in expected) > lookahead.BATCH
+    assert max(len(p.line) for p in expected) > BATCH
     assert_continuous(expected, whole)
     assert bits(plans(cut(whole, size))) == bits(expected)
 
 
-def test_longest_queue_does_not_depend_on_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lookahead, "BATCH", 16)
-    monkeypatch.setattr(lookahead, "LONGEST_QUEUE", 64)
+def test_longest_queue_does_not_depend_on_cuts() -> None:
     whole = slow_giant(300)
     whole = replace(whole, marks=tuple(Mark(k, b"%d" % k) for k in range(301)))
-    expected = plans([whole])
+    expected = plans([whole], batch=16, longest=64)
     assert len(expected) > 1
     assert_continuous(expected, whole)
     for size in (1, 7, 32, 64, 100):
-        assert bits(plans(cut(whole, size))) == bits(expected), size
+        assert bits(plans(cut(whole, size), batch=16, longest=64)) == bits(expected), size
 
 
 def test_smooth_path_of_any_length_is_driven_without_a_stop() -> None:
@@ -418,11 +414,10 @@ def test_smooth_path_of_any_length_is_driven_without_a_stop() -> None:
     assert (inside > 0.99 * 60.0).all()
 
 
-def test_batches_give_the_speeds_of_one_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batches_give_the_speeds_of_one_plan() -> None:
     whole = random_moves(3, 3000)
     at_once = run_ends(plans([whole]))
-    monkeypatch.setattr(lookahead, "BATCH", 50)
-    batched = plans([whole])
+    batched = plans([whole], batch=50)
     assert len(batched) > 10
     in_parts = run_ends(batched)
     common = at_once.keys() & in_parts.keys()
@@ -432,7 +427,7 @@ def test_batches_give_the_speeds_of_one_plan(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def run_ends(planned: list[Plan]) -> dict[int, float]:
-    """Vertex → speed there, of every end of a run."""
+    """Return vertex → speed there, for every end of a run."""
     first = 0
     found: dict[int, float] = {}
     for p in planned:
@@ -441,7 +436,7 @@ def run_ends(planned: list[Plan]) -> dict[int, float]:
     return found
 
 
-def test_sharp_corner_after_a_long_way_ends_a_run() -> None:
+def test_sharp_corner_after_a_long_cruise_ends_a_run() -> None:
     way = line((30_000, 0, 0, 0), (-50, 0.035, 0, 0))
     assert corner_speed(way) == pytest.approx(0.0602133, rel=1e-4)
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from hframe_post.gcode import batching
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.planner.pacing import Pace, Paces, pace
 from hframe_post.stream.features import KINDS, OTHER, kind
-from hframe_post.stream.types import Moves
+from hframe_post.stream.types import Item, Moves
+from tests.planner.planning import cut
 
 PRINT = """\
 M201 X1000 Y500
@@ -86,19 +86,20 @@ def test_what_lies_as_low_as_the_first_layer_keeps_what_the_file_has() -> None:
     assert moves.acceleration[-2:].tolist() == [3000.0, 20000.0]
 
 
-def test_filament_and_path_stay_and_cuts_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_filament_and_path_stay_and_cuts_change_nothing() -> None:
     chosen = Paces({"outer-wall": WALL, "infill": FILL, "travel": GONE}, 4.0, 1, {2: 0.7})
     whole = paced(chosen)
     bare = paced(Paces({}))
     np.testing.assert_array_equal(whole.points, bare.points)
     for size in (1, 2, 5):
-        monkeypatch.setattr(batching, "MOVES_PER_ITEM", size)
         lines = [line.encode() for line in PRINT]
-        items = pace(read(lines, ReadOptions(dialect("klipper"), "file-all")), chosen)
-        cut = [item for item in items if isinstance(item, Moves)]
-        assert len(cut) > 1
+        items: list[Item] = []
+        for item in read(lines, ReadOptions(dialect("klipper"), "file-all")):
+            items += cut(item, size) if isinstance(item, Moves) else [item]
+        pieces = [item for item in pace(items, chosen) if isinstance(item, Moves)]
+        assert len(pieces) > 1
         for name in ("speed", "acceleration", "corner", "line"):
-            joined = np.concatenate([getattr(moves, name) for moves in cut])
+            joined = np.concatenate([getattr(moves, name) for moves in pieces])
             np.testing.assert_array_equal(joined, getattr(whole, name))
 
 

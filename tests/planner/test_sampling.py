@@ -1,4 +1,4 @@
-"""Profiles and samples: on the path, within the limits, on the clock, no trace of the cutting."""
+"""Profiles and samples: on the path, within the limits, on the clock, independent of cuts."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
-from hframe_post.planner import lookahead, sampling
 from hframe_post.planner.jerk_profile import Profiler, integrate, ramps
 from hframe_post.planner.lookahead import plan, reachable_speed
-from hframe_post.planner.sampling import SPARED, sample
+from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Handling,
@@ -55,17 +54,22 @@ DRIFT = 1.5e-6  # mm; what a run may miss its end by
 BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
 
 
-def sampled(items: Iterable[Item], limits: Limits = LIMITS, rests: Rests = RESTS) -> list[Samples]:
-    return list(sample(plan(items, limits), limits, rests))
+def sampled(
+    items: Iterable[Item],
+    limits: Limits = LIMITS,
+    rests: Rests = RESTS,
+    size: int = SAMPLES_PER_CHUNK,
+) -> list[Samples]:
+    return list(sample(plan(items, limits), limits, rests, size))
 
 
 def whole(blocks: list[Samples]) -> tuple[Array, list[object]]:
-    """All samples and all events."""
+    """Return all samples and all events."""
     return np.concatenate([b.xyze for b in blocks]), [e for b in blocks for e in b.events]
 
 
 def measured(item: Moves, rate: float = 0.04) -> Moves:
-    """The moves with filament in proportion to the path, so that e tells the place on it."""
+    """Return the moves with filament in proportion to the path, so that e gives the place."""
     steps = np.linalg.norm(np.diff(item.points[:, :E], axis=0), axis=1)
     points = item.points.copy()
     points[:, E] = rate * np.concatenate([[0.0], np.cumsum(steps)])
@@ -181,15 +185,14 @@ def marks_of(blocks: list[Samples]) -> list[Mark]:
     return [e for e in whole(blocks)[1] if isinstance(e, Mark)]
 
 
-def test_filament_at_marks_is_that_of_their_vertex(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_filament_at_marks_is_that_of_their_vertex() -> None:
     """Also where the mark lies between the last sample of one plan and the first of the next."""
-    monkeypatch.setattr(lookahead, "BATCH", 100)
     n = 3000
     item = gentle_spiral(n, step=0.03)
     item = replace(item, marks=tuple(Mark(k, b"%d" % k) for k in range(0, n + 1, 3)))
     item = replace(item, speed=np.where(np.arange(n) // 34 % 2, 50.0, 60.0))
-    assert len(plans([item])) > 20
-    blocks = sampled([item])
+    assert len(plans([item], batch=100)) > 20
+    blocks = list(sample(plan([item], LIMITS, batch=100), LIMITS, RESTS))
     xyze, marks = whole(blocks)[0], marks_of(blocks)
     assert [m.text for m in marks] == [m.text for m in item.marks]
     assert marks[-1] == Mark(len(xyze), b"%d" % n)  # at rest, behind the last sample
@@ -227,7 +230,7 @@ def test_marked_vertex_just_before_a_stop_leaves_the_end_exact() -> None:
     np.testing.assert_array_equal(xyze[pause.index - 1], [10.0005, 0, 0, 1.001])
 
 
-def test_carried_line_at_rest_is_at_the_present_sample() -> None:
+def test_pass_through_line_at_rest_is_at_the_present_sample() -> None:
     blocks = sampled([moves(line((5, 0, 0, 0))), Passthrough(2, b"G4", Handling.REST, STATE),
                       carried(b"M106")])  # fmt: skip
     n = len(whole(blocks)[0])
@@ -294,12 +297,12 @@ def test_nothing_is_added_before_the_first_motion() -> None:
     assert [type(e) for e in events] == [Pause]
 
 
-def test_dwell_lasts_whole_samples_and_tells_its_exact_time() -> None:
+def test_dwell_lasts_whole_samples_and_keeps_its_exact_time() -> None:
     (pause,) = (e for e in whole(sampled([there(), DWELL]))[1] if isinstance(e, Pause))
     assert (pause.samples, pause.exact) == (13, 0.0125)
 
 
-def test_yielded_machine_ends_its_block_and_starts_from_where_the_file_says() -> None:
+def test_released_machine_ends_its_stretch_and_starts_from_where_the_file_says() -> None:
     blocks = sampled([there(), YIELD, there(70.0)])
     assert [b.ends_stretch for b in blocks].count(True) == 1
     first = next(k for k, b in enumerate(blocks) if b.ends_stretch)
@@ -348,7 +351,7 @@ def test_a_lift_passes_from_motion_and_into_it() -> None:
         ([there(), carried(LABEL), RETRACT, there(50.0), LIFT, there(50.0)], 2.0, 2.0),
     ],
 )
-def test_it_comes_to_rest_where_anything_else_is_next_to_it(
+def test_a_lift_comes_to_rest_where_anything_else_is_next_to_it(
     items: list[Item], entry: float, leaving: float
 ) -> None:
     lift, _, _ = lift_of(items)
@@ -367,7 +370,7 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
 
 
-def test_a_lift_beside_slow_motion_passes_no_faster_than_that_sets_out() -> None:
+def test_a_lift_next_to_slow_motion_passes_no_faster_than_that_starts() -> None:
     slow = replace(there(50.0), acceleration=np.full(1, 400.0))
     lift, _, _ = lift_of([there(), LIFT, slow])
     assert lift.entry == pytest.approx(2.0)
@@ -389,16 +392,18 @@ def test_a_short_lift_passes_no_faster_than_it_can() -> None:
 MOVING = replace(RESTS, retract_acceleration=300.0)
 
 
-def taken_back(length: float, rests: Rests = MOVING, size: int = 100) -> tuple[Array, list[object]]:
-    """Printed, retracted, travelled (50 mm at 100 mm/s), printed."""
+def with_retraction(
+    length: float, rests: Rests = MOVING, size: int = 100
+) -> tuple[Array, list[object]]:
+    """Return samples and events of: print, retract, travel 50 mm at 100 mm/s, print."""
     e = 2.0 - length
     back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
     after = moves([(50, 0, 0.2, e), (100, 0, 0.2, e), (100, 50, 0.2, e + 3.0)])
     return whole(sampled([there(), back, *cut(after, size)], rests=rests))
 
 
-def test_a_retraction_is_made_on_the_travel_with_all_of_its_filament() -> None:
-    xyze, events = taken_back(0.8)
+def test_a_retraction_during_travel_takes_all_of_its_filament() -> None:
+    xyze, events = with_retraction(0.8)
     assert not [e for e in events if isinstance(e, Pause)]
     e, x = xyze[:, E], xyze[:, 0]
     rate = np.diff(e) / TS
@@ -407,14 +412,14 @@ def test_a_retraction_is_made_on_the_travel_with_all_of_its_filament() -> None:
     assert np.abs(np.diff(rate[travel])).max() <= 300.0 * TS * 1.01
     assert e[np.argmax(xyze[:, 1] > 0.0) - 1] == pytest.approx(1.2)  # before it prints again
     assert e[-1] == pytest.approx(4.2)
-    stood, with_pause = taken_back(0.8, RESTS)
+    stood, with_pause = with_retraction(0.8, RESTS)
     assert len([e for e in with_pause if isinstance(e, Pause)]) == 1
     assert len(xyze) < len(stood) - 30
     np.testing.assert_array_equal(xyze[-1], stood[-1])
 
 
-def test_it_stands_where_the_travel_is_too_short_or_follows_no_motion() -> None:
-    _, events = taken_back(30.0)
+def test_a_retraction_is_made_at_rest_where_the_travel_is_too_short_or_follows_no_motion() -> None:
+    _, events = with_retraction(30.0)
     assert len([e for e in events if isinstance(e, Pause)]) == 1
     back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
     for before in (list[Item](), [there(), DWELL], [there(), LIFT]):
@@ -422,7 +427,7 @@ def test_it_stands_where_the_travel_is_too_short_or_follows_no_motion() -> None:
         assert [e for e in events if isinstance(e, Pause) and e.action is back]
 
 
-def test_filament_comes_forth_at_rest() -> None:
+def test_filament_is_primed_at_rest() -> None:
     primed = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 2.8), 45.0)
     _, events = whole(sampled([there(), primed, there(50.0)], rests=MOVING))
     assert [e for e in events if isinstance(e, Pause)]
@@ -494,15 +499,15 @@ def test_standing_move_keeps_its_axis_limits(distance: float, axis: int, speed: 
 # ---------------------------------------------------------------------- cutting
 
 
-def test_chunks_stay_short_however_long_it_stands() -> None:
+def test_chunks_stay_short_however_long_the_machine_stands() -> None:
     feeds = [Standing(k, (0, 0, 0, 900.0 * k), (0, 0, 0, 900.0 * (k + 1)), 60.0) for k in range(9)]
     sizes = [len(block) for block in sampled(feeds)]
-    assert sum(sizes) > 4 * sampling.SAMPLES_PER_CHUNK
-    assert max(sizes) < 2 * sampling.SAMPLES_PER_CHUNK
+    assert sum(sizes) > 4 * SAMPLES_PER_CHUNK
+    assert max(sizes) < 2 * SAMPLES_PER_CHUNK
 
 
 def mixed() -> list[Item]:
-    """Paths of several plans each, with pauses of all kinds between them."""
+    """Return paths of several plans each, with pauses of all kinds between them."""
     items: list[Item] = []
     at = np.zeros(4)
     rng = np.random.default_rng(0)
@@ -550,16 +555,13 @@ def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
 
 
 @pytest.mark.parametrize("size", [7, 100, 10_000])
-def test_samples_do_not_depend_on_the_size_of_blocks(
-    size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_samples_do_not_depend_on_the_size_of_chunks(size: int) -> None:
     items = mixed()
     expected = stream_bits(sampled(items))
-    monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", size)
-    assert stream_bits(sampled(items)) == expected
+    assert stream_bits(sampled(items, size=size)) == expected
 
 
-def test_blocks_are_contiguous_finite_and_read_only() -> None:
+def test_chunks_are_contiguous_finite_and_read_only() -> None:
     blocks = sampled(mixed())
     index = 0
     for block in blocks:
@@ -590,14 +592,14 @@ def test_filament_and_places_of_rest_are_those_of_the_file() -> None:
 
 
 def shortest(v0: Array, v1: Array, a: Array, jerk: float) -> Array:
-    """Path over which v0 becomes v1 at the latest."""
+    """Return the least path over which v0 becomes v1."""
     change = np.abs(v1 - v0)
     time = np.where(change > a * a / jerk, change / a + a / jerk, 2.0 * np.sqrt(change / jerk))
     return np.asarray(time * (v0 + v1) / 2.0)
 
 
 def random_runs(seed: int, n: int, jerk: float) -> Plan:
-    """n feasible runs from speed to speed, each followed by a long one to the next's start."""
+    """Return n feasible runs, each followed by a long one to the next run's start."""
     rng = np.random.default_rng(seed)
     v0, v1 = (rng.choice([0.0, 1.0], n, p=[0.1, 0.9]) * 10.0 ** rng.uniform(-2, 2.7, n)
               for _ in range(2))  # fmt: skip

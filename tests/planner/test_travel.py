@@ -1,4 +1,4 @@
-"""Travel has the profile's own limits where it has any, and nothing else changes."""
+"""Travel gets the profile's limits of travel if it has any, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import FileLimits, Moves, Plan
 from tests.planner.planning import FREE, LIMITS, cut, moves
 
-OWN = replace(LIMITS, travel_velocity=350.0, travel_acceleration=4.0 * LIMITS.acceleration)
+HARD = 4.0 * LIMITS.acceleration
+TRAVEL_LIMITS = replace(LIMITS, travel_velocity=350.0, travel_acceleration=HARD)
 
 
 def job(limits: FileLimits = FREE) -> Moves:
-    """Printed, travel, printed, a wipe of the nozzle, travel with a slope."""
+    """Return: print, travel, print, a wipe of the nozzle, travel with a slope."""
     points = [
         (0, 0, 0.2, 0), (50, 0, 0.2, 2), (90, 0, 0.2, 2), (90, 40, 0.2, 4), (90, 60, 0.2, 4),
         (50, 60, 1.2, 4),
@@ -35,44 +36,44 @@ def changed(block: Moves, limits: Limits) -> Moves:
     return one
 
 
-def test_without_limits_of_its_own_travel_is_the_files() -> None:
+def test_without_limits_of_travel_it_is_as_in_the_file() -> None:
     block = job()
     assert changed(block, LIMITS) is block
 
 
-def test_travel_gets_them_and_nothing_that_extrudes() -> None:
-    own = changed(job(), OWN)
-    hard = OWN.travel_acceleration
-    np.testing.assert_array_equal(own.acceleration, [500.0, hard, 500.0, hard, hard])
+def test_travel_gets_its_limits_and_extrusion_does_not() -> None:
+    fast = changed(job(), TRAVEL_LIMITS)
+    hard = TRAVEL_LIMITS.travel_acceleration
+    np.testing.assert_array_equal(fast.acceleration, [500.0, hard, 500.0, hard, hard])
     # what is slower than printing stays, and so does what climbs
-    np.testing.assert_array_equal(own.speed, [50.0, 350.0, 50.0, 20.0, 150.0])
+    np.testing.assert_array_equal(fast.speed, [50.0, 350.0, 50.0, 20.0, 150.0])
 
 
 def test_before_anything_is_printed_travel_keeps_its_speed() -> None:
     block = moves([(0, 0, 0.2, 0), (50, 0, 0.2, 0), (90, 0, 0.2, 0)])
-    assert (changed(block, OWN).speed == block.speed).all()
+    assert (changed(block, TRAVEL_LIMITS).speed == block.speed).all()
 
 
 def test_what_the_file_asks_of_travel_alone_lowers_it() -> None:
     asked = FileLimits(FREE.velocity, FREE.acceleration, travel=900.0)
-    assert changed(job(asked), OWN).acceleration[1] == 900.0
+    assert changed(job(asked), TRAVEL_LIMITS).acceleration[1] == 900.0
 
 
-def test_however_it_is_cut() -> None:
-    whole = changed(job(), OWN)
-    pieces = [p for p in with_travel_limits(cut(job(), 1), OWN) if isinstance(p, Moves)]
+def test_travel_does_not_depend_on_cuts() -> None:
+    whole = changed(job(), TRAVEL_LIMITS)
+    pieces = [p for p in with_travel_limits(cut(job(), 1), TRAVEL_LIMITS) if isinstance(p, Moves)]
     assert len(pieces) == 5
     for name in ("speed", "acceleration"):
         column: Array = np.concatenate([getattr(piece, name) for piece in pieces])
         np.testing.assert_array_equal(column, getattr(whole, name))
 
 
-def test_it_is_planned_so_and_what_is_printed_is_not() -> None:
-    (planned,) = plan([job()], OWN)
+def test_travel_is_planned_with_its_limits_and_extrusion_is_not() -> None:
+    (planned,) = plan([job()], TRAVEL_LIMITS)
     assert isinstance(planned, Plan)
     runs = planned.line[planned.ends[:-1]]
     assert planned.cruise[runs == planned.line[1]].max() == 350.0 > LIMITS.velocity
-    assert planned.acceleration[runs == planned.line[1]].max() == OWN.travel_acceleration
+    assert planned.acceleration[runs == planned.line[1]].max() == TRAVEL_LIMITS.travel_acceleration
     printed = planned.line[0], planned.line[2]
     assert planned.acceleration[np.isin(runs, printed)].max() == 500.0
 

@@ -82,7 +82,7 @@ def test_a_layer_without_a_number_follows_the_one_before() -> None:
     assert names([block(printing(4), *comments)])[0] == ["6", "7", "6", "7"]
 
 
-def test_a_number_too_long_for_a_layer_is_none() -> None:
+def test_a_number_too_long_is_not_a_layer() -> None:
     comments = [(0, b";LAYER:" + b"9" * 5000), (1, b";LAYER_CHANGE")]
     assert names([block(printing(2), *comments)])[0] == [BEFORE, "0"]
 
@@ -102,7 +102,7 @@ def test_comments_between_stops_count_like_those_in_motion() -> None:
     assert names([still]) == ([BEFORE], [BEFORE])
 
 
-def test_names_are_numbered_once_and_in_order() -> None:
+def test_names_are_numbered_once_in_order() -> None:
     labels = Labels()
     comments = [(k, b";TYPE:%s" % name) for k, name in enumerate([b"A", b"B", b"A", b"TRAVEL"])]
     assert names([block(printing(4), *comments)], labels)[1] == ["A", "B", "A", TRAVEL]

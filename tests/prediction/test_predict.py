@@ -74,7 +74,7 @@ def test_contour_error_is_the_distance_to_the_path(seed: int, every: int) -> Non
     assert np.sqrt((got**2).mean()) <= 1.02 * np.sqrt((widest**2).mean())
 
 
-def test_lag_along_the_path_is_no_contour_error() -> None:
+def test_lag_along_the_path_is_not_a_contour_error() -> None:
     path = np.column_stack([np.arange(400) * 0.06, np.zeros(400)])
     at = np.arange(40, 360)
     np.testing.assert_allclose(contour_error(path, path[at - 8], at), 0.0, atol=1e-12)
@@ -88,7 +88,7 @@ def test_overshoot_beyond_the_end_of_a_line_counts() -> None:
     np.testing.assert_allclose(contour_error(path, actual, at), 0.2)
 
 
-def test_what_stands_does_not_count_and_what_extrudes_is_told(compensator: Compensator) -> None:
+def test_standstill_does_not_count_and_extrusion_is_flagged(compensator: Compensator) -> None:
     """An extrusion to sample 40, a retraction to 60, a travel."""
     path = np.tile([103.9, 50.0, 0.0, 0.0], (100, 1))
     path[:40, 0], path[60:, 0] = 100.0 + 0.1 * np.arange(40), 103.9 + 0.2 * np.arange(1, 41)

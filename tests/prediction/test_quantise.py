@@ -1,4 +1,4 @@
-"""Commands in whole steps: never more than half a step beside what was asked."""
+"""Commands in whole steps: never more than half a step off."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TYPES = pytest.mark.parametrize("kinematics", KINEMATICS, ids=lambda k: f"{k.typ
 
 
 def curve(n: int, seed: int = 0) -> Array:
-    """A smooth command of up to some hundred mm/s, (n, 2), with rest at both ends."""
+    """Return a smooth command of up to some hundred mm/s, (n, 2), with rest at both ends."""
     rng = np.random.default_rng(seed)
     speed = np.cumsum(rng.normal(size=(n, 2)), axis=0) * 5.0
     speed[: n // 5] = speed[-n // 5 :] = 0.0
@@ -35,7 +35,7 @@ def curve(n: int, seed: int = 0) -> Array:
 
 
 def exact_mean(belt: Array, ticks: int) -> tuple[Array, Array]:
-    """Mean of a belt's position over the ticks of each millisecond, as it is and in steps."""
+    """Return a belt's mean position over the ticks of each millisecond, exact and in steps."""
     n = len(belt)
     at = np.arange(n)[:, None] + (np.arange(ticks) + 0.5) / ticks - 0.5
     position = np.interp(at, np.arange(n), belt)
@@ -92,7 +92,7 @@ def test_a_faster_clock_and_finer_steps_come_nearer() -> None:
 
 
 def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
-    """A command under two strategies, cut; the machine is yielded after one of the blocks."""
+    """Return a command under two strategies, cut; one chunk may release the machine."""
     command, first, cut = curve(sum(sizes)), 0, []
     line = Passthrough(1, b"G28", Handling.RELEASE, STATE)
     for number, n in enumerate(sizes):
@@ -115,7 +115,7 @@ def test_cuts_change_no_bit(size: int) -> None:
         assert not command.flags.writeable
 
 
-def test_all_else_passes() -> None:
+def test_everything_but_the_commands_is_unchanged() -> None:
     before = blocks([50, 0, 70], yields=1)
     after = list(quantise(before, Kinematics(), STEPS))
     assert [(b.first, b.events) for b in after] == [(b.first, b.events) for b in before]
@@ -125,7 +125,7 @@ def test_all_else_passes() -> None:
         assert other.commands.keys() == one.commands.keys()
 
 
-def test_what_comes_after_a_yield_is_a_command_of_its_own() -> None:
+def test_the_command_after_a_release_is_quantised_on_its_own() -> None:
     both = blocks([80, 120], yields=0)
     got = list(quantise(both, Kinematics(), STEPS))
     for one, block in zip(both, got, strict=True):

@@ -1,4 +1,4 @@
-"""Running figures against numpy on the whole, however the stream was cut."""
+"""Running statistics equal those of the whole stream, however it was cut."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ BIN = np.exp(1.0 / BINS_PER_E)
 
 
 def statistics(errors: Array, cuts: list[int] | None = None) -> ErrorStatistics:
-    gathered = ErrorStatistics()
+    running = ErrorStatistics()
     for piece in np.split(errors, sorted(min(c, len(errors)) for c in cuts or [])):
-        gathered.add(piece)
-    return gathered
+        running.add(piece)
+    return running
 
 
 @given(ERRORS)
 def test_rms_and_peak_are_exact(errors: Array) -> None:
-    gathered = statistics(errors)
-    assert gathered.count == len(errors)
-    assert gathered.rms == pytest.approx(np.sqrt(np.square(errors).mean()), rel=1e-12)
-    assert gathered.peak == errors.max()
+    running = statistics(errors)
+    assert running.count == len(errors)
+    assert running.rms == pytest.approx(np.sqrt(np.square(errors).mean()), rel=1e-12)
+    assert running.peak == errors.max()
 
 
 @given(ERRORS, st.floats(0.01, 1.0))
 def test_percentiles_are_within_their_bin(errors: Array, share: float) -> None:
-    """Never below the true one and at most a bin above; nothing is told below the smallest."""
+    """Never below the true one, at most a bin above, and never below the smallest."""
     true = np.quantile(errors, share, method="inverted_cdf")
     got = statistics(errors).percentile(share)
     rounding = 1.0 + 1e-9
@@ -58,18 +58,18 @@ def test_cuts_change_nothing_but_the_rounding_of_the_sum(errors: Array, cuts: li
 
 def test_micrometres() -> None:
     errors = np.linspace(0.001, 0.1, 1000)
-    told = statistics(errors).micrometres()
-    assert told["rms"] == pytest.approx(1e3 * np.sqrt(np.square(errors).mean()), abs=1e-4)
-    assert told["p95"] == pytest.approx(1e3 * np.quantile(errors, 0.95), rel=0.011)
-    assert told["peak"] == 100.0
+    result = statistics(errors).micrometres()
+    assert result["rms"] == pytest.approx(1e3 * np.sqrt(np.square(errors).mean()), abs=1e-4)
+    assert result["p95"] == pytest.approx(1e3 * np.quantile(errors, 0.95), rel=0.011)
+    assert result["peak"] == 100.0
 
 
 def test_size_does_not_grow_with_the_stream() -> None:
-    gathered = ErrorStatistics()
-    size = gathered.histogram.nbytes
+    running = ErrorStatistics()
+    size = running.histogram.nbytes
     for _ in range(50):
-        gathered.add(np.full(1000, 0.01))
-    assert (gathered.histogram.nbytes, gathered.histogram.sum()) == (size, 50_000)
+        running.add(np.full(1000, 0.01))
+    assert (running.histogram.nbytes, running.histogram.sum()) == (size, 50_000)
 
 
 @given(CUTS)
@@ -86,17 +86,17 @@ def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
         figures.tracking_rms(), np.sqrt(np.square(tracking).mean(axis=0)), rtol=1e-12
     )
     assert (figures.velocity, figures.acceleration) == (velocity.max(), acceleration.max())
-    told = figures.as_json()
+    result = figures.as_json()
     x, y = 1e3 * np.sqrt(np.square(tracking).mean(axis=0))
-    assert told["tracking_error_um"] == pytest.approx({"x": x, "y": y}, abs=1e-4)
-    assert told["peak_belt_speed"] == pytest.approx(velocity.max(), abs=1e-3)
-    assert told["contour_error_um"] == figures.contour.micrometres()
+    assert result["tracking_error_um"] == pytest.approx({"x": x, "y": y}, abs=1e-4)
+    assert result["peak_belt_speed"] == pytest.approx(velocity.max(), abs=1e-3)
+    assert result["contour_error_um"] == figures.contour.micrometres()
 
 
 def test_figures_of_nothing_are_zero() -> None:
-    told = Figures().as_json()
-    assert told["tracking_error_um"] == {"x": 0.0, "y": 0.0}
-    assert told["peak_belt_speed"] == told["peak_belt_acceleration"] == 0.0
+    result = Figures().as_json()
+    assert result["tracking_error_um"] == {"x": 0.0, "y": 0.0}
+    assert result["peak_belt_speed"] == result["peak_belt_acceleration"] == 0.0
 
 
 def test_statistics_of_nothing_are_zero() -> None:
