@@ -1,6 +1,6 @@
-"""``python -m tests.fuzz``: mutated slices, arcs, profiles and other files, as many as asked for.
+"""``python -m tests.fuzz``: checks of mutated slices, arcs, profiles and other files.
 
-A seed gives the same case anywhere; what fails is written into the folder of --keep.
+A seed gives the same case on any machine. Failing G-code is written into the folder of --keep.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tests.fuzz.cases import KINDS, begin, run
 
 
 def main() -> int:
-    """0 where no case was a defect."""
-    given = _arguments()
-    folders = (SAMPLES, ROOT / "tests" / "quirks", *(given.seeds or []))
+    """Return 0 if no case was a defect."""
+    options = _arguments()
+    folders = (SAMPLES, ROOT / "tests" / "quirks", *(options.seeds or []))
     defects = 0
-    with ProcessPoolExecutor(given.jobs, initializer=begin, initargs=(folders,)) as pool:
-        for kind in given.kind or KINDS:
-            count = given.count if kind in ("gcode", "arcs") else max(given.count // 5, 1)
-            cases = range(given.seed, given.seed + count)
+    with ProcessPoolExecutor(options.jobs, initializer=begin, initargs=(folders,)) as pool:
+        for kind in options.kind or KINDS:
+            count = options.count if kind in ("gcode", "arcs") else max(options.count // 5, 1)
+            cases = range(options.seed, options.seed + count)
             found: Counter[str] = Counter()
             slowest, largest = (0.0, 0), (0, 0)  # and their seeds
-            one = partial(run, kind, folders, given.played)
+            one = partial(run, kind, folders, options.played)
             for seed, outcome in pool.map(one, cases, chunksize=5):
                 found[outcome.word] += 1
                 if found.total() % 500 == 0:
@@ -39,13 +39,15 @@ def main() -> int:
                 if outcome.defect:
                     defects += 1
                     print(f"--- {kind} {seed}\n{outcome.defect}", flush=True)
-                    if given.keep and kind == "gcode":
-                        given.keep.mkdir(parents=True, exist_ok=True)
+                    if options.keep and kind == "gcode":
+                        options.keep.mkdir(parents=True, exist_ok=True)
                         text = mutations.gcode(Random(seed), mutations.seeds(folders))
-                        (given.keep / f"{seed}.gcode").write_bytes(text)
+                        (options.keep / f"{seed}.gcode").write_bytes(text)
             print(f"{kind}: {count} cases, {dict(found.most_common())}")
-            print(f"at most {slowest[0]:.1f} s of processor time ({slowest[1]})", end="")
-            print(f" and {largest[0] >> 20} MB more than before ({largest[1]})", flush=True)
+            print(f"at most {slowest[0]:.1f} s of processor time (seed {slowest[1]})", end="")
+            print(
+                f" and {largest[0] >> 20} MB of additional memory (seed {largest[1]})", flush=True
+            )
     return min(defects, 1)
 
 
@@ -57,8 +59,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seeds", type=Path, action="append", help="more folders of slices")
     parser.add_argument("--played", type=int, default=100, metavar="N",
-                        help="Klipper plays one of so many; 0: none")  # fmt: skip
-    parser.add_argument("--keep", type=Path, help="folder for what failed")
+                        help="Klipper plays one of N cases; 0: none")  # fmt: skip
+    parser.add_argument("--keep", type=Path, help="folder for G-code that failed")
     return parser.parse_args()
 
 

@@ -1,4 +1,4 @@
-"""Files of ten arcs, and what they must come to, as the file itself gives it."""
+"""Files of ten arcs, and the circles that they must follow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROOM = 50.0, 60.0, 220.0  # mm: the largest circle, and least and greatest x and
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """Where a line's path must lie: mm; sweep in rad, with all its turns; z from and to."""
+    """The circle of a line: mm; sweep in rad including all turns; z at start and end."""
 
     x: float
     y: float
@@ -21,7 +21,7 @@ class Circle:
 
 
 def arcs(rng: Random) -> tuple[bytes, dict[int, Circle]]:
-    """Ten arcs of any sweep one after another, some of them helices, several turns, or by R."""
+    """Return ten consecutive arcs of any sweep, some of them helices or with several turns."""
     x, y, z = 140.0, 140.0, 0.2
     lines = [b"G28", b"G90", b"M83", b"G1 Z0.2 F600", b"G1 X%.3f Y%.3f F6000" % (x, y)]
     known: dict[int, Circle] = {}

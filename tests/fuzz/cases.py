@@ -1,4 +1,4 @@
-"""Single cases, as a pool of processes runs them."""
+"""Single fuzz cases, run by a pool of processes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from hframe_post.identification.recordings import excitation
 from hframe_post.identification.recordings.sweep import positions, runs
 from hframe_post.printer.profile import load, shipped
 from tests.fuzz import files, klipper, mutations, oracle
-from tests.fuzz.apart import Outcome, apart
 from tests.fuzz.arcs import arcs
+from tests.fuzz.child import Outcome, run_in_child
 
 KINDS = ("gcode", "arcs", "profile", "table", "file")
 
 
 def begin(folders: tuple[Path, ...]) -> None:
-    """All that the cases of a process have in common."""
-    warnings.simplefilter("error")  # a number went wrong somewhere
-    threadpool_limits(1)  # and a copy of this process has no other threads
+    """Load what all cases of a process share."""
+    warnings.simplefilter("error")  # a numerical fault in numpy
+    threadpool_limits(1)  # a fork has no other threads
     mutations.seeds(folders)
     tables()
     files.originals()
@@ -34,7 +34,7 @@ def begin(folders: tuple[Path, ...]) -> None:
 
 
 def run(kind: str, folders: tuple[Path, ...], played: int, seed: int) -> tuple[int, Outcome]:
-    """One case: its seed, and what came of it. Klipper plays every one of so many (0: none)."""
+    """Run one case; return its seed and outcome. Klipper plays one of ``played`` (0: none)."""
     checks = {
         "gcode": partial(_gcode, seed, folders, played),
         "arcs": partial(_arcs, seed, played),
@@ -42,7 +42,7 @@ def run(kind: str, folders: tuple[Path, ...], played: int, seed: int) -> tuple[i
         "table": partial(_table, seed),
         "file": partial(_file, seed),
     }
-    return seed, apart(checks[kind])
+    return seed, run_in_child(checks[kind])
 
 
 def _gcode(seed: int, folders: tuple[Path, ...], played: int) -> str:
@@ -71,7 +71,7 @@ def _file(seed: int) -> str:
 
 @cache
 def tables() -> list[bytes]:
-    """A command and a recording, as the tool and Klipper write them."""
+    """Return a command file and a recording, as the tool and Klipper write them."""
     rng = Random(0)
     rows = []
     for k in range(3000):

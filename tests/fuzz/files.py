@@ -1,5 +1,4 @@
-"""Seeded changes to the other files that are read: binary G-code, recordings of other programs,
-step files, printer.cfg; and what reads them."""
+"""Seeded changes to other input files: binary G-code, recordings, step files, printer.cfg."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ Reader = Callable[[Path], object]
 
 
 def mutated(rng: Random, data: bytes) -> bytes:
-    """A few bytes changed, a piece lost, doubled, overwritten; the end missing."""
+    """Return data with a few bytes changed, a piece lost, doubled or overwritten, or a lost end."""
     for _ in range(1 + min(int(rng.expovariate(0.7)), 10)):
         at = rng.choice((rng.randrange(min(len(data), 200) + 1), rng.randrange(len(data) + 1)))
         size, kind = rng.choice((1, 2, 4, 8, 100, 5000)), rng.randrange(6)
@@ -51,7 +50,7 @@ def mutated(rng: Random, data: bytes) -> bytes:
 
 
 def case(rng: Random, folder: Path) -> tuple[Path, Reader]:
-    """A file, and what reads it."""
+    """Return a file and the function that reads it."""
     name = rng.choice(list(READERS))
     original = originals()[name]
     if name in ("cfg", "compare") and rng.random() < 0.7:
@@ -98,7 +97,7 @@ SUFFIXES = {"steps": "csv", "compare": "gcode"}
 
 @cache
 def originals() -> dict[str, bytes]:
-    """What the tool and others write."""
+    """Return files as the tool and other programs write them."""
     rng = np.random.default_rng(0)
     arrays: dict[str, Array] = {name: rng.normal(size=3000) for name in COLUMNS[1:]}
     arrays["t"] = np.arange(0.0, 3.0, 1e-3)

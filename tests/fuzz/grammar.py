@@ -1,4 +1,4 @@
-"""Lines that are nearly right: each word of a command may be any number, twice, or missing."""
+"""Lines that are almost valid: any number in a word, words twice or missing."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ OBJECTS = (
 
 
 def line(rng: Random) -> bytes:
-    """A line of one of these kinds."""
+    """Return a line of a random kind."""
     return rng.choice(KINDS)(rng)
 
 
 def number(rng: Random) -> bytes:
-    """One that is likely on a bed, or any."""
+    """Return a number that is probably on a bed, or an odd one."""
     if rng.random() < 0.2:
         return rng.choice(NUMBERS)
     size = rng.choice((0.001, 0.3, 5.0, 30.0, 200.0))
@@ -43,12 +43,12 @@ def _words(rng: Random, letters: bytes, count: int) -> bytes:
 
 
 def _place(rng: Random) -> bytes:
-    """A place that is given another name, in any axes."""
+    """Return a G92 with any axes."""
     return b"G92" + _words(rng, b"XYZEE", rng.randrange(5))
 
 
 def _curve(rng: Random) -> bytes:
-    """An arc or a spline of any words, likely with an end and a centre."""
+    """Return an arc or a spline with any words, probably with an end and a centre."""
     plain = b" X%.3f Y%.3f" % (rng.uniform(60, 200), rng.uniform(60, 200))
     head = rng.choice((b"G2", b"G3", b"G5", b"G02", b"g3")) + (plain if rng.random() < 0.5 else b"")
     return head + _words(rng, b"IJIJRKPQEZFXY", rng.randrange(1, 5))
@@ -60,7 +60,7 @@ def _move(rng: Random) -> bytes:
 
 
 def _limit(rng: Random) -> bytes:
-    """SET_VELOCITY_LIMIT and its kin, in all the ways that a shell could read."""
+    """Return SET_VELOCITY_LIMIT or a similar command, quoted in any way."""
     names = (b"VELOCITY", b"ACCEL", b"accel", b"SQUARE_CORNER_VELOCITY", b"MINIMUM_CRUISE_RATIO",
              b"ACCEL_TO_DECEL", b"Accel ", b"X")  # fmt: skip
     if rng.random() < 0.3:
@@ -77,7 +77,7 @@ def _limit(rng: Random) -> bytes:
 
 
 def _macro(rng: Random) -> bytes:
-    """A user's macro, with texts that look like motion."""
+    """Return a user's macro with texts that look like motion."""
     names = (b"PRINT_START", b"_x", b"M117", b"RESPOND MSG=", b"SET_DISPLAY_TEXT MSG=", b"M118",
              b"SET_GCODE_VARIABLE MACRO=a VARIABLE=b VALUE=", b"T0_PARK", b"G1_0")  # fmt: skip
     texts = (b"G91", b"G1 X5", b"it's 5\" (wide", b"a;b", b"A=1 B='x y'", b"{a}", b"%s", b"*12")
@@ -89,7 +89,7 @@ def _dwell(rng: Random) -> bytes:
 
 
 def _comment(rng: Random) -> bytes:
-    """Brackets, semicolons and quotes in any order, with a mode among them."""
+    """Return brackets, semicolons and quotes in any order, with a mode among them."""
     parts = [rng.choice((*BREAKS[:8], b"G91", b"X5", b" ")) for _ in range(rng.randrange(2, 9))]
     return rng.choice((b"; ", b"(", b"G1 X100 ", b"M117 ", b"")) + b"".join(parts)
 
@@ -107,7 +107,7 @@ KINDS: tuple[Callable[[Random], bytes], ...] = (
 
 
 def thumbnail(rng: Random) -> list[bytes]:
-    """A picture as slicers hide it in comments; its end may be missing."""
+    """Return a thumbnail in comments, as slicers write it; its end may be missing."""
     digits = b"ABCDEFGHabcdefgh0123456789+/"
     rows = [b"; " + bytes(rng.choices(digits, k=78)) for _ in range(rng.randrange(1, 30))]
     ends = [b"; thumbnail end", b";"] if rng.random() < 0.8 else []

@@ -1,7 +1,6 @@
-"""A share of the cases through the real Klipper host, the file as it was and as it is written.
+"""Some of the cases in the real Klipper host: the original file and the converted one.
 
-Only files that Klipper plays without complaint are compared: what it makes of others depends on
-where it stumbles.
+Only files that Klipper plays without an error are compared.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from hframe_post.arrays import Array
 from tests.fuzz.arcs import Circle
 from tests.klipper.host import KlippyError, Playback, play
 
-AT_THE_END = 0.06  # mm, as where the machine is released
+AT_THE_END = 0.06  # mm, the tolerance where the machine is released
 FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
-ON_CIRCLE = 0.02  # mm that Klipper's planned path may be off: decimation to 0.014 beside chords
-KNOWN = ("Unknown command", "M117 ", "deprecated")  # complaints that say nothing of motion
-MOTION = re.compile(r'"[Gg]0\d')  # but this, which is G1 to the tool and nothing to Klipper
+ON_CIRCLE = 0.02  # mm; Klipper's path deviates by decimation (0.014) and chords
+KNOWN = ("Unknown command", "M117 ", "deprecated")  # messages that do not concern motion
+MOTION = re.compile(r'"[Gg]0\d')  # but this one does: G1 to the tool, unknown to Klipper
 
 
 def play_both(text: bytes, output: bytes) -> str:
-    """Raises AssertionError where Klipper does something else with the output."""
+    """Raise AssertionError if Klipper moves differently for the output."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         try:
@@ -39,14 +38,14 @@ def play_both(text: bytes, output: bytes) -> str:
     assert not _complaints(after), _complaints(after)
     for axis in range(3):
         asked, got = _end(before, axis), _end(after, axis)
-        assert abs(asked - got) < AT_THE_END, f"axis {axis} ends at {got}, not at {asked}"
+        assert abs(asked - got) < AT_THE_END, f"axis {axis} ends at {got} instead of {asked}"
     asked, got = (float(p.extruded(p.end + 1.0)[0]) for p in (before, after))
-    assert abs(asked - got) < FILAMENT, f"{got:.4f} mm of filament, not {asked:.4f}"
+    assert abs(asked - got) < FILAMENT, f"{got:.4f} mm of filament instead of {asked:.4f}"
     return "as played by Klipper"
 
 
 def play_arcs(output: bytes, known: dict[int, Circle]) -> str:
-    """Raises AssertionError where Klipper's path is off the circles, or lacks a part of one."""
+    """Raise AssertionError if Klipper's path leaves the circles or lacks a part of one."""
     circles = known.values()
     with tempfile.TemporaryDirectory() as folder:
         played = _played(output, Path(folder))
@@ -56,13 +55,15 @@ def play_arcs(output: bytes, known: dict[int, Circle]) -> str:
         [np.abs(np.hypot(at[:, 0] - c.x, at[:, 1] - c.y) - c.radius) for c in known.values()],
         axis=0,
     )
-    off = off[np.hypot(*(at - 140.0).T).argmin() :]  # from where the first of them begins
-    assert off.max() < ON_CIRCLE, f"{off.max():.4f} mm off every circle"
+    off = off[np.hypot(*(at - 140.0).T).argmin() :]  # from the start of the first
+    assert off.max() < ON_CIRCLE, f"{off.max():.4f} mm from the nearest circle"
     moves = played.moves
     length = _lengths(moves)[np.hypot(*moves["ratio"][:, :2].T) > 0.0].sum()
     asked = sum(math.hypot(c.radius * c.sweep, c.z[1] - c.z[0]) for c in circles)
     way = math.hypot(140.0, 140.0)  # to the first of them
-    assert abs(length - way - asked) < 2e-3 * asked + 0.1, f"{length - way:.2f} mm of {asked:.2f}"
+    assert abs(length - way - asked) < 2e-3 * asked + 0.1, (
+        f"path of {length - way:.2f} mm instead of {asked:.2f}"
+    )
     return "arcs as played by Klipper"
 
 

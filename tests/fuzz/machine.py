@@ -1,8 +1,7 @@
-"""What a firmware would do with a file, as far as a check needs it: independent of the package.
+"""A simple firmware that plays a file for the checks, independent of the package.
 
 It follows places, filament and modes of Klipper or Marlin. Arcs reach no further
-than their ends; a command that is not known does nothing. Marks (``;@7`` or ``M117 @7``) note
-where it stands.
+than their ends; an unknown command does nothing. Marks (``;@7`` or ``M117 @7``) record its state.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class Machine:
     sharpest: float = 0.0
 
     def play(self, text: bytes) -> Machine:
-        """All lines of a file."""
+        """Play all lines of a file."""
         ends = rb"\r\n|[\r\n]" if self.firmware == "marlin" else rb"\r?\n"
         for raw in re.split(ends, text.removeprefix(b"\xef\xbb\xbf")):
             self.line(raw)

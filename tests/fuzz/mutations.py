@@ -1,5 +1,4 @@
-"""Seeded changes to G-code, as accidents and malice make them: to bytes, numbers, words, lines,
-blocks of lines, modes and encodings."""
+"""Seeded changes to G-code: bytes, numbers, words, lines, blocks of lines, modes, encodings."""
 
 from __future__ import annotations
 
@@ -68,7 +67,7 @@ Mutation = Callable[[Random, Lines, int], None]
 
 
 def gcode(rng: Random, seeds: list[bytes]) -> bytes:
-    """A stretch of a seed with its head, with a few changes and with marks."""
+    """Return the head and a part of a seed file, with a few changes and with marks."""
     seed = rng.choice(seeds)
     head = [line for line in _stretch(seed, 0, 40) if not line.startswith((b"G1", b"G0"))]
     head = head if rng.random() < 0.5 else []
@@ -87,7 +86,7 @@ def gcode(rng: Random, seeds: list[bytes]) -> bytes:
 
 
 def _stretch(text: bytes, start: int, count: int) -> Lines:
-    """So many lines of a file, from the beginning of one of them on."""
+    """Return some lines of a file from the start of one of them on."""
     start = text.rfind(b"\n", 0, start) + 1
     return text[start : start + 120 * count].splitlines()[:count]
 
@@ -114,7 +113,7 @@ def _insert(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _around(rng: Random, lines: Lines, k: int) -> None:
-    """A mode, a unit or an object for some lines."""
+    """Change a mode, a unit or an object for some lines."""
     opened, closed = rng.choice(
         ((b"G91", b"G90"), (b"G20", b"G21"), (b"M83", b"M82"), (b"M82", b"M83"), (b"G10", b"G11"),
          (b"EXCLUDE_OBJECT_START NAME=a", b"EXCLUDE_OBJECT_END NAME=a"), (b"G92 E5", b"G92 E0"),
@@ -126,7 +125,7 @@ def _around(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _flip_modes(rng: Random, lines: Lines, k: int) -> None:
-    """Modes and units that change inside an object, and are not all taken back."""
+    """Change modes and units inside an object, and do not restore all of them."""
     block = lines[k : k + rng.randrange(1, 15)]
     for _ in range(rng.randrange(1, 5)):
         block.insert(rng.randrange(len(block) + 1), rng.choice(grammar.FLIPS))
@@ -147,7 +146,7 @@ def _move_block(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _splice(rng: Random, lines: Lines, other: bytes) -> None:
-    """Some lines of another slice, in the way of its slicer."""
+    """Insert some lines of another slicer."""
     at = rng.randrange(len(lines) + 1)
     lines[at:at] = _stretch(other, rng.randrange(len(other)), rng.randrange(1, 15))
 
@@ -164,7 +163,7 @@ def _scale(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _scale_words(rng: Random, lines: Lines, k: int) -> None:
-    """One letter's numbers, on some lines: a file for another printer or material."""
+    """Scale the numbers of one letter on some lines, as for another printer or material."""
     letter, factor = rng.choice(b"XYZEF"), rng.choice((0.9, 0.99, 1.01, 1.5, -1.0, 0.1))
     pattern = re.compile(rb"(?<=%c)[-+]?\d*\.?\d+" % letter)
     for j in range(k, min(k + rng.randrange(1, 20), len(lines))):
@@ -172,7 +171,7 @@ def _scale_words(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _reword(rng: Random, lines: Lines, k: int) -> None:
-    """A word lost, doubled, moved, or of another letter."""
+    """Remove, double, move or rename a word."""
     words = list(WORD.finditer(lines[k]))
     if len(words) < 2:
         return
@@ -183,7 +182,7 @@ def _reword(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _jitter(rng: Random, lines: Lines, k: int) -> None:
-    """A line said again and again, a hair further on: segments shorter than a step."""
+    """Repeat a line many times a little further on: segments shorter than a step."""
     places = list(re.finditer(rb"(?<=[XY])-?\d+\.?\d*", lines[k]))
     if not places:
         return
@@ -205,7 +204,7 @@ def _flip(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _break(rng: Random, lines: Lines, k: int) -> None:
-    """A line cut short, in two, or run together with the next."""
+    """Cut a line short or in two, or join it with the next."""
     at, kind = rng.randrange(len(lines[k]) + 1), rng.randrange(3)
     if kind == 0:
         lines[k] = lines[k][:at]
@@ -216,7 +215,7 @@ def _break(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _pierce(rng: Random, lines: Lines, k: int) -> None:
-    """A bracket, quote, control or foreign character somewhere in some lines."""
+    """Insert a bracket, quote, control or foreign character in some lines."""
     for j in range(k, min(k + rng.randrange(1, 4), len(lines))):
         at = rng.randrange(len(lines[j]) + 1)
         lines[j] = lines[j][:at] + rng.choice(grammar.BREAKS) + lines[j][at:]
@@ -231,7 +230,7 @@ def _append(rng: Random, lines: Lines, k: int) -> None:
 
 
 def _number_lines(rng: Random, lines: Lines, k: int) -> None:
-    """Numbers and checksums, as a host sends them; some are wrong."""
+    """Add line numbers and checksums, as a host sends them; some are wrong."""
     end = min(k + rng.randrange(1, 10), len(lines))
     lines[k:end] = _numbered(rng, lines[k:end], 0.05)
 
@@ -252,7 +251,7 @@ WEIGHTS = (5, 2, 1, 1, 2, 1, 1, 1, 1, 2, 1, 1, 1, 1, 1, 1, 2, 1, 0.3)
 
 
 def encoded(rng: Random, lines: Lines) -> bytes:
-    """The file's bytes: line ends, and now and then what an editor makes of it."""
+    """Return the file's bytes with some line ends, sometimes changed as by an editor."""
     kind = rng.randrange(30)
     if kind == 0:
         return b"\xef\xbb\xbf" + b"\r\n".join(lines) + b"\r\n"
@@ -274,12 +273,12 @@ def _value(number: bytes) -> float:
 
 
 def scaled(factor: float, line: bytes, count: int) -> bytes:
-    """The first numbers of a line, times a factor."""
+    """Return the line with its first numbers times a factor."""
     return NUMBER.sub(lambda m: b"%.9g" % (factor * _value(m[0])), line, count=count)
 
 
 def renumbered(rng: Random, line: bytes, number: bytes) -> bytes:
-    """Another number in place of one of the line's."""
+    """Return the line with another number in place of one of its own."""
     places = list(NUMBER.finditer(line))
     if not places:
         return line + number
@@ -288,7 +287,7 @@ def renumbered(rng: Random, line: bytes, number: bytes) -> bytes:
 
 
 def _marked(rng: Random, lines: Lines) -> Lines:
-    """The lines with numbered marks among them, the last one at the end."""
+    """Return the lines with numbered marks between them, the last one at the end."""
     marked = []
     for k, line in enumerate(lines):
         marked.append(line)
@@ -302,5 +301,5 @@ def _marked(rng: Random, lines: Lines) -> Lines:
 
 @cache
 def seeds(folders: tuple[Path, ...]) -> list[bytes]:
-    """All G-code files of some folders."""
+    """Return all G-code files of some folders."""
     return [path.read_bytes() for folder in folders for path in sorted(folder.glob("*.gcode"))]

@@ -59,82 +59,82 @@ def printer(firmware: str) -> Printer:
 
 
 def converted(text: bytes, firmware: str, options: Options) -> bytes:
-    """The output for a file. Raises HframeError."""
+    """Return the output for a file. Raises HframeError."""
     lines = text.splitlines(keepends=True) if b"\r" not in text else _lines(text)
     output = GcodeConversion(iter(lines), printer(firmware), options)
     return b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
 
 
 def _lines(text: bytes) -> list[bytes]:
-    """As a file gives them: a carriage return alone ends none."""
+    """Return lines as a file yields them: a carriage return alone does not end one."""
     return re.findall(rb"[^\n]*\n|[^\n]+", text)
 
 
 def check_gcode(seed: int, seeds: list[bytes]) -> tuple[str, bytes, bytes]:
-    """One mutated file: what came of it, in a word, and what Klipper is to play: file and output.
+    """Check one mutated file; return the outcome, and the file and output that Klipper can play.
 
-    Nothing where it is for another firmware, or was refused.
+    The output is empty if it is for another firmware, or if the file was refused.
     """
     rng = Random(seed)
     text = mutations.gcode(rng, seeds)
     firmware = rng.choice(("klipper", "klipper", "klipper", "marlin"))
     strategy, clamp = rng.choice(("racking", "racking", "fbs", "none")), rng.random() < 0.2
-    # what E is where a file says nothing: told, as a user may, or by the moves' evidence
-    told: Extrusion | None = rng.choice(("absolute", "absolute", "relative", None))
+    # E where the file sets no mode: by option, or detected from the moves
+    extrusion: Extrusion | None = rng.choice(("absolute", "absolute", "relative", None))
     try:
-        output = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=told))
+        output = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=extrusion))
     except HframeError as error:
         check_error(error)
         return f"refused: {type(error).__name__}", text, b""
-    if told is None:
-        told = _found(text, output, firmware, strategy, clamp)
-        if told is None:
-            return "converted: E by a macro", text, b""
-    check_same_print(text, output, firmware, told)
-    begin = b"M83\n" if told == "relative" else b""  # what told says, which a host is not told
+    if extrusion is None:
+        extrusion = _detected(text, output, firmware, strategy, clamp)
+        if extrusion is None:
+            return "converted: E set by a macro", text, b""
+    check_same_print(text, output, firmware, extrusion)
+    begin = b"M83\n" if extrusion == "relative" else b""  # Klipper does not know the option
     played = begin + output if firmware == "klipper" else b""
     return f"converted: {firmware}", begin + text.removeprefix(BOM), played
 
 
-def _found(
+def _detected(
     text: bytes, output: bytes, firmware: str, strategy: str, clamp: bool
 ) -> Extrusion | None:
-    """What the tool took E to be: with that told, it writes the same, but for the stamp.
+    """Return which mode of E the tool detected: the option that gives the same output.
 
-    None: a macro may have changed it.
+    The stamp may differ. None: a macro may have changed the mode.
     """
-    for told in EXTRUSIONS:
+    for extrusion in EXTRUSIONS:
         with contextlib.suppress(HframeError):
-            other = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=told))
+            other = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=extrusion))
             if other.partition(b"\n")[2] == output.partition(b"\n")[2]:
-                return told
+                return extrusion
     assert re.search(rb"^\s*(?:[Nn]\d+)?\s*[^;GMT\s]", text, re.MULTILINE | re.IGNORECASE)
     return None
 
 
 def check_error(error: HframeError) -> None:
-    """It names the line, or is about the whole file."""
-    told = str(error)
-    assert told.isprintable(), told
-    assert len(told) < 6000, told
+    """Assert that an error names its line or concerns the whole file."""
+    message = str(error)
+    assert message.isprintable(), message
+    assert len(message) < 6000, message
     if isinstance(error, GcodeError | LimitError):
-        assert "line " in told or any(cause in told for cause in WITHOUT_LINE), told
-    assert "would be lost" not in told, told
-    assert "report this" not in told, told
+        assert "line " in message or any(cause in message for cause in WITHOUT_LINE), message
+    assert "would be lost" not in message, message
+    assert "report this" not in message, message
 
 
 def check_same_print(
-    text: bytes, output: bytes, firmware: str, told: Extrusion = "absolute"
+    text: bytes, output: bytes, firmware: str, extrusion: Extrusion = "absolute"
 ) -> None:
-    """Every mark and comment, in order; the filament, modes and places that the marks had.
+    """Assert equal marks and comments in order, and equal filament, modes and places at marks.
 
-    told: what E is before the first M82 or M83.
+    extrusion: what E is before the first M82 or M83.
     """
     asked, written = (
-        Machine(firmware, absolute_e=told == "absolute").play(each) for each in (text, output)
+        Machine(firmware, absolute_e=extrusion == "absolute").play(each) for each in (text, output)
     )
     numbers = [stand.number for stand in asked.stands]
-    assert [stand.number for stand in written.stands] == numbers, "marks"
+    assert [stand.number for stand in written.stands] == numbers, "marks are lost or out of order"
     _check_comments(text, output)
     at_rest = {int(n) for n in re.findall(rb"^UNHEARD_OF @(\d+)", text, re.MULTILINE)}
     for before, after in zip(asked.stands, written.stands, strict=True):
@@ -145,21 +145,21 @@ def check_same_print(
             # a line in motion stands before the segment in which its place is
             least, most = asked.fed_before(before, LONGER * after.way + BEYOND)
             low, high = low + least - before.filament, high + most - before.filament
-        assert low < off < high, f"filament at mark {before.number}: {off:.5f} mm off"
+        assert low < off < high, f"filament at mark {before.number} differs by {off:.5f} mm"
         if before.number in at_rest:
-            assert after.modes == before.modes, f"modes at mark {before.number}"
-            assert abs(after.e - before.e) < FILAMENT, f"e at mark {before.number}"
+            assert after.modes == before.modes, f"modes differ at mark {before.number}"
+            assert abs(after.e - before.e) < FILAMENT, f"E differs at mark {before.number}"
             _check_places(before.number, before.told, after.told, BEYOND)
         close = BEYOND if before.number in at_rest else OFF
         _check_places(before.number, before.place, after.place, close)
     now, then = (written.absolute, written.absolute_e), (asked.absolute, asked.absolute_e)
-    assert now == then, "modes at the end"
+    assert now == then, "modes differ at the end"
     total = written.filament - asked.filament
-    assert abs(total) < FILAMENT, f"{total:.5f} mm of filament off at the end"
-    assert written.standing < asked.nearly + UNSEEN, "filament is fed in one place"
+    assert abs(total) < FILAMENT, f"filament differs by {total:.5f} mm at the end"
+    assert written.standing < asked.nearly + UNSEEN, "filament is extruded without motion"
     if max(asked.sharpest, asked.nearly) < PASSED / STEEPER:
         most = PASSED if firmware == "klipper" else max(PASSED, ELSEWHERE * asked.sharpest)
-        assert written.steepest < most, "filament is fed nearly so"
+        assert written.steepest < most, "filament is extruded almost without motion"
     travel = printer(firmware).travel
     for axis, (low, high) in enumerate((travel.x, travel.y)):
         assert low - 1e-3 <= written.least[axis], "off the bed"
@@ -171,7 +171,7 @@ def check_same_print(
 
 
 def _check_comments(text: bytes, output: bytes) -> None:
-    """Those that tell of no time pass byte for byte, and in order."""
+    """Assert that comments, except print times, pass byte for byte and in order."""
     rest = iter(_comments(output))
     for line in _comments(text.removeprefix(BOM)):
         assert any(line == other for other in rest), f"{line[:80]!r} is lost or out of order"
@@ -188,13 +188,15 @@ def _check_places(
 ) -> None:
     for before, after in zip(asked, written, strict=True):
         if before is not None and after is not None:
-            assert abs(after - before) < close, f"place at mark {number}: {before} became {after}"
+            assert abs(after - before) < close, (
+                f"place at mark {number} is {after} instead of {before}"
+            )
 
 
 def check_arcs(seed: int) -> tuple[str, bytes, bytes]:
-    """Ten arcs: the path lies on the circles about the centres that the file gives.
+    """Check ten arcs: their path must be on the circles about the centres in the file.
 
-    Gives the file, and what is written for Klipper without compensation.
+    Return the outcome, the file, and the output for Klipper without compensation.
     """
     text, known = arcs(Random(seed))
     lines = text.splitlines(keepends=True)
@@ -206,19 +208,19 @@ def check_arcs(seed: int) -> tuple[str, bytes, bytes]:
         on = xyz[np.flatnonzero(line == number)]
         dx, dy = on[:, 0] - circle.x, on[:, 1] - circle.y
         off = float(np.abs(np.hypot(dx, dy) - circle.radius).max(initial=0.0))
-        assert off < ROUND, f"line {number}: {off:.4f} mm off its circle"
+        assert off < ROUND, f"line {number}: {off:.4f} mm from its circle"
         turned = abs(float(np.diff(np.unwrap(np.arctan2(dy, dx))).sum()))
         ends = 30.0 * ROUND / circle.radius  # of the first and last millisecond, and of rounding
         short = circle.sweep - turned
         assert abs(short) < ends + 0.12 / circle.radius, f"line {number}: {short:.4f} rad missing"
         low, high = circle.z
-        assert on[:, Z].min(initial=low) > low - 1e-9, f"line {number}: z"
-        assert on[:, Z].max(initial=high) < high + 1e-9, f"line {number}: z"
+        assert on[:, Z].min(initial=low) > low - 1e-9, f"line {number}: z out of range"
+        assert on[:, Z].max(initial=high) < high + 1e-9, f"line {number}: z out of range"
     return "arcs", text, converted(text, "klipper", Options("none"))
 
 
 def check_profile(seed: int) -> str:
-    """A mutated profile: an error, or a printer with which a file is converted or refused."""
+    """Check a mutated profile: an error, or a printer with which a file is converted or refused."""
     rng = Random(seed)
     text = settings.profile(rng, list(shipped().values()))
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
@@ -235,7 +237,7 @@ def check_profile(seed: int) -> str:
 
 
 def check_table(seed: int, tables: list[bytes], folder: Path) -> str:
-    """A mutated recording or command file: an error, or something that is finite."""
+    """Check a mutated recording or command file: an error, or finite numbers."""
     rng = Random(seed)
     path = folder / f"{seed}.csv"
     path.write_bytes(settings.table(rng, rng.choice(tables)))
@@ -253,7 +255,7 @@ def check_table(seed: int, tables: list[bytes], folder: Path) -> str:
 
 
 def check_file(seed: int, folder: Path) -> str:
-    """A mutated file of another kind: an error, or it is read."""
+    """Check a mutated file of another kind: an error, or it is read."""
     path, reader = files.case(Random(seed), folder)
     try:
         reader(path)

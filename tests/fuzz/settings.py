@@ -22,7 +22,7 @@ VALUES = (
 
 
 def profile(rng: Random, texts: list[str]) -> str:
-    """A shipped profile's text with a few changes."""
+    """Return a shipped profile's text with a few changes."""
     lines = rng.choice(texts).encode().splitlines()
     for _ in range(1 + min(int(rng.expovariate(0.5)), 12)):
         k = rng.randrange(len(lines))
@@ -44,7 +44,7 @@ def profile(rng: Random, texts: list[str]) -> str:
 
 
 def table(rng: Random, text: bytes) -> bytes:
-    """A recording or a command with a few changes."""
+    """Return a recording or a command with a few changes."""
     lines = text.splitlines()
     for _ in range(1 + min(int(rng.expovariate(0.5)), 8)):
         k = rng.choice((0, 1, rng.randrange(len(lines))))

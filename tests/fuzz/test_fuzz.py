@@ -34,19 +34,19 @@ def test_two_thousand_of_each_kind(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "to", "told"),
+    ("change", "to", "message"),
     [
         (b"E0.5", b"E0.49", "filament at mark 1"),
         (b";@1\n", b"", "marks"),
-        (b"G91\n", b"", "modes at mark 2"),
+        (b"G91\n", b"", "modes differ at mark 2"),
         (b"X20", b"X40", "place at mark 1"),
-        (b"G90\n;@3", b";@3", "modes at the end"),
+        (b"G90\n;@3", b";@3", "modes differ at the end"),
         (b"X20", b"X-20", "place at mark 1"),
     ],
 )
-def test_the_oracle_can_fail(change: bytes, to: bytes, told: str) -> None:
+def test_the_oracle_can_fail(change: bytes, to: bytes, message: str) -> None:
     check_same_print(ORIGINAL, ORIGINAL, "klipper")
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=message):
         check_same_print(ORIGINAL, ORIGINAL.replace(change, to), "klipper")
 
 
