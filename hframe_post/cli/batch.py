@@ -19,10 +19,10 @@ from hframe_post.cli.options import (
     force_option,
     json_option,
     limits_option,
+    old_option,
     on_limit_option,
     open_json,
     printer_option,
-    removed_option,
     say,
 )
 from hframe_post.errors import HframeError
@@ -74,7 +74,7 @@ def address(text: str) -> str:
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
     "dask.distributed: pip install 'hframe-post[cluster]'.",
 )  # fmt: skip
-@removed_option("--send", "files are always sent to a cluster", is_flag=True)
+@old_option("--send", "files are always sent to a cluster", is_flag=True, expose_value=False)
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
 @click.pass_context

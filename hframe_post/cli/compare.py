@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, open_json, removed_option
+from hframe_post.cli.options import files_read, json_option, old_option, open_json
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import dialect
 from hframe_post.studies.comparison.compare import Tolerance
@@ -51,8 +51,8 @@ def slack(text: str) -> float:
     help="Allowed difference in position and filament (nm, um, mm), and in the time at which a "
     "position is reached (us, ms, s).",
 )  # fmt: skip
-@removed_option(
-    "--slack", "use --tolerance LENGTH,TIME", type=slack, expose_value=True
+@old_option(
+    "--slack", "use --tolerance LENGTH,TIME", type=slack
 )  # fmt: skip
 @click.option(
     "--firmware", type=click.Choice(tuple(FIRMWARES)), default="klipper", show_default=True,

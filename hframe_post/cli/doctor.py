@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import chosen_printer, printer_option, removed_option
+from hframe_post.cli.options import chosen_printer, old_option, printer_option
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
@@ -45,8 +45,8 @@ class _Findings:
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="FILE", help="Compare Klipper's printer.cfg with the profile.",
 )  # fmt: skip
-@removed_option(
-    "--folder", "run doctor in that folder instead", default=".", expose_value=True,
+@old_option(
+    "--folder", "run doctor in that folder instead", default=".",
     type=click.Path(path_type=Path, file_okay=False),
 )  # fmt: skip
 @click.pass_context

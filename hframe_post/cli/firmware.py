@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, printer_option, removed_option, say
+from hframe_post.cli.options import files_read, old_option, printer_option, say
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
 from hframe_post.printer.profile import load
@@ -35,8 +35,8 @@ def klipper_macros(printer: str) -> None:
     metavar="CALIBRATION.GCODE", help="G-code to print without filament.",
 )  # fmt: skip
 @printer_option
-@removed_option(
-    "--quiet", "redirect standard error instead", "-q", is_flag=True, expose_value=True
+@old_option(
+    "--quiet", "redirect standard error instead", "-q", is_flag=True
 )  # fmt: skip
 def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     """Write G-code whose duration shows which planner and timer a Marlin board has.

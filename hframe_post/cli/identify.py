@@ -14,12 +14,13 @@ import click
 from hframe_post.cli.options import (
     files_read,
     json_option,
+    old_option,
     open_json,
     page_option,
     position,
     printer_option,
 )
-from hframe_post.cli.sensing import FILE, QUIET, old_option
+from hframe_post.cli.sensing import FILE, QUIET
 
 if TYPE_CHECKING:
     from hframe_post.identification.identify import Run

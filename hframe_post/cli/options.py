@@ -45,23 +45,27 @@ def renamed_option(
     )
 
 
-def removed_option(
-    old: str, advice: str, *more: str, expose_value: bool = False, **settings: Any
-) -> Callable[[Command], Command]:
-    """Return the decorator for an option that will be removed: it is hidden, and warns.
+def old_option(
+    name: str, advice: str, *short: str, removed: bool = False, expose_value: bool = True,
+    **settings: Any,
+) -> Callable[[Command], Command]:  # fmt: skip
+    """Return the decorator for a hidden option whose use is a warning, or an error if removed.
 
-    advice: what to do instead. expose_value: whether the command still receives the value.
+    advice: what to do instead. expose_value: whether the command receives the value.
     """
 
-    def warn(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
+    def check(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
         source = context.get_parameter_source(parameter.name or "")
         if source is click.core.ParameterSource.COMMANDLINE:
-            say(f"Warning: {old} will be removed: {advice}")
-        return given
+            if removed:
+                raise click.UsageError(f"{name} was removed: {advice}")
+            say(f"Warning: {name} will be removed: {advice}")
+        return value
 
     return click.option(
-        old, *more, hidden=True, expose_value=expose_value, callback=warn, **settings
-    )
+        name, *short, hidden=True, callback=check, expose_value=expose_value and not removed,
+        **settings,
+    )  # fmt: skip
 
 
 def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
@@ -186,8 +190,9 @@ def print_options(command: Command) -> Command:
             "source", metavar="[IN.GCODE]", required=False,
             type=click.Path(path_type=Path, allow_dash=True),
         ),
-        removed_option(
-            "--path", "without a file the rectangle is taken", type=click.Choice(["rectangle"])
+        old_option(
+            "--path", "without a file the rectangle is taken", expose_value=False,
+            type=click.Choice(["rectangle"]),
         ),
         printer_option, limits_option, extrusion_option,
     )  # fmt: skip

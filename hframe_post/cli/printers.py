@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import removed_option
+from hframe_post.cli.options import old_option
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
@@ -63,7 +63,7 @@ def show(name: str) -> None:
     help="How belts move the nozzle. Default: as in printer.cfg, where corexy is taken for hbot "
     "(Klipper calls both corexy).",
 )  # fmt: skip
-@removed_option("--description", "change the first lines of the profile", expose_value=True)
+@old_option("--description", "change the first lines of the profile")
 def new(output: Path, config: Path | None, kinematics: str | None, description: str | None) -> None:
     """Create a profile from Klipper's printer.cfg, or from answers to a few questions.
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from hframe_post.cli.options import Command, files_read, say
+from hframe_post.cli.options import files_read, old_option
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.sweep import Run
@@ -16,24 +15,6 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 QUIET = 0.5  # s at the start of a recording in which the printer stands still
-
-
-def old_option(
-    name: str, advice: str, removed: bool = False, **settings: Any
-) -> Callable[[Command], Command]:
-    """Return the decorator for a hidden option whose use is a warning, or an error if removed."""
-
-    def check(_: click.Context, __: click.Parameter, value: Any) -> Any:
-        if value not in (None, ()):
-            if removed:
-                raise click.UsageError(f"{name} was removed: {advice}")
-            say(f"Warning: {name} will be removed: {advice}")
-        return value
-
-    return click.option(
-        name, hidden=True, callback=check, expose_value=not removed, help=f"Old: {advice}.",
-        **settings,
-    )  # fmt: skip
 
 
 def _chip(text: str) -> str:

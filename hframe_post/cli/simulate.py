@@ -12,11 +12,11 @@ from hframe_post.cli.options import (
     chosen_printer,
     files_read,
     json_option,
+    old_option,
     on_limit_option,
     open_json,
     opened,
     print_options,
-    removed_option,
     renamed_option,
     seed_option,
     share,
@@ -55,8 +55,8 @@ from hframe_post.writers.files.atomic_file import Outputs
     "Klipper's calibration would set them.",
 )  # fmt: skip
 @renamed_option("--against", "--shapers", value=True, type=click.Choice(["shapers"]))
-@removed_option(
-    "--layers", "use --json or --report", is_flag=True, expose_value=True
+@old_option(
+    "--layers", "use --json or --report", is_flag=True
 )  # fmt: skip
 @json_option
 @click.option(

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from hframe_post.cli.options import removed_option, share
+from hframe_post.cli.options import old_option, share
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import KINDS
 from hframe_post.studies.speed.search import MAX_SPEED_UP
@@ -52,11 +52,11 @@ def speed_factor(text: str) -> float:
 def speed_options(command: F) -> F:
     """Add the options."""
     for option in (
-        removed_option(
-            "--model-error", "set speed.model_error in the profile", type=share, expose_value=True
+        old_option(
+            "--model-error", "set speed.model_error in the profile", type=share
         ),
-        removed_option(
-            "--error-measure", "set speed.error_measure in the profile", expose_value=True,
+        old_option(
+            "--error-measure", "set speed.error_measure in the profile",
             type=click.Choice(["p95", "rms", "peak"]),
         ),
         click.option(

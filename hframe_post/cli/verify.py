@@ -10,6 +10,7 @@ import click
 from hframe_post.cli.options import (
     files_read,
     json_option,
+    old_option,
     open_json,
     page_option,
     printer_option,
@@ -20,7 +21,6 @@ from hframe_post.cli.sensing import (
     QUIET,
     chips_option,
     height_option,
-    old_option,
     write_motion,
 )
 
