@@ -220,7 +220,7 @@ def test_writes_gcode_and_a_command_for_each_run(short: Path, tmp_path: Path) ->
     ("arguments", "status", "message"),
     [
         (["--position", "80"], 2, b"is not X,Y"),
-        (["--position", "nan,3"], 2, b"not on any bed"),
+        (["--position", "nan,3"], 2, b"more than 10 m away"),
         (["--axis", "z"], 2, b"'z' is not one of"),
         (["--chip", "adxl345 hotend"], 2, b"type hotend"),
         (["--chip", ""], 2, b"is not a chip's name"),
