@@ -1,5 +1,5 @@
 PYTHON ?= python3
-# many tests start processes, which would compile the package each time
+# Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: check lint test slow bench fuzz strangers audit

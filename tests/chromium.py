@@ -1,4 +1,4 @@
-"""Drives a real headless Chromium through its DevTools, over a pair of pipes."""
+"""Headless Chromium, driven through DevTools over a pair of pipes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WAIT = 60.0  # s
 
 
 class Browser:
-    """A context manager: one tab. ``complaints``: what went to its console as an error."""
+    """A browser with one tab, as a context manager. complaints: errors on its console."""
 
     def __init__(self, profile: Path) -> None:
         self._profile = profile
@@ -28,7 +28,7 @@ class Browser:
         self._from, theirs_out = os.pipe()
 
         def pipes() -> None:
-            """The browser reads 3 and writes 4."""
+            """Give the browser its pipes, which it reads at 3 and writes at 4."""
             a, b = os.dup(theirs_in), os.dup(theirs_out)
             os.dup2(a, 3)
             os.dup2(b, 4)
@@ -59,31 +59,31 @@ class Browser:
         os.close(self._from)
 
     def __call__(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One DevTools command; its result."""
+        """Send a DevTools command and return its result."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": parameters}
         if self._session:
             message["sessionId"] = self._session
         os.write(self._to, json.dumps(message).encode() + b"\0")
         while True:
-            told = self._message()
-            if told.get("id") == self._number:
-                assert "error" not in told, told
-                result: dict[str, Any] = told["result"]
+            answer = self._message()
+            if answer.get("id") == self._number:
+                assert "error" not in answer, answer
+                result: dict[str, Any] = answer["result"]
                 return result
-            self._note(told)
+            self._note(answer)
 
     def _message(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
             piece = os.read(self._from, 1 << 16)
-            assert piece, "the browser has gone"
+            assert piece, "the browser ended"
             self._rest += piece
         first, _, self._rest = self._rest.partition(b"\0")
-        told: dict[str, Any] = json.loads(first)
-        return told
+        answer: dict[str, Any] = json.loads(first)
+        return answer
 
-    def _note(self, told: dict[str, Any]) -> None:
-        method, what = told.get("method"), told.get("params", {})
+    def _note(self, answer: dict[str, Any]) -> None:
+        method, what = answer.get("method"), answer.get("params", {})
         if method == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(what["exceptionDetails"]))
         elif method == "Log.entryAdded" and what["entry"]["level"] in ("error", "warning"):
@@ -92,14 +92,14 @@ class Browser:
             self.complaints.append(json.dumps(what["args"]))
 
     def screen(self, width: int, height: int, dark: bool = False) -> None:
-        """A phone's or a desk's."""
+        """Set the size of the screen; below 600 px it is a phone's."""
         self("Emulation.setDeviceMetricsOverride", width=width, height=height,
              deviceScaleFactor=2 if width < 600 else 1, mobile=width < 600)  # fmt: skip
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self("Emulation.setEmulatedMedia", features=[scheme])
 
     def open(self, page: Path) -> float:
-        """Opens a page; seconds until it has unpacked its data."""
+        """Open a page; return the seconds until it has unpacked its data."""
         began = time.monotonic()
         self("Page.navigate", url=page.as_uri())
         while self.value("document.body && document.body.dataset.ready") != "yes":
@@ -108,18 +108,18 @@ class Browser:
         return time.monotonic() - began
 
     def value(self, expression: str) -> Any:
-        """Of a script's expression, awaited."""
-        told = self("Runtime.evaluate", expression=expression, awaitPromise=True,
+        """Evaluate an expression of JavaScript and return its value."""
+        answer = self("Runtime.evaluate", expression=expression, awaitPromise=True,
                     returnByValue=True)  # fmt: skip
-        assert "exceptionDetails" not in told, told["exceptionDetails"]
-        return told["result"].get("value")
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
 
     def click(self, x: float, y: float) -> None:
-        """A real click of the mouse."""
+        """Click with the mouse."""
         for kind in ("mousePressed", "mouseReleased"):
             self("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def shot(self, path: Path, whole: bool = False) -> None:
-        """A screenshot of what is seen, or of the whole page."""
-        told = self("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(told["data"]))
+        """Save a screenshot of the visible part, or of the whole page."""
+        answer = self("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(answer["data"]))

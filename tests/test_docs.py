@@ -1,4 +1,4 @@
-"""The documentation's words are true: snippets run, links lead somewhere, names exist."""
+"""The documentation is correct: snippets run, links have targets, names exist."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def prose(page: Path) -> str:
-    """A page without what is shown in fences."""
+    """Return a page without its fenced blocks."""
     return FENCED.sub("", page.read_text("utf-8"))
 
 
@@ -41,7 +41,7 @@ SNIPPETS = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the snippets read: a print, and sweeps of a printer with their recordings."""
+    """Make the files that snippets read: a print, and sweeps of a printer with recordings."""
     folder = tmp_path_factory.mktemp("snippets")
     shutil.copy(SAMPLES / "rectangle.gcode", folder / "in.gcode")
     (folder / "sample_gcode").symlink_to(SAMPLES)
@@ -63,7 +63,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "page", [page for page in PAGES if SNIPPETS[page]], ids=lambda page: page.name
 )
 def test_snippets_run(page: Path, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of a page in one namespace, as a reader would type them."""
+    """All snippets of a page share a namespace, as in a reader's session."""
     monkeypatch.chdir(files)
     names: dict[str, object] = {"__name__": page.name}
     for code in SNIPPETS[page]:
@@ -82,7 +82,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)\s#]*)(?:#([^)\s]+))?\)")
 
 
 def anchors(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors that GitHub gives a page's headings."""
     return {
         re.sub(r"[^\w\- ]", "", unicodedata.normalize("NFC", heading).lower()).replace(" ", "-")
         for heading in re.findall(r"^#+ +(.+?) *$", prose(page), re.MULTILINE)
@@ -90,7 +90,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def broken(page: Path) -> list[str]:
-    """Links of a page that lead nowhere."""
+    """Return the links of a page without a target."""
     lost = []
     for target, anchor in LINK.findall(prose(page)):
         to = page.parent / target if target else page
@@ -100,7 +100,7 @@ def broken(page: Path) -> list[str]:
 
 
 @EVERY_PAGE
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_have_targets(page: Path) -> None:
     assert not broken(page)
 
 
@@ -137,13 +137,13 @@ HOUSE = pytest.mark.parametrize(
 
 
 def known_path(name: str) -> bool:
-    """Whether a path named in the text is one of the tree, from its root, package or tests."""
+    """Return whether a path named in the text exists in the tree."""
     bases = (ROOT, ROOT / "hframe_post", ROOT / "docs", SAMPLES)
     return "NAME" in name or any((base / name).exists() for base in bases)
 
 
 def defines(owner: str, member: str) -> bool:
-    """Whether a module or class of that name, if there is one, has such a member."""
+    """Return whether the module or class of that name, if there is one, has such a member."""
     homes = [text for path, text in SOURCES.items() if path.stem == owner]
     homes += [text for text in SOURCES.values() if re.search(rf"^class {owner}\b", text, re.M)]
     named = rf"^ *(?:class|def) {member}\b|^ *{member}\b *[:=,]"
@@ -172,7 +172,7 @@ JOINT = re.compile(r'"\s*\n\s*f?"')
 
 
 @pytest.mark.parametrize("name", ["troubleshooting.md", "identify.md"])
-def test_what_the_tool_is_said_to_say_it_says(name: str) -> None:
+def test_messages_shown_are_those_of_the_tool(name: str) -> None:
     """The messages in the first column, as far as they do not vary."""
     source = JOINT.sub("", "\n".join(SOURCES.values()))
     rows = re.findall(r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / name), re.MULTILINE)

@@ -1,6 +1,6 @@
-"""The README's words are true: its commands run, its sample output is what comes out.
+"""The README's commands run and print what it shows.
 
-``pytest --update-golden`` writes what comes out into README and tutorial.
+``pytest --update-golden`` writes the present output into README and tutorial.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ README, TUTORIAL = ROOT / "README.md", ROOT / "docs" / "tutorial.md"
 
 
 def command(name: str) -> str:
-    """The shell command under a marker."""
+    """Return the shell command under a marker."""
     found = re.search(rf"<!-- {name} command -->\n```sh\n(.+)\n```", README.read_text("utf-8"))
     assert found is not None
     return found[1]
@@ -32,14 +32,14 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def shown(page: Path, tells: str, now: str, update: bool) -> str:
-    """The first block of a page in which a line begins with ``tells``; written anew if asked."""
+    """Return the first block of a page with a line that begins with ``tells``."""
     text = page.read_text("utf-8")
     for block in re.finditer(r"^```\w*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         if re.search(rf"^{re.escape(tells)}", block[1], re.MULTILINE):
             if update:
                 page.write_text(text[: block.start(1)] + now + text[block.end(1) :], "utf-8")
             return now if update else block[1]
-    raise AssertionError(f"{page.name} shows nothing that tells {tells!r}")
+    raise AssertionError(f"{page.name} shows no line that begins with {tells!r}")
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def update(request: pytest.FixtureRequest) -> bool:
 
 
 def test_sample_command_converts(tmp_path: Path, update: bool) -> None:
-    """Without the part that sets up the virtual environment, which is this one."""
+    """The command after the part that sets up a virtual environment."""
     last = command("sample").split(" && ")[-1].split()
     assert last[0] == ".venv/bin/hframe-post"
     last[-1] = str(tmp_path / "out.gcode")
@@ -58,7 +58,7 @@ def test_sample_command_converts(tmp_path: Path, update: bool) -> None:
 
 
 @pytest.mark.slow
-def test_tutorials_simulation_is_what_comes_out(update: bool) -> None:
+def test_the_tutorial_shows_the_output_of_its_simulation(update: bool) -> None:
     line = re.search(r"^hframe-post (simulate .*)$", TUTORIAL.read_text("utf-8"), re.MULTILINE)
     assert line is not None
     told = run(*line[1].split()).stdout

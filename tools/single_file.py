@@ -1,10 +1,9 @@
-"""Builds ``dist/hframe-post``: the tool as one file, for those without Python.
+"""Build ``dist/hframe-post``, the tool as one file, for users without Python.
 
     python tools/single_file.py [FOLDER]
 
-It is built by PyInstaller in a virtual environment of its own, for the machine that it is built
-on: run it on the oldest system that is to be served. docs/install.md says why PyInstaller, and
-what else was measured.
+PyInstaller builds it in a new virtual environment, for the present system and newer ones: run it
+on the oldest system to support. docs/install.md says why PyInstaller was chosen.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILDER = "pyinstaller>=6.10,<7"
-EXTRAS = "watch"  # what others bring costs size and start-up time, which is spent on unpacking
-UNUSED = (  # of SciPy's and NumPy's, which are found but never imported here
+EXTRAS = "watch"  # others make the file larger, and its start slower
+UNUSED = (  # modules that SciPy and NumPy mention but never import here
     "numpy.testing", "scipy.io", "scipy.spatial.transform", "setuptools", "tkinter",
     "unittest", "pydoc",
 )  # fmt: skip
@@ -26,7 +25,7 @@ ENTRY = "from hframe_post.__main__ import main\n\nmain()\n"
 
 
 def build(folder: Path) -> Path:
-    """The file, in that folder. Raises CalledProcessError with what the builder said."""
+    """Build the file in that folder and return its path. Raises CalledProcessError."""
     with tempfile.TemporaryDirectory(prefix="hframe-post-build-") as temporary:
         place = Path(temporary)
         venv.create(place / "venv", with_pip=True)
@@ -45,7 +44,6 @@ def build(folder: Path) -> Path:
 
 
 def run(*command: str | Path) -> None:
-    """Apart from the Python packages of whoever runs this."""
     subprocess.run([str(word) for word in command], check=True, cwd=ROOT)
 
 
