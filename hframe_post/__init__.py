@@ -54,7 +54,7 @@ __all__ = [
     "tune",
 ]
 
-_ROOMS = {  # of the names above: the module that has each, and what it is called there if otherwise
+_ROOMS = {  # name → module, and the name in it if that differs
     "HframeError": "errors",
     "Lpfbs": "model.lpfbs",
     "Plant": "model.plant",
@@ -81,8 +81,8 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.testing")
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, own = _ROOMS[name].partition(":")
-    value = getattr(import_module(f"{__name__}.{module}"), own or name)
+    module, _, attribute = _ROOMS[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{module}"), attribute or name)
     globals()[name] = value
     return value
 

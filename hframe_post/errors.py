@@ -13,7 +13,7 @@ def one_line(text: str) -> str:
 
 
 class HframeError(Exception):
-    """Anything that stops a conversion; ``str`` of it is one line for the user."""
+    """Any error that a user can cause; its ``str`` is one line."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
@@ -47,7 +47,7 @@ class StepFileError(HframeError):
 
 
 class IdentificationError(HframeError):
-    """A measurement from which no model can be had."""
+    """A measurement from which no model can be identified."""
 
 
 class LimitError(HframeError):

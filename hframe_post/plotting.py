@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 110
-TINY = 1e-12  # magnitude that is as good as none
 STYLE = {
     "font.size": 9.0,
     "axes.grid": True,
@@ -60,7 +59,7 @@ def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, 
 
 def decibel(H: Complex) -> Array:
     """Return the magnitude of ``H`` in dB."""
-    decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), TINY))
+    decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), 1e-12))
     return decibel
 
 

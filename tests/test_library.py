@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from inspect import isclass, isfunction
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.writers.files.atomic_file import Outputs
 from tests.conftest import SAMPLES
 
+DESCRIPTORS = (property, classmethod, staticmethod)
+VERBS = """Add Certify Check Compensate Compute Convert Find Identify Load Predict Raise Read
+Recommend Return Run Simulate Solve Write Yield""".split()  # noqa: SIM905
 RECTANGLE = SAMPLES / "rectangle.gcode"
 
 
@@ -57,6 +61,22 @@ def test_import_costs_nothing_until_a_name_is_used() -> None:
 def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
     offered = getattr(hp, name)
     assert name == "__version__" or offered.__doc__
+
+
+@pytest.mark.parametrize("name", hp.__all__)
+def test_functions_and_methods_are_documented_by_an_imperative_verb(name: str) -> None:
+    offered = getattr(hp, name)
+    functions = {name: offered} if isfunction(offered) else {}
+    if isclass(offered):
+        functions = {
+            each: getattr(member, "fget", None) or getattr(offered, each)
+            for each, member in vars(offered).items()
+            if not each.startswith("_") and (callable(member) or isinstance(member, DESCRIPTORS))
+        }
+    for each, function in functions.items():
+        doc = function.__doc__
+        assert doc, f"{name}: {each} has no docstring"
+        assert doc.split()[0] in VERBS, f"{name}: {each}: {doc.splitlines()[0]}"
 
 
 def test_what_is_not_offered_is_no_attribute() -> None:

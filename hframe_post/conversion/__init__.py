@@ -1,1 +1,1 @@
-"""The whole tool: the stages joined, what is told of them, file to file."""
+"""The chain of stages, conversions of whole files, and their reports."""

@@ -102,11 +102,11 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
     source: the input if it is to be replaced; binary G-code stays binary.
     """
     if asked is not None and asked not in FORMATS:
-        raise HframeError(f"no format is named {asked!r}; there are {', '.join(FORMATS)}")
+        raise HframeError(f"unknown format {asked!r}; known formats are {', '.join(FORMATS)}")
     suffix, packing = _suffixes(output)
-    own = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
+    by_suffix = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
     replaced = "bgcode" if source is not None and is_binary(source) else None
-    kind = asked or replaced or own or "gcode"
+    kind = asked or replaced or by_suffix or "gcode"
     if suffix in TABLES and kind != "samples":
         raise HframeError(f"a {suffix} file holds samples, not {kind}")
     if packing and (not FORMATS[kind].packs or suffix in TABLES):

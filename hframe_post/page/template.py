@@ -18,14 +18,14 @@ def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
 
     The name of a part stands in the template between two pairs of @.
     """
-    told = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    content = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for character, escape in ESCAPED.items():
-        told = told.replace(character, escape)
+        content = content.replace(character, escape)
     folder = resources.files(__package__)
     parts = {
         "STYLE": (folder / "page.css").read_text("utf-8"),
         "SCRIPT": (folder / f"{name}.js").read_text("utf-8"),
-        "DATA": told,
+        "DATA": content,
         **more,
     }
     frame, body = ((folder / f"{file}.html").read_text("utf-8") for file in ("frame", name))

@@ -1,1 +1,1 @@
-"""The figures and tables of the paper, computed anew."""
+"""The figures and tables of the paper, computed again."""

@@ -1,4 +1,4 @@
-"""Prints of many slicers from end to end: nothing lost, nothing out of order, all of it told."""
+"""Prints of many slicers from end to end: nothing lost, in order, everything reported."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_every_slicer_converts(each: Slice, paper: Printer) -> None:
 
 
 @pytest.mark.parametrize("each", SLICES.values(), ids=SLICES)
-def test_layers_of_every_slicer_are_told_apart(each: Slice) -> None:
+def test_layers_of_every_slicer_are_recognised(each: Slice) -> None:
     comments = [(k, line.rstrip(b"\n")) for k, line in enumerate(each.lines)]
     layers, features = names([block(printing(len(comments) + 1), *comments)])
     assert len(set(layers) - {BEFORE}) == LAYERS

@@ -1,4 +1,4 @@
-"""Spans: cut by the input alone, the same bytes whoever computes them, nothing lost between."""
+"""Spans are cut by the input alone; bytes do not depend on jobs; nothing is lost between them."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
     np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)
     assert conversion.report().filament_after == pytest.approx(before.filament, abs=1e-5)
     assert after.filament == pytest.approx(before.filament, abs=1e-5)
-    told = [line for line in text.splitlines() if line.startswith(b";TIME_ELAPSED:")]
-    elapsed = [float(line.split(b":")[1]) for line in told]
+    times = [line for line in text.splitlines() if line.startswith(b";TIME_ELAPSED:")]
+    elapsed = [float(line.split(b":")[1]) for line in times]
     assert all(a < b for a, b in pairwise(elapsed))
     assert elapsed[-1] <= conversion.duration
     assert text.count(b"SET_VELOCITY_LIMIT VELOCITY=770") == 1  # the stream goes on
@@ -115,8 +115,8 @@ def test_a_print_takes_hardly_longer_for_being_cut(
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("jobs", [1, 3])
-def test_the_first_mistake_of_a_file_is_told_whoever_finds_it(paper: Printer, jobs: int) -> None:
-    """Reading runs ahead of computing, but not in what it says."""
+def test_the_first_error_in_the_file_is_raised(paper: Printer, jobs: int) -> None:
+    """Reading runs ahead of computing, but its errors do not."""
     lines = cube()
     middle = lines.index(b";LAYER:1\n")
     outside = [*lines[:middle], b"G1 X500 F6000\n", *lines[middle:], b"G5 X1\n"]
@@ -127,9 +127,7 @@ def test_the_first_mistake_of_a_file_is_told_whoever_finds_it(paper: Printer, jo
 
 
 @pytest.mark.usefixtures("short")
-def test_a_process_that_is_killed_is_told_of(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(self: conversions.SpanWriter, span: Span, threads: bool) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 

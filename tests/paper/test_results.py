@@ -54,7 +54,7 @@ def test_tables_i_and_ii_round_to_the_printed_digits(plant: Plant) -> None:
 
 
 def test_tables_i_and_ii_as_printed_are_unstable() -> None:
-    """Why the model is not the printed coefficients, even with the signs mended."""
+    """Why the model is not the printed coefficients, even with the signs corrected."""
     for _, denominator in tables.PRINTED.values():
         poles = np.roots(np.array(denominator.split(), dtype=float))
         assert np.abs(poles).max() > 1.05

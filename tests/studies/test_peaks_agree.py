@@ -1,4 +1,4 @@
-"""What a print asks of the belts is one figure, whoever tells it."""
+"""All studies report the same peak speed and acceleration of the belts."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def test_robust_is_the_median_of_the_printers_drawn() -> None:
 # ---------------------------------------------------------------------- stops
 
 
-def test_the_settings_of_stops_are_told_with_their_time_and_error(profiled: Printer) -> None:
+def test_settings_of_stops_are_reported_with_time_and_error(profiled: Printer) -> None:
     lines = [line.encode() + b"\n" for line in strokes(1, 6)]
     fast, exact = stops = (StopsTrial("fast"), StopsTrial("exact"))
     own = profiled.compensation.windows

@@ -122,10 +122,13 @@ def _starts(rows: Array, length: float) -> Integers:
 def _pairs(rows: Array, length: float, near: float) -> Integers:
     """Return rows that may be joined to the one before: same feature, about the same direction."""
     ends, begins = rows[:, :2], rows[:, 5] != 0.0
-    way, turn = np.diff(ends, axis=0), np.zeros(len(rows))  # turn: of row k, beside the chord
+    step, turn = (
+        np.diff(ends, axis=0),
+        np.zeros(len(rows)),
+    )  # turn: k off the chord
     chord = np.hypot(*(ends[2:] - ends[:-2]).T)
-    area = np.abs(way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0])
-    onward = (way[:-1] * way[1:]).sum(axis=1) >= 0.0
+    area = np.abs(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0])
+    onward = (step[:-1] * step[1:]).sum(axis=1) >= 0.0
     turn[1:-1] = np.where(onward, area / np.maximum(chord, 1e-9), np.inf)
     joinable = np.zeros(len(rows), dtype=bool)
     joinable[2:] = (
@@ -134,7 +137,7 @@ def _pairs(rows: Array, length: float, near: float) -> Integers:
     )  # fmt: skip
     k = np.arange(len(rows))
     first = np.maximum.accumulate(np.where(joinable, 0, k))  # the last row that may not
-    return np.flatnonzero(joinable & ((k - first) % 2 == 1))  # each with a partner of its own
+    return np.flatnonzero(joinable & ((k - first) % 2 == 1))  # disjoint pairs
 
 
 def _merged(rows: Array, starts: Integers) -> Array:

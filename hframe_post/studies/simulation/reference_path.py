@@ -12,7 +12,7 @@ def rectangle(printer: Printer) -> list[bytes]:
     """Return the paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
 
     It begins where racking does not move the nozzle, as in the paper, unless the bed is too
-    narrow for that, and lies in the middle of the bed in y.
+    narrow for that, and is centred on the bed in y.
     """
     low, high = printer.travel.x
     x = max(min(printer.plant.x_c, high - WIDTH - CLEAR), low + CLEAR)

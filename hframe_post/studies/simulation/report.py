@@ -165,7 +165,7 @@ class SimulationReport(Report):
         return lines if len(lines) > 1 else []
 
 
-def known(report: Report) -> dict[str, Any]:
+def report_fields(report: Report) -> dict[str, Any]:
     """Return the fields of a conversion's report as arguments for a simulation's."""
     return {field.name: getattr(report, field.name) for field in fields(Report)}
 

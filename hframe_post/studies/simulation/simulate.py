@@ -29,7 +29,7 @@ from hframe_post.studies.simulation.report import (
     Parts,
     SimulationReport,
     Uncertainty,
-    known,
+    report_fields,
 )
 
 DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
@@ -88,7 +88,7 @@ def simulate(
     if "none" in contour:
         check_prediction(contour["none"].rms)
     return SimulationReport(
-        **known(replace(source.report(), contour=contour)), plant=study.name,
+        **report_fields(replace(source.report(), contour=contour)), plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),
     )  # fmt: skip
 

@@ -26,7 +26,7 @@ JERKS = (1e5, 2e5, 5e5, 2e6, 1e7, 5e7)  # mm/s³
 ACCELERATIONS = (0.5, 1.0, 2.0)  # times the profile's
 PAID = 0.1  # share of the time that half of the error is worth
 ENOUGH = 30.0  # s of a print
-OTHERS = 2  # windows beside the recommended one
+OTHERS = 2  # windows in addition to the recommended one
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +69,11 @@ def pareto(
 ) -> Pareto:
     """Try every window of the grid on every plan. Raises HframeError."""
     found = list[Point]()
-    own = printer.limits
-    for acceleration in dict.fromkeys(share * own.acceleration for share in ACCELERATIONS):
-        for jerk in sorted({*JERKS, own.jerk}):
+    usual = printer.limits
+    for acceleration in dict.fromkeys(share * usual.acceleration for share in ACCELERATIONS):
+        for jerk in sorted({*JERKS, usual.jerk}):
             try:
-                limits = replace(own, acceleration=acceleration, jerk=jerk)
+                limits = replace(usual, acceleration=acceleration, jerk=jerk)
             except ValueError:  # full speed would take minutes
                 continue
             driven = replace(printer, limits=limits)

@@ -129,15 +129,15 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
     return "\n".join(lines)
 
 
-def stops_table(stops: Sequence[StopsTrial], own: str) -> str:
-    """Return a table of ``compensation.stops`` with time and error; ``own`` is the profile's."""
+def stops_table(stops: Sequence[StopsTrial], chosen: str) -> str:
+    """Return a table of ``compensation.stops`` with time and error; ``chosen`` is the profile's."""
     lines = [f"{'':2s}{'stops':8s}{'print time':>12s}{'more':>9s}{'contour error, µm RMS':>24s}"
              f"{'95 %':>8s}{'peak':>8s}"]  # fmt: skip
     for trial in stops:
         um, seconds = trial.contour.micrometres(), trial.samples * TS
         more = trial.resting / max(trial.samples - trial.resting, 1)
         lines.append(
-            f"{'→' if trial.name == own else '':2s}{trial.name:8s}{duration(seconds):>12s}"
+            f"{'→' if trial.name == chosen else '':2s}{trial.name:8s}{duration(seconds):>12s}"
             f"{more:>+9.1%}{um['rms']:24.1f}{um['p95']:8.1f}{um['peak']:8.0f}"
         )
     return "\n".join([*lines, WHY_FAST])

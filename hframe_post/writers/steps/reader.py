@@ -67,7 +67,7 @@ class StepFile:
 
 
 def read(path: str | Path) -> StepFile:
-    """The step file of that name; .gz and .zst are unpacked.
+    """Read a step file; .gz and .zst are unpacked.
 
     Raises StepFileError where it is none, OSError, and HframeError without zstandard.
     """
