@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test slow bench fuzz strangers audit
+.PHONY: check lint test slow bench fuzz random-printers audit
 
 check: lint test
 
@@ -24,8 +24,8 @@ bench:
 fuzz:
 	$(PYTHON) -m tests.fuzz $(FUZZ)
 
-strangers:
-	$(PYTHON) -m tests.identification.strangers $(STRANGERS)
+random-printers:
+	$(PYTHON) -m tests.identification.random_printers $(RANDOM_PRINTERS)
 
 audit:
 	@$(PYTHON) -c 'import bandit, pip_audit' 2>/dev/null || { echo "pip install -e '.[audit]' first"; exit 1; }

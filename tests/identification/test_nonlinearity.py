@@ -20,8 +20,8 @@ from hframe_post.identification.diagnosis.nonlinearity import (
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.responses.harmonics import harmonics
 from hframe_post.model.transfer_function import TransferFunction
+from tests.random_printers import swept
 from tests.simulator import Axis, Chip, Machine, Mode
-from tests.strangers import swept
 
 LINEAR = Machine(Axis((Mode(32.0, 0.06),)), Axis((Mode(41.0, 0.08),)))
 

@@ -12,8 +12,8 @@ from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.sweep import runs as planned
 from hframe_post.identification.responses.measured import Run, Settings, nozzle_responses
+from tests.random_printers import BAND, printer, swept
 from tests.simulator import Axis, Chip, Machine, Mode
-from tests.strangers import BAND, printer, swept
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)
 LAGGING = Machine(Axis((Mode(14.0, 0.3),), delay=0.003), Axis((Mode(38.0, 0.08),)), racking=2e-8)

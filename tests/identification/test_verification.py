@@ -17,9 +17,9 @@ from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.page.pages import data_of
+from tests.random_printers import printer, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
-from tests.strangers import printer, traced
 
 STRANGER = Machine(
     Axis((Mode(30.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)), delay=0.0013),

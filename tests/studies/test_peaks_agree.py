@@ -9,7 +9,7 @@ import pytest
 from hframe_post import library
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.reference_path import rectangle
-from tests.strangers import cube
+from tests.random_printers import cube
 
 
 @pytest.mark.parametrize("path", ["rectangle", "cube"])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from hframe_post.errors import IdentificationError
-from tests.strangers import drawn, identified, judged, printer, swept
+from tests.random_printers import drawn, identified, judged, printer, swept
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x
 STEP = 0.0206  # mm of belt that a motor step moves

@@ -1,9 +1,9 @@
-"""``python -m tests.identification.strangers``: drawn printers are swept, identified and judged.
+"""``python -m tests.identification.random_printers``: identify simulated printers and judge them.
 
-Each is drawn by its seed (`tests.strangers.drawn`), swept as whole motor steps of 20.6 µm, and
-identified. A rectangle and the first layers of a cube then tell, on the true printer, what is left
-without compensation, with the profile that was found, and with the exact model in the same window.
-Rows are appended to --rows as they come, and seeds that it holds are not done again.
+A seed gives each printer and its faults (`tests.random_printers.drawn`). Its sweeps consist of
+motor steps of 20.6 µm. A rectangle and the first layers of a cube are then played on the true printer:
+without compensation, with the identified profile, and with the exact model in the same window.
+Each printer is a row that is appended to --rows; seeds with a row are skipped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from hframe_post.errors import HframeError
 from hframe_post.identification.identify import Identified
-from tests.strangers import CLASSES, drawn, identified, judged, printer, swept
+from tests.random_printers import CLASSES, drawn, identified, judged, printer, swept
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x
 STEP = 0.0206  # mm of belt
@@ -29,27 +29,27 @@ PATHS = ("rectangle", "cube")
 
 
 def main() -> int:
-    """0 where no printer is worse off than without compensation."""
+    """Return 1 if a printer is worse than without compensation, else 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100, help="how many printers")
-    parser.add_argument("--seed", type=int, default=0, help="of the first")
-    parser.add_argument("--rows", type=Path, default=Path("strangers.jsonl"))
-    given = parser.parse_args()
-    done = {row["seed"] for row in _rows(given.rows)}
-    for seed in range(given.seed, given.seed + given.count):
+    parser.add_argument("--count", type=int, default=100, help="number of printers")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first printer")
+    parser.add_argument("--rows", type=Path, default=Path("random_printers.jsonl"))
+    options = parser.parse_args()
+    done = {row["seed"] for row in _rows(options.rows)}
+    for seed in range(options.seed, options.seed + options.count):
         if seed not in done:
             row = judge(seed)
-            with given.rows.open("a") as file:
+            with options.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(row, file=sys.stderr, flush=True)
-    rows = _rows(given.rows)
+    rows = _rows(options.rows)
     print(table(rows))
     return int(any(_worse(row) for row in rows))
 
 
 def judge(seed: int) -> dict[str, Any]:
-    """What was made of one printer, µm RMS on the true one."""
-    begun = time.process_time()
+    """Identify one printer and return its row, errors in µm RMS."""
+    start = time.process_time()
     machine, chip, fault = drawn(seed)
     row: dict[str, Any] = {"seed": seed, "class": fault, "kinematics": machine.kinematics}
     try:
@@ -61,7 +61,7 @@ def judge(seed: int) -> dict[str, Any]:
     if found is not None:
         gains = zip("xy", chip.gains, strict=False)
         row["gain_off"] = max(abs(found.gains[axis] / gain - 1.0) for axis, gain in gains)
-        row["told"] = told(found)
+        row["causes"] = causes(found)
     if found is not None and refused is None:
         profile = printer(machine)
         own = replace(profile, plant=found.plant(machine.x_c))
@@ -71,22 +71,23 @@ def judge(seed: int) -> dict[str, Any]:
             if fault == "linear":
                 exact = replace(profile, plant=machine.exact())
                 row[path]["exact"] = judged(machine, exact, path).compensated
-    return row | {"cpu_s": round(time.process_time() - begun, 1)}
+    return row | {"cpu_s": round(time.process_time() - start, 1)}
 
 
-def told(found: Identified) -> list[str]:
-    """Causes and warnings."""
-    causes = [found.nonlinearity.cause] if found.nonlinearity else []
-    causes += ["along x"] if found.mode_shift else []
-    if causes:
-        return causes
+def causes(found: Identified) -> list[str]:
+    """Return the causes of faults that were reported, else the warnings."""
+    reported = [found.nonlinearity.cause] if found.nonlinearity else []
+    reported += ["along x"] if found.mode_shift else []
+    if reported:
+        return reported
     return [text for fit in found.fits.values() for text in fit.warnings]
 
 
 def table(rows: Iterable[dict[str, Any]]) -> str:
-    """Markdown, a line for each class of printers."""
+    """Return a Markdown table with a row for each class of printers."""
     lines = [
-        "| class | printers | refused | worse | rectangle | cube | to exact | gain off by | told |",
+        "| class | printers | refused | worse | rectangle | cube | relative to exact | gain error "
+        "| reported cause |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name in CLASSES:
@@ -112,13 +113,13 @@ def _columns(rows: list[dict[str, Any]]) -> list[str]:
     columns.append(f"{np.median(ratios):.2f}, at most {max(ratios):.2f}" if ratios else "–")
     gains = [row["gain_off"] for row in rows if "gain_off" in row]
     columns.append(f"{100 * max(gains):.1f} %" if gains else "–")
-    causes = sorted({text[:40] for row in rows for text in row.get("told", [])})
-    counted = [f"{cause} {sum(cause in _short(row) for row in rows)}" for cause in causes]
-    return [*columns, ", ".join(counted) or "nothing"]
+    reported = sorted({text[:40] for row in rows for text in row.get("causes", [])})
+    counted = [f"{cause} {sum(cause in _short(row) for row in rows)}" for cause in reported]
+    return [*columns, ", ".join(counted) or "none"]
 
 
 def _short(row: dict[str, Any]) -> list[str]:
-    return [text[:40] for text in row.get("told", [])]
+    return [text[:40] for text in row.get("causes", [])]
 
 
 def _worse(row: dict[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""Printers that the tests do not know beforehand: swept, identified and judged from outside."""
+"""Simulated printers with random parameters and faults: swept, identified and judged."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CUBE_LINES = 1200  # of its G-code: two layers
 
 
 def printer(machine: Machine, rate: float = 4.0) -> Printer:
-    """The paper's bed and limits with that machine's kinematics, and a quick sweep."""
+    """Return the paper's bed and limits with the machine's kinematics and a quick sweep."""
     paper = load("paper")
     racks = machine.kinematics == "hbot"
     plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
@@ -49,9 +49,9 @@ def swept(
     rate: float = 4.0,
     step: float = 0.0,
 ) -> list[Run]:
-    """The runs of a sweep, as a sensor on the nozzle recorded them.
+    """Return the runs of sweeps, recorded by a sensor on the nozzle.
 
-    step: mm of belt, of the motors.
+    step: mm of belt that a motor step moves.
     """
     profile = printer(machine, rate)
     runs = []
@@ -63,7 +63,7 @@ def swept(
 
 
 def identified(machine: Machine, runs: list[Run]) -> Identified:
-    """What the tool makes of them."""
+    """Return what the tool identifies from the runs."""
     return identify(runs, Settings(BAND, racks=printer(machine).kinematics.racks))
 
 
@@ -76,16 +76,16 @@ class Errors:
 
 
 def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Errors:
-    """What the machine makes of a path, plain and compensated by the profile."""
+    """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else cube()
     options = Options("racking", clamp=True)
     computed = Commands(lines, profile, options, ("racking", "none")).computed()
-    held = [chunk for chunk in computed if len(chunk)]
-    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in held])
-    moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in held])
+    chunks = [chunk for chunk in computed if len(chunk)]
+    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
+    moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in chunks])
     errors = {}
     for name in ("none", "racking"):
-        command = np.concatenate([chunk.commands[name] for chunk in held])
+        command = np.concatenate([chunk.commands[name] for chunk in chunks])
         nozzle = np.vstack([command[:1], machine.played(command)[:, :2]])
         at = np.arange(len(wanted))
         errors[name] = float(np.sqrt((contour_error(wanted, nozzle, at)[moving] ** 2).mean()))
@@ -93,7 +93,7 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
 
 
 def traced(machine: Machine, path: Array, command: Array) -> float:
-    """RMS contour error, µm, of a command (n, 2) of `verify` that was made for the path."""
+    """Return the RMS contour error, µm, of a command (n, 2) that `verify` made for the path."""
     nozzle = np.vstack([command[:1], machine.played(command)[:, :Z]])
     part = motion_of(path)
     moving = np.zeros(len(path), dtype=bool)
@@ -103,28 +103,28 @@ def traced(machine: Machine, path: Array, command: Array) -> float:
 
 
 def cube() -> list[bytes]:
-    """The first layers of the cube."""
+    """Return the first layers of the cube."""
     return CUBE.read_bytes().splitlines(keepends=True)[:CUBE_LINES]
 
 
 def with_plant(profile: Printer, plant: Plant) -> Printer:
-    """The profile with another plant."""
+    """Return the profile with another plant."""
     return replace(profile, plant=plant)
 
 
 def relative(found: Array, true: Array) -> float:
-    """How far responses (k,) differ."""
+    """Return the relative difference of responses (k,)."""
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
-# ---------------------------------------------------------------------- drawn printers
+# ---------------------------------------------------------------------- random printers
 
 FAULTS = ("friction", "play", "second", "third", "along")
 CLASSES = ("linear", *FAULTS)
 
 
 def drawn(seed: int) -> tuple[Machine, Chip, str]:
-    """A printer, its sensor, and the fault that it has; every second one is linear."""
+    """Return a random printer, its sensor, and its fault; every second printer is linear."""
     rng = np.random.default_rng(seed)
     fault = "linear" if seed % 2 == 0 else FAULTS[(seed // 2) % len(FAULTS)]
     kinematics = ("hbot", "hbot", "corexy", "cartesian")[int(rng.integers(4))]
