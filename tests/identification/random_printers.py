@@ -1,7 +1,7 @@
 """``python -m tests.identification.random_printers``: identify simulated printers and judge them.
 
 A seed gives each printer and its faults (`tests.random_printers.drawn`). Its sweeps consist of
-motor steps of 20.6 µm. A rectangle and the first layers of a cube are then played on the true printer:
+motor steps of 20.6 µm. A rectangle and the first layers of a cube are then played on the true one:
 without compensation, with the identified profile, and with the exact model in the same window.
 Each printer is a row that is appended to --rows; seeds with a row are skipped.
 """
