@@ -63,8 +63,15 @@ class Case:
     sensor: tuple[float, float] | None
 
     def data(self, part: FrequencyResponse, mode_range_hz: tuple[float, float]) -> Data:
-        """Return the data for a fit; a printer may delay by up to 5 ms."""
-        delays = (self.delay_bounds[0], self.delay_bounds[1] + 5e-3)
+        """Return the data for a fit; a printer may delay by up to 5 ms.
+
+        A mode far above the band looks like a delay. So that it does not make the printer respond
+        before its command, the recording is then taken to start in the middle of its bounds.
+        """
+        early, late = self.delay_bounds
+        if mode_range_hz[1] > self.band_hz[1]:
+            early = (early + late) / 2.0
+        delays = (early, late + 5e-3)
         sensor = self.sensor or SENSOR
         return Data(part.hz, part.H, self.weights(part), mode_range_hz, delays, sensor)
 
