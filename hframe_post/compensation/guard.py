@@ -270,8 +270,8 @@ class Clamp:
         for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
             path_rate = np.diff(belts(*path.T), n=order) / TS**order
             command_rate = np.diff(belts(*command.T), n=order) / TS**order
-            for own, asked in zip(path_rate, command_rate, strict=True):
-                belt = _share_within(own, asked, -limit, limit, MARGIN)
+            for of_path, of_command in zip(path_rate, command_rate, strict=True):
+                belt = _share_within(of_path, of_command, -limit, limit, MARGIN)
                 share[order:] = np.minimum(share[order:], belt)
         return share
 

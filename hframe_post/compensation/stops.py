@@ -36,15 +36,15 @@ FOREVER = 1 << 60
 AT_REST = Rests()  # lifts come to rest
 
 
-def rests(stops: str, strategy: str, passing: Rests = AT_REST) -> Rests:
+def rests(stops: str, strategy: str, lifts: Rests = AT_REST) -> Rests:
     """Return how long the path stands still around stops, for one setting of ``stops``.
 
-    passing: how lifts pass into motion. A command that is the path needs no more than that.
+    lifts: how they pass into motion. A command that is the path needs no more than that.
     """
     if strategy == "none":
-        return passing
+        return lifts
     n = STOPS[stops]
-    return replace(passing, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
+    return replace(lifts, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
 
 
 def stop_solvers(

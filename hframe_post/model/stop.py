@@ -88,7 +88,9 @@ class StopSolver:
         after.
         """
         rows = Rows.from_stop(around, stop)
-        splines = self._splines(stop.before, stop.after, stop.held, min(stop.b - stop.a, HOLD_ROWS))
+        splines = self._splines(
+            stop.before, stop.after, stop.movable, min(stop.b - stop.a, HOLD_ROWS)
+        )
         nozzle = self.filters.nozzle(around, command, z, stop, splines.columns)
         known = _rows_of_D(command, stop)
         weights = _BoundWeights.initial(known, self._bed - around.origin[:, None])
@@ -165,14 +167,14 @@ class StopSolver:
             changed[len(changed) - BESIDE :, axis] += self._N_after @ added[k + 1 :]
         return changed
 
-    def _usable_splines(self, before: int, after: int, held: bool, hold: int) -> _Splines:
-        """Return the splines of a stop that may change ``before`` and ``after`` samples beside it.
+    def _usable_splines(self, before: int, after: int, movable: bool, hold: int) -> _Splines:
+        """Return the splines of a stop that may change ``before`` and ``after`` samples next to it.
 
-        held: whether its own place may change too; hold: rows of D that it has.
+        movable: whether its own place may change too; hold: rows of D that it has.
         """
         k = len(self._reach)
         first, last = (np.flatnonzero(self._reach <= n) for n in (before, after))
-        columns = np.concatenate([first, [k] if held else [], k + 1 + last]).astype(np.int64)
+        columns = np.concatenate([first, [k] if movable else [], k + 1 + last]).astype(np.int64)
         N = np.zeros((BESIDE + hold + BESIDE + 4, 2 * k + 1))
         N[2 : 2 + BESIDE, :k] = self._N_before
         N[2 + BESIDE : 2 + BESIDE + hold, k] = 1.0

@@ -24,7 +24,7 @@ FAR = 0.05  # mm off the path beyond which an extruding sample gets more weight
 
 
 def _thinned(n: int) -> tuple[Integers, Array]:
-    """Return which of n samples beside a hold are judged, nearest first, and for how many each."""
+    """Return which of n samples next to a hold are judged, nearest first, and for how many each."""
     near, middle, far = np.arange(24), np.arange(24, 60, 2), np.arange(60, n, 4)
     counted = np.repeat([1.0, 2.0, 4.0], [len(near), len(middle), len(far)])
     return np.concatenate([near, middle, far]), counted
@@ -57,7 +57,7 @@ def reweighted(ratio: Array, gain: float, most: float) -> Array:
 class Stop:
     """A stop in a stretch of samples: the command stands from sample a to b − 1.
 
-    before, after: samples on either side that may change; held: whether the place of the hold
+    before, after: samples on either side that may change; movable: whether the place of the hold
     may. ends: the first sample after b that is not judged, because another stop begins there.
     """
 
@@ -65,7 +65,7 @@ class Stop:
     b: int
     before: int
     after: int
-    held: bool
+    movable: bool
     ends: int
 
     def shifted(self, n: int) -> Stop:

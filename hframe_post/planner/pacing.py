@@ -4,7 +4,7 @@
 
 Features that keep the speeds of the file (first layers, bridges, …) keep its limits, too. A pace
 never asks for more than the hot end can melt or the extruder can accelerate. It never makes a layer
-shorter than its least time: each layer has a factor of its own for that.
+shorter than its least time, so each layer has its own factor.
 """
 
 from __future__ import annotations
