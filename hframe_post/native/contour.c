@@ -2,7 +2,7 @@
 
 #include "kernels.h"
 
-/* Whether the path leaves its direction at sample k, which has neighbours. */
+/* Return whether the path changes its direction at sample k, which has neighbours. */
 static int turns_at(const double *px, const double *py, int64_t k, double straight)
 {
     double ax = px[k] - px[k - 1], ay = py[k] - py[k - 1];
@@ -12,7 +12,7 @@ static int turns_at(const double *px, const double *py, int64_t k, double straig
     return fabs(cross) > straight * fabs(dot) || dot < 0.0 || still != still_then;
 }
 
-/* Squared distance of the point to the segment between samples p and q. */
+/* Return the squared distance of the point to the segment between samples p and q. */
 static double to_segment(const double *px, const double *py, double ax, double ay, int64_t p,
                          int64_t q)
 {
@@ -27,7 +27,7 @@ static double to_segment(const double *px, const double *py, double ax, double a
 
 static int64_t within(int64_t k, int64_t n) { return k < 0 ? 0 : k < n ? k : n - 1; }
 
-/* The sample nearest to the point: some of those around ``at``, then those beside the best. */
+/* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best. */
 static int64_t nearest(const double *px, const double *py, int64_t n, double ax, double ay,
                        int64_t at, int64_t reach, int64_t coarse)
 {

@@ -4,7 +4,7 @@
 
 EXPORTED int64_t built_for(void) { return BUILT_FOR; }
 
-/* A bound on the distance of samples from the chord of the segments beside vertex v as one. */
+/* Bound the distance of samples from the chord that replaces both segments at vertex v. */
 static double merged(const double *points, const int64_t *kept, const double *off, int64_t v,
                      double e_weight2)
 {
@@ -24,7 +24,7 @@ static double merged(const double *points, const int64_t *kept, const double *of
 static void cheapest(const double *cost, int64_t n, uint8_t *flags)
 {
     flags[0] = flags[n - 1] = 0;
-    for (int64_t v = 1; v < n - 1; v++) { /* without branches, of which half would be guessed wrong */
+    for (int64_t v = 1; v < n - 1; v++) { /* without branches, half of which would be mispredicted */
         double c = cost[v], left = cost[v - 1], right = cost[v + 1];
         int odd = v & 1;
         flags[v] = (uint8_t)((c < INFINITY) & ((c < left) | (odd & (c == left)))
@@ -60,7 +60,7 @@ EXPORTED int64_t breakpoints(const double *points, const uint8_t *forced, int64_
         int changed = 0;
         left = n, n = 0;
         for (int64_t v = 0; v < left; v++) {
-            if (flags[v]) { /* the chord that ended here goes on; both its ends are to be seen anew */
+            if (flags[v]) { /* the chord that ended here goes on; check both its ends again */
                 off[n - 1] = joint[v];
                 joint[n - 1] = -1.0;
                 changed = 1;

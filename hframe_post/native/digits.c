@@ -2,7 +2,7 @@
 
 #include "kernels.h"
 
-/* A number of so many units of 10^-decimals at c, as in ``word``; returns its end. */
+/* Write ``value`` units of 10^-decimals at c, without trailing zeros; return its end. */
 static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
 {
     uint8_t reversed[24];
@@ -24,8 +24,9 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
     return c;
 }
 
-/* values (w, n) in units of 10^-decimals (w), behind their letters; shown (w, n): the words that are
- * to be seen. text: room for all; ends (n): where each line ends. Returns the length of the text. */
+/* Write n lines of a command with w words: values (w, n) in units of 10^-decimals (w) after their
+ * letters; shown (w, n): the words to write. ends (n): the end of each line. Returns the length of
+ * the text. */
 EXPORTED int64_t command_lines(const char *command, const char *letters, int64_t w, int64_t n,
                                const int64_t *values, const int64_t *decimals,
                                const uint8_t *shown, uint8_t *text, int64_t *ends)

@@ -1,6 +1,6 @@
-/* What the compiled loops share. Each does what a function of the package does with numpy, named
- * in its file, by the same operations in the same order: both give the same bits. So no fused
- * multiply-add, no -ffast-math. Room for results is the caller's; nothing is allocated here. */
+/* Definitions that the compiled loops share. Each loop does what a numpy function of the package
+ * does, by the same operations in the same order, so both give the same bits: no fused
+ * multiply-add, no -ffast-math. The caller allocates all arrays. */
 
 #ifndef HFRAME_KERNELS_H
 #define HFRAME_KERNELS_H
@@ -16,7 +16,7 @@
 
 #define BUILT_FOR 3 /* as in kernels.py: raised whenever a signature changes */
 
-enum { X, Y, Z, E, COLUMNS }; /* of a place */
+enum { X, Y, Z, E, COLUMNS }; /* of a position */
 
 static inline double greater(double a, double b) { return a > b ? a : b; }
 static inline double lesser(double a, double b) { return a < b ? a : b; }

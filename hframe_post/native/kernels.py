@@ -1,8 +1,8 @@
-"""The compiled loops, for those modules that have them in numpy, too.
+"""Access to the compiled loops of modules that also have them in numpy.
 
-``kernel("name")`` is None where they were not built: then the module's own way is taken, which
-gives the same bits and takes longer. Arrays are handed over as they are; one of another type or
-layout than the loop expects is a TypeError, not a fault.
+``kernel("name")`` is None if the loops were not built. Then the module's numpy version is used,
+which gives the same bits and takes longer. Arrays are passed without conversion; an array of the
+wrong type or layout raises ctypes.ArgumentError.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BUILT_FOR = 3  # as in kernels.h: raised whenever a signature changes
 _D, _I = ctypes.c_double, ctypes.c_int64
 _FLOATS, _INTEGERS, _BYTES = "float64", "int64", "uint8"
 _TEXT = ctypes.c_char_p
-_ADDRESS = ctypes.c_void_p  # of an array that is handed over many times
+_ADDRESS = ctypes.c_void_p  # of an array that is passed many times
 _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "breakpoints": (
         _FLOATS, _BYTES, _I, _D, _D, _D, _D, _INTEGERS, _FLOATS, _BYTES,
@@ -42,21 +42,21 @@ Kernel = Callable[..., int]
 
 
 def kernel(name: str) -> Kernel | None:
-    """The compiled loop of that name; None if there is none on this machine."""
+    """Return the compiled loop of that name, or None if there is none on this machine."""
     kernels = built()
     return None if kernels is None else kernels[name]
 
 
 @cache
 def built() -> dict[str, Kernel] | None:
-    """All compiled loops; None where they were not built with the package."""
+    """Return all compiled loops, or None if they were not built with the package."""
     folder = Path(__file__).parent
     paths = [folder / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES]
     return next((found for path in paths if path.exists() and (found := loaded(path))), None)
 
 
 def loaded(path: Path) -> dict[str, Kernel] | None:
-    """The loops of a library; None if it is of another machine or version."""
+    """Return the loops of a library, or None if it is for another machine or version."""
     try:
         library = ctypes.CDLL(str(path))
         if int(library.built_for()) != BUILT_FOR:

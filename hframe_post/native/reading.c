@@ -12,7 +12,7 @@ enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8 };
 static const double TEN_TO[] = {1e0, 1e1, 1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
                                 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15};
 
-/* A number; NULL where it is written in another way than as digits with a point. */
+/* Read a number of digits with at most one point; return its end, or NULL if it is anything else. */
 static const char *number(const char *c, double *value)
 {
     int negative = *c == '-', digits = 0, decimals = -1;
@@ -34,7 +34,7 @@ static const char *number(const char *c, double *value)
     return digits ? c : NULL;
 }
 
-/* The end of the line behind spaces and a comment; NULL where anything else comes first. */
+/* Return the end of the line after spaces and a comment, or NULL if anything else comes first. */
 static const char *line_end(const char *c, const char *last)
 {
     while (*c == ' ' || *c == '\t')
@@ -46,8 +46,8 @@ static const char *line_end(const char *c, const char *last)
     return *c == '\n' && c < last ? c + 1 : NULL;
 }
 
-/* Words of a line at c, in the order F X Y Z E F; NULL where it is no plain move. given: a bit for
- * each of x, y, z, e and F. */
+/* Read the words of a line in the order F X Y Z E F; return its end, or NULL if it is not a plain
+ * move. given: a bit for each of x, y, z, e and F. */
 static const char *words(const char *c, const char *last, double *value, int *given)
 {
     static const char letters[] = "FXYZEF";
@@ -66,12 +66,13 @@ static const char *words(const char *c, const char *last, double *value, int *gi
     return line_end(c, last);
 }
 
-/* text (size), ends with a line feed and a 0; lines from ``offset`` on are looked at. state: x, y, z, e (mm), the
- * offset of each from what the file calls it, feed rate and speed (mm/s). rules: mm in the file's
- * unit, factor on the speed, least feed rate, greatest coordinate, greatest filament of a move,
- * least x, y, z, greatest x, y, z, whether E is relative, acceleration, corner velocity, greatest
- * filament per mm of path, least path. rows (most,
- * ROW): line, x, y, z, e, speed, and these two, of each move in which x or y travels. taken: lines, bytes. Returns how many rows there are. */
+/* Read the plain moves in a text (size) from ``offset`` on; it ends with a line feed and a 0.
+ * state: x, y, z, e (mm), the offset of each from what the file calls it, feed rate, speed (mm/s).
+ * rules: mm per unit of the file, factor on the speed, least feed rate, greatest coordinate, greatest
+ * filament of a move, least x, y, z, greatest x, y, z, whether E is relative, acceleration, corner
+ * velocity, greatest filament per mm of path, least path.
+ * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move in which x or
+ * y changes. taken: lines, bytes. Returns the number of rows. */
 EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64_t first_line,
                              int64_t most, double *state, const double *rules, double *rows, int64_t *taken)
 {

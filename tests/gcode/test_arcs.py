@@ -1,4 +1,4 @@
-"""Arcs and splines: round the centre that the file gives, to the end that it gives."""
+"""Arcs and splines: around the centre and to the end that the file gives."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def rounded(point: Point) -> Point:
 
 
 def off_circle(points: Array, start: Point, centre: Point) -> float:
-    """How far chords, at their ends and middles, are from the circle through the start."""
+    """Return the largest distance of chords, at ends and middles, from the circle."""
     whole = np.vstack([start, points])
     both = np.vstack([whole, (whole[1:] + whole[:-1]) / 2])
     return float(np.abs(np.hypot(*(both - centre).T) - math.dist(start, centre)).max())
 
 
 def turned(points: Array, start: Point, centre: Point) -> float:
-    """Turns that the chords make round a centre."""
+    """Return the number of turns that the chords make round a centre."""
     angle = np.arctan2(*(np.vstack([start, points]) - centre).T[::-1])
     return float((np.diff(np.unwrap(angle)) / math.tau).sum())
 
 
 @given(st.floats(0.05, 300.0), SHARES, st.floats(0.0, math.tau), st.booleans())
-def test_numbers_of_a_slicer_go_round_the_centre_that_they_give(
+def test_arcs_with_rounded_numbers_keep_their_centre(
     radius: float, share: float, angle: float, ccw: bool
 ) -> None:
     sweep = math.tau * share * (1 if ccw else -1)
@@ -108,7 +108,7 @@ def test_hundreds_of_arcs_lose_no_filament() -> None:
         assert last.points[-1, 3] == pytest.approx(e, abs=1e-9)
 
 
-def test_arcs_without_room_are_points() -> None:
+def test_tiny_arcs_have_chords_with_a_length() -> None:
     """Chords never vanish, whatever the radius."""
     (block,) = moves("G2 X0.001 Y0.001 I0.001 J0 E0.01")
     assert (np.hypot(*np.diff(block.points[:, :2], axis=0).T) > 0.0).all()
@@ -119,7 +119,7 @@ def test_an_end_behind_the_start_as_seen_from_the_centre_is_a_move() -> None:
     assert ends("G1 X50 Y50", "G2 X50.05 Y50 I-10 J0 E1")[-1] == [50.05, 50.0, 0.0, 1.0]
 
 
-def test_arcs_from_an_unknown_place_pass_as_they_stand() -> None:
+def test_arcs_from_an_unknown_position_pass_through() -> None:
     found = items("M83", "G28", "G3 Z.8 I.044 J-1.216 P1 F30000", "G1 X10 Y10 Z.8", "G1 X20 E1")
     (block,) = (item for item in found if isinstance(item, Moves))
     assert block.points[0].tolist() == [10, 10, 0.8, 0]

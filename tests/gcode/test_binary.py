@@ -1,4 +1,4 @@
-"""Binary G-code in and out, through libbgcode itself."""
+"""Binary G-code as input and output, through libbgcode."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_lines_are_those_of_the_text() -> None:
 
 
 @pytest.mark.parametrize("cut", [12, 60, 0.3, 0.9])
-def test_what_is_cut_or_changed_is_an_error(cut: float) -> None:
+def test_a_truncated_or_damaged_file_is_an_error(cut: float) -> None:
     packed = binary()
     at = int(cut if cut >= 1 else cut * len(packed))
     for broken in (packed[:at], packed[:at] + bytes([packed[at] ^ 255]) + packed[at + 1 :]):

@@ -1,4 +1,4 @@
-"""Files that would never end, fill the memory, leave the bed or hide what E is."""
+"""Files that would never end, fill the memory, leave the bed or do not say what E is."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def on_bed(*text: str) -> list[Item]:
     ],
     ids=lambda line: line[:24],
 )  # fmt: skip
-def test_what_would_never_end_is_an_error_with_its_line(line: str) -> None:
+def test_endless_motion_is_an_error_with_its_line(line: str) -> None:
     with pytest.raises(GcodeError) as caught:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
@@ -49,10 +49,10 @@ def test_a_move_of_many_hours_is_an_error_with_its_line() -> None:
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_filament_without_a_path_is_fed_at_rest(
+def test_filament_without_a_path_is_extruded_at_rest(
     monkeypatch: pytest.MonkeyPatch, compiled: bool
 ) -> None:
-    """Where the path can be written, so much is nothing that a nozzle lays: an error."""
+    """Along a path that is long enough to be written, so much filament is an error."""
     if not compiled:
         monkeypatch.setattr(kernels, "built", lambda: None)
     text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
@@ -70,7 +70,7 @@ def test_filament_without_a_path_is_fed_at_rest(
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_what_leads_nowhere_is_no_move(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
+def test_a_move_without_a_path_is_ignored(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
     if not compiled:
         monkeypatch.setattr(kernels, "built", lambda: None)
     text = (*HOME, "M83", "G1 X1", "G1 X1 Y0." + "0" * 170 + "1", "G5", "G1 X2", "G5 I0", "G1 X3")
@@ -93,8 +93,8 @@ def many(line: bytes, count: int) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("line", [b"M73 P5", b"; comment"])
-def test_carried_lines_without_end_are_released_now_and_then(line: bytes) -> None:
-    """So that no stage has to hold them all; the place stays known."""
+def test_endless_pass_through_lines_stop_the_machine_now_and_then(line: bytes) -> None:
+    """So no stage has to keep all of them; the position stays known."""
     released, held, most = 0, 0, 0
     for item in read(many(line, 100_000), ReadOptions(KLIPPER)):
         if isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
@@ -135,7 +135,7 @@ def test_paths_beyond_the_bed_name_move_distance_and_key(text: tuple[str, ...], 
     assert text[-1] in str(caught.value)
 
 
-def test_how_far_a_purge_line_is_out_is_told() -> None:
+def test_the_error_says_how_far_a_purge_line_is_off_the_bed() -> None:
     with pytest.raises(LimitError, match=r"line 3: .*'G1 X60 Y-2 E9 ; purge' leads 2 mm beyond"):
         on_bed("M83", "G1 X10 Y5 Z1", "G1 X60 Y-2 E9 ; purge")
 
@@ -148,7 +148,7 @@ def test_the_edge_itself_is_on_the_bed() -> None:
 
 
 def test_a_carriage_return_ends_a_line_for_marlin_only() -> None:
-    """What hides behind it in a comment would be obeyed there."""
+    """Marlin obeys a command that follows it in a comment."""
     text = [b"G92 X0 Y0 Z0", b"G1 X5 ; was\rG91\r\n", b"G1 X5"]
     ends = {}
     for dialect in (KLIPPER, MARLIN):
@@ -185,7 +185,7 @@ def test_e_that_grows_is_absolute() -> None:
 @pytest.mark.parametrize(
     "text", [(*START, "G1 X20 E1", "G1 X30 E1"), (*START[1:], *EQUAL)], ids=["few", "no macro"]
 )
-def test_what_shows_nothing_must_be_told(text: tuple[str, ...]) -> None:
+def test_unclear_e_needs_an_option(text: tuple[str, ...]) -> None:
     with pytest.raises(GcodeError, match="--extrusion absolute or --extrusion relative"):
         filament(*text)
     e = float(sum(line.startswith("G1") and "E1" in line for line in text))
@@ -194,7 +194,7 @@ def test_what_shows_nothing_must_be_told(text: tuple[str, ...]) -> None:
 
 
 def test_a_macro_may_have_set_what_the_next_one_finds() -> None:
-    """What E is when the stream is left, before the file has a single E."""
+    """The mode of E at a release, before the file has a single E."""
     text = [*START, "G1 X12", "CHANGE_COLOUR", "G1 X14 Y10", *EQUAL]
     for first, absolute in ((START[0], False), ("G28", True)):
         found = read([t.encode() for t in (first, *text[1:])], ReadOptions(KLIPPER))

@@ -1,4 +1,4 @@
-"""Lines as words: what firmwares accept, in linear time, without a number too large."""
+"""Lines as words: read as firmwares do, in linear time, without numbers that are too large."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hframe_post.gcode.lexer import Line, command, parameters, uncommented
 
 
 def stripped(text: bytes) -> bytes:
-    """Comments away, innermost first: the plain way, which takes quadratic time."""
+    """Return the text without comments, removed innermost first: simple, but quadratic in time."""
     while (shorter := re.sub(rb"\([^()]*\)|;.*", b" ", text)) != text:
         text = shorter
     return text
@@ -77,6 +77,6 @@ def test_parameters_are_read_as_klipper_reads_them(text: str, acceleration: floa
 
 
 @pytest.mark.parametrize("text", ["ACCEL=", "ACCEL=fast", "ACCEL='5", "ACCEL", "ACCEL=nan"])
-def test_what_klipper_refuses_is_refused(text: str) -> None:
+def test_parameters_that_klipper_refuses_are_refused(text: str) -> None:
     with pytest.raises(GcodeError):
         parameters(Line(1, b"SET_VELOCITY_LIMIT " + text.encode()), LIMIT_PARAMETERS)

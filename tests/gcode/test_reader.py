@@ -49,7 +49,7 @@ def test_filament_counts_on_through_g92() -> None:
     assert [row[3] for row in ends("M82", "G92 E0", "G1 X1 E2", "G92 E0", "G1 X2 E2")] == [2, 4]
 
 
-def test_g92_renames_a_place() -> None:
+def test_g92_renames_a_position() -> None:
     assert ends("G1 X10", "G92 X0", "G1 X5")[-1][0] == 15
 
 
@@ -127,7 +127,7 @@ def test_retraction_and_lift_stand_still() -> None:
 # ---------------------------------------------------------------------- unknown places
 
 
-def test_moves_from_unknown_places_go_to_the_firmware_as_they_stand() -> None:
+def test_moves_from_unknown_positions_pass_through() -> None:
     found = items("G28", "G1 Z2 F3000", "G1 X10 Y20", "G1 X20 E1")
     verbatim = [i for i in found if isinstance(i, Passthrough) and i.handling is Handling.RELEASE]
     assert [i.text for i in verbatim] == [b"G28", b"G1 Z2 F3000", b"G1 X10 Y20", b""]
@@ -136,7 +136,7 @@ def test_moves_from_unknown_places_go_to_the_firmware_as_they_stand() -> None:
 
 
 @pytest.mark.parametrize("line", ["G28", "T1", "M600", "PRINT_START BED=60", "G29", "M0 Click"])
-def test_place_is_unknown_after_what_may_move(line: str) -> None:
+def test_position_is_unknown_after_a_command_that_may_move(line: str) -> None:
     after = items(*HOME, "G1 X5", line, "G1 X7 Y7", "G1 X8")
     assert b"G1 X7 Y7" in carried(after)
     assert after[-2].points[0, 0] == 7 if isinstance(after[-2], Moves) else False
@@ -147,7 +147,7 @@ def test_homing_one_axis_forgets_only_that() -> None:
     assert b"G1 Y9" in carried(items(*HOME, "G28 X", "G1 Y9"))
 
 
-def test_state_of_yielded_lines_is_what_the_file_believes() -> None:
+def test_pass_through_lines_have_the_modal_state_of_the_file() -> None:
     found = items(*HOME, "M82", "G92 E1.5", "G1 X5 E2 F1200", "G91", "T1")
     state = next(i for i in found if isinstance(i, Passthrough) and i.text == b"T1").state
     assert (state.absolute, state.absolute_e, state.e, state.feed) == (False, True, 2, 20)
@@ -216,7 +216,7 @@ def test_klipper_macros_pass() -> None:
         "; processed by hframe-post 0.1.0",
     ],
 )  # fmt: skip
-def test_what_would_be_misread_is_an_error_with_its_line(line: str) -> None:
+def test_a_line_that_could_be_misread_is_an_error(line: str) -> None:
     with pytest.raises(GcodeError) as caught:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
@@ -240,7 +240,7 @@ def test_arcs_in_other_planes_are_refused() -> None:
         (["a\0b", "G1 X1"], "text file"),
     ],
 )  # fmt: skip
-def test_files_that_are_no_prints_are_refused(lines: list[str], cause: str) -> None:
+def test_files_without_a_print_are_refused(lines: list[str], cause: str) -> None:
     with pytest.raises(GcodeError, match=cause):
         items(*lines)
 

@@ -1,4 +1,4 @@
-"""G10 and G11 as moves of filament: as often as the firmware would, as far, and no trace in E."""
+"""G10 and G11 as moves of filament: as often and as far as the firmware, without a trace in E."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def found(
     return stand, passed, items
 
 
-def test_without_knowledge_of_it_all_passes() -> None:
+def test_without_settings_all_pass_through() -> None:
     stand, passed, _ = found([*HOME, "G10", "G1 X50", "G11"], None)
     assert not stand
     assert passed == [b"G10", b"G11", b"G10", b"G11"]
@@ -96,8 +96,8 @@ def test_settings_of_the_file(firmware: str, line: str, stand: list[tuple[float,
     assert found([*HOME, *line.split("\n"), "G10", "G11"], firmware=firmware)[0] == stand
 
 
-def test_what_passes_is_believed_to_take_its_time() -> None:
-    """A stop of no time, where the machine stands for 60 ms, is solved for in vain."""
+def test_pass_through_retractions_have_an_estimated_duration() -> None:
+    """Otherwise a stop of 60 ms is computed as one without duration."""
 
     def seconds(own: Retraction | None) -> list[float]:
         items = found(["G28", "G10", "G11", "G1 X1 Y1 Z1"], own)[2]

@@ -1,4 +1,4 @@
-"""The loops, built anew from their source: what is tested is what is in the tree."""
+"""The compiled loops, built from the sources in the tree."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, kernels.Kerne
 
 @pytest.fixture
 def compiled(library: dict[str, kernels.Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every loop is the compiled one."""
+    """Use the compiled version of every loop."""
     monkeypatch.setattr(kernels, "built", lambda: library)

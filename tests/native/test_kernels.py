@@ -1,4 +1,4 @@
-"""Every compiled loop gives the bits of what it stands for, and so does the whole tool."""
+"""Every compiled loop gives the same bits as its numpy version, and so does the whole tool."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def same(one: Array | Integers, other: Array | Integers) -> None:
 def test_decimation(
     compiled: None, seed: int, n: int, power: float, coarse: bool, tolerance: float
 ) -> None:
-    """Rounded points have many chords that lose just as much."""
+    """Rounded points have many chords with equal errors."""
     points, forced = wander(seed, n, power)
     points = points.round(3) if coarse else points
     ends = decimate.breakpoints(points, forced, tolerance)
@@ -50,7 +50,7 @@ def test_decimation(
 
 
 def walk(rng: np.random.Generator, n: int) -> Array:
-    """A path (n, 2) of straights with some corners, curves and standstill."""
+    """Return a path (n, 2) of straight lines with some corners, curves and standstill."""
     velocity = np.repeat(rng.normal(0.0, 0.1, (n // 20 + 1, 2)), 20, axis=0)[:n]
     velocity += rng.normal(0.0, 0.01, (n, 2)) * (rng.random((n, 1)) < rng.choice([0.0, 0.1, 1.0]))
     velocity[: int(rng.integers(0, n))] *= rng.choice([0.0, 1.0])
@@ -83,7 +83,7 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
     points, nothing = rng.normal(0.0, 100.0, (n + 1, 4)), np.zeros(0)
     plan = Plan(np.arange(n), points, s, np.zeros(0, np.int64), *(nothing,) * 3, ())
     lengths = np.sort(rng.uniform(0.0, s[-1], 300)) + rng.normal(0.0, 1e-9, 300)
-    lengths = np.concatenate([np.clip(lengths, 0.0, s[-1]), s])  # back at the beginning, too
+    lengths = np.concatenate([np.clip(lengths, 0.0, s[-1]), s])  # decreasing once, too
     xyze, move = sampling._follow(plan, lengths)
     plain_xyze, plain_move = sampling._follow_in_numpy(plan, lengths)
     same(xyze, plain_xyze)
@@ -93,7 +93,7 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
 def test_the_whole_tool(
     paper: Printer, library: dict[str, Kernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Text and report of the first layers of a slice."""
+    """Compare text and report for the first layers of a slice."""
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)[:1200]
     options = Options("racking", ("none", "racking"))
     results = []

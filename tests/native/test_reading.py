@@ -1,4 +1,4 @@
-"""Many plain moves at once give the items, and the errors, that they give one by one."""
+"""Plain moves read many at once give the same items and errors as read one by one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ other = st.sampled_from(["; a", "", "M83", "M82", "G91", "G90", "G20", "G21", "M
 
 
 def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
-    """All that the reader makes of it, comparable."""
+    """Return all items and errors of the reader in a form that can be compared."""
     read_items: list[Any] = []
     try:
         for item in read(iter(lines), options):
@@ -78,14 +78,14 @@ def test_a_slice(library: dict[str, Kernel], name: str) -> None:
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests" / "quirks").glob("*.gcode")), ids=str)
-def test_oddities(library: dict[str, Kernel], path: Any) -> None:
+def test_quirks(library: dict[str, Kernel], path: Any) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     for dialect in DIALECTS.values():
         same_either_way(lines, ReadOptions(dialect), library)
 
 
 def test_an_error_of_the_source_comes_in_its_turn(library: dict[str, Kernel]) -> None:
-    """The lines before it are read, and what is wrong with them is said first."""
+    """The lines before it are read, and their errors come first."""
 
     def source(wrong: bytes) -> Any:
         yield from START
