@@ -62,7 +62,7 @@ class FirmwareChoice(click.Choice[str]):
     "--format", "format_name", type=click.Choice(tuple(FORMATS)),
     help="Output format: G-code (bgcode: Prusa's binary form), motor steps (a row per step, or a "
     "bit per clock tick), or samples every millisecond. Default: by the suffix of the output: .csv "
-    "steps, .npz and .parquet samples, .bgcode binary, any other G-code.",
+    "steps, .npz samples, .bgcode binary, any other G-code.",
 )  # fmt: skip
 @printer_option
 @click.option(

@@ -19,7 +19,7 @@ from hframe_post.printer.profile import load, shipped
 from hframe_post.version import __version__
 
 PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
-EXTRAS = ("matplotlib", "pyarrow", "zstandard", "watchfiles", "distributed")
+EXTRAS = ("matplotlib", "watchfiles", "distributed")
 
 
 class _Findings:

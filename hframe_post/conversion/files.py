@@ -26,12 +26,11 @@ from hframe_post.printer.settings import Printer
 from hframe_post.resources import one_blas_thread
 from hframe_post.writers.files.atomic_file import Outputs
 from hframe_post.writers.files.compression import compressing
-from hframe_post.writers.samples import COLUMNS, as_csv
+from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
 from hframe_post.writers.steps.file import EVENTS_HEADER, inlined
 from hframe_post.writers.stream.print_time import write_output
-from hframe_post.writers.table_file import write_npz, write_parquet
 
-PACKED = (".gz", ".zst")
+PACKED = (".gz",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,7 @@ class Format:
     """One kind of output: the conversion, and the function that saves it.
 
     save: takes the conversion, the target and a text that says what made it. suffixes: those that
-    choose this format. packs: whether a further .gz or .zst compresses it. divides: whether
+    choose this format. packs: whether a further .gz compresses it. divides: whether
     ``convert`` takes ``jobs``.
     """
 
@@ -104,6 +103,8 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
     if asked is not None and asked not in FORMATS:
         raise HframeError(f"unknown format {asked!r}; known formats are {', '.join(FORMATS)}")
     suffix, packing = _suffixes(output)
+    if suffix in REMOVED:
+        raise HframeError(f"{suffix} files are not written any more: use {REMOVED[suffix]} instead")
     by_suffix = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
     replaced = "bgcode" if source is not None and is_binary(source) else None
     kind = asked or replaced or by_suffix or "gcode"
@@ -159,8 +160,6 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
     out = target.open()
     if target.path is not None and kind == ".npz":
         write_npz(out, conversion, COLUMNS, made_by, target.path.resolve().parent)
-    elif kind == ".parquet":
-        write_parquet(out, conversion, COLUMNS, made_by)
     else:
         with compressing(out, packing) as packed:
             for piece in as_csv(conversion):
@@ -168,7 +167,8 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
 
 
 GCODE = ("gcode", "bgcode")  # what may replace the input
-TABLES = (".npz", ".parquet")  # of samples, which are CSV under any other suffix
+REMOVED = {".zst": ".gz", ".parquet": ".npz"}
+TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False, divides=True),
     "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False, divides=True),

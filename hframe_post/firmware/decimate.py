@@ -14,14 +14,14 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z
 from hframe_post.native.kernels import kernel
 
-SHORT = 8  # samples; what takes longer is answered by the nozzle, and is therefore held closer
+SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
-ALIKE = 1e-6  # mm; losses no farther apart are equal, on every machine
-ROUNDS = 12  # of Jacobi's method, each of which at least halves what is missing
+ALIKE = 1e-6  # mm; losses this close count as equal, on every machine
+ROUNDS = 12  # of Jacobi's method, each of which at least halves the error
 
 
 def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
-    """Indices of the points to keep, ascending, without the first and with the last one.
+    """Return indices of the points to keep, ascending, without the first and with the last one.
 
     points (n + 1, 4): x, y, z, e one sample apart; forced (n + 1,): points that must stay. The
     chord of each segment is within ``tolerance`` (mm) of every sample between: of x and y
@@ -55,7 +55,7 @@ def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
 
 
 def _merged(vertices: Array, at: Integers, off: Array) -> Array:
-    """A bound on the distance of samples from the chord of each two segments as one, (k − 1,).
+    """Return a bound on the distance of samples from the chord of each two segments, (k − 1,).
 
     vertices (k + 1, 4) at samples ``at``; off (k,): the bound for each segment. A sample is no
     farther from the new chord than from its old one and that from the new one together.
@@ -71,7 +71,7 @@ def _merged(vertices: Array, at: Integers, off: Array) -> Array:
 
 
 def _cheapest(cost: Array) -> Integers:
-    """Those of the finite costs (k,) that are less than their neighbours'; of equals the even."""
+    """Return the finite costs (k,) below their neighbours'; of equal ones the even."""
     even = np.arange(len(cost)) % 2 == 0
     left, right = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
     least = (cost < left) | (even & (cost == left))
@@ -80,9 +80,9 @@ def _cheapest(cost: Array) -> Integers:
 
 
 def fitted(points: Array, ends: Integers) -> Array:
-    """Vertices (k, 4) at ``ends`` (k,): in x and y the squares of what samples miss are least.
+    """Return vertices (k, 4) at ``ends`` (k,) with the least squares of errors in x and y.
 
-    points (n + 1, 4) as for ``breakpoints``, of which the first and the last are met. No vertex
+    points (n + 1, 4) as for ``breakpoints``; the first and the last stay. No vertex
     goes beyond the samples' least and greatest x and y; z and e are those of its sample.
     """
     n, k = len(points), len(ends)
@@ -119,9 +119,9 @@ def _fitted(points: Array, ends: Integers) -> Array:
 
 
 def _weights(length: Integers) -> tuple[Array, Array, Array]:
-    """Sums over the samples of segments of these lengths (k,), with s from above 0 to 1 in each:
+    """Return sums of s², (1 − s)² and s(1 − s), (k,) each, over segments of these lengths (k,).
 
-    of s², of (1 − s)² and of s(1 − s); (k,) each.
+    s goes from above 0 to 1 in each segment.
     """
     n = length.astype(float)
     return (n + 1) * (2 * n + 1) / (6 * n), (n - 1) * (2 * n - 1) / (6 * n), (n * n - 1) / (6 * n)

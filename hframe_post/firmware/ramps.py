@@ -1,4 +1,4 @@
-"""Ramps inside the segments of a polyline, as firmware plans them: times, speeds.
+"""Times and speeds of segments with ramps inside, as firmware plans them.
 
 A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
 acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
@@ -18,7 +18,7 @@ ROUNDS = 3  # of the speeds' dependence on their neighbours'
 def speeds(
     d: Array, T: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> Array:
-    """Cruise speeds (k,) with which segments d (k,) take the time T (k,).
+    """Return the cruise speeds (k,) with which segments d (k,) take the time T (k,).
 
     a (k,): acceleration; caps (k + 1,), or one: greatest speeds at the ends; before:
     cruise speed of the segment that precedes; least (k,): speeds of entry that neither lowers.
@@ -37,7 +37,7 @@ def speeds(
 def durations(
     d: Array, v: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> Array:
-    """Time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
+    """Return the time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
     v_s, v_e = ends(v, caps, before, least)
     ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
     return np.asarray((d + ramps) / v)
@@ -46,7 +46,7 @@ def durations(
 def ends(
     v: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Speeds (k,) at the start and at the end of each segment.
+    """Return the speeds (k,) at the start and at the end of each segment.
 
     Where ``least`` makes the next one begin faster than this one runs, it ends that fast.
     """

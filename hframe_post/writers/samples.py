@@ -1,8 +1,18 @@
-"""Samples → a table of numbers, one row a millisecond: path, command, predicted motion."""
+"""Samples → a table of numbers, one row a millisecond: path, command, predicted motion.
+
+Tables become CSV or .npz as they grow, in constant memory.
+"""
 
 from __future__ import annotations
 
+import io
+import shutil
+import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -19,7 +29,7 @@ ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever
 
 
 def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator[Array]:
-    """Tables (n, len(COLUMNS)) of a strategy's command. t: the end of a sample's millisecond.
+    """Yield tables (n, len(COLUMNS)) of a strategy's command. t: the end of a sample's millisecond.
 
     The prediction starts from rest wherever the machine may stand anew.
     """
@@ -36,7 +46,7 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
 
 
 def as_csv(tables: Iterable[Array]) -> Iterator[bytes]:
-    """The tables as text, the columns' names first."""
+    """Yield the tables as CSV, with the columns' names first."""
     yield ",".join(COLUMNS).encode() + b"\n"
     for table in tables:
         comma, newline = digits.column(b",", len(table)), digits.column(b"\n", len(table))
@@ -46,3 +56,36 @@ def as_csv(tables: Iterable[Array]) -> Iterator[bytes]:
             for part in (digits.fixed(values, decimals), comma)
         ]
         yield digits.rows([*columns[:-1], newline])
+
+
+def write_npz(
+    file: IO[bytes], tables: Iterable[Array], names: tuple[str, ...], stamp: str, folder: Path
+) -> None:
+    """Write one array a column, as ``np.savez`` does, and the text ``stamp``.
+
+    Equal input gives equal bytes. A column's length is known only at its end, so columns wait in
+    temporary files in ``folder``.
+    """
+    with ExitStack() as stack:
+        spools = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in names]
+        rows = 0
+        for table in tables:
+            rows += len(table)
+            for spool, column in zip(spools, table.T, strict=True):
+                spool.write(column.astype("<f8").tobytes())
+        archive = stack.enter_context(zipfile.ZipFile(file, "w", allowZip64=True))
+        for name, spool in zip(names, spools, strict=True):
+            spool.seek(0)
+            header = {"descr": "<f8", "fortran_order": False, "shape": (rows,)}
+            with _member(archive, name) as member:
+                np.lib.format.write_array_header_1_0(member, header)
+                shutil.copyfileobj(spool, member)
+        with _member(archive, "stamp") as member:
+            text = io.BytesIO()
+            np.save(text, np.array(stamp))
+            member.write(text.getvalue())
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    no_date = (1980, 1, 1, 0, 0, 0)  # the earliest in a zip file
+    return archive.open(zipfile.ZipInfo(f"{name}.npy", no_date), "w", force_zip64=True)

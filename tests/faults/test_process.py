@@ -56,12 +56,12 @@ def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
         ("$ME printers >/dev/full", "No space left"),
         ("$ME in.gcode -q -o /dev/full", "No space left"),
         ("$ME in.gcode -q --json no/summary.json", "no/summary.json: No such file"),
-        ("$ME in.gcode -q --json in.gcode", "is read, or written, by the same command"),
-        ("$ME in.gcode -n -q --json ./in.gcode", "is read, or written, by the same command"),
-        ("$ME in.gcode -q -p my.toml -o my.toml", "is read, or written, by the same command"),
-        ("$ME in.gcode -q -p my.toml --json my.toml", "is read, or written, by the same command"),
-        ("$ME in.gcode -q -o new --json new", "is read, or written, by the same command"),
-        ("$ME sweep -p my.toml -q -o my.toml", "is read, or written, by the same command"),
+        ("$ME in.gcode -q --json in.gcode", "is already read or written by this command"),
+        ("$ME in.gcode -n -q --json ./in.gcode", "is already read or written by this command"),
+        ("$ME in.gcode -q -p my.toml -o my.toml", "is already read or written by this command"),
+        ("$ME in.gcode -q -p my.toml --json my.toml", "is already read or written by this command"),
+        ("$ME in.gcode -q -o new --json new", "is already read or written by this command"),
+        ("$ME sweep -p my.toml -q -o my.toml", "is already read or written by this command"),
     ],
 )
 def test_what_cannot_be_done_is_told_and_nothing_is_touched(

@@ -140,7 +140,10 @@ def test_what_is_read_is_not_overwritten(target: Path) -> None:
     again = target.with_name("again")
     again.symlink_to(target)
     for path in (target, again, target.parent / "." / target.name):
-        with pytest.raises(HframeError, match="is read, or written"), Outputs([target]) as outputs:
+        with (
+            pytest.raises(HframeError, match="already read or written"),
+            Outputs([target]) as outputs,
+        ):
             outputs.open(path)
     with Outputs([target]) as outputs:
         outputs.open(again, instead_of=target).write(b"new")
@@ -149,7 +152,7 @@ def test_what_is_read_is_not_overwritten(target: Path) -> None:
 
 def test_two_outputs_cannot_be_one_file(tmp_path: Path) -> None:
     new = tmp_path / "new"
-    with pytest.raises(HframeError, match="is read, or written"), Outputs() as outputs:  # noqa: PT012
+    with pytest.raises(HframeError, match="already read or written"), Outputs() as outputs:  # noqa: PT012
         outputs.open(new)
         outputs.open(tmp_path / "." / "new")
     assert not new.exists()

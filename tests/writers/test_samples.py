@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
@@ -11,17 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyarrow import parquet
 
 from hframe_post.arrays import Array
-from hframe_post.errors import HframeError
 from hframe_post.model.plant import LiftedFilter
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Handling, Pause, Samples
-from hframe_post.writers.samples import COLUMNS, DECIMALS, as_csv, tabulate
-from hframe_post.writers.table_file import write_npz, write_parquet
+from hframe_post.writers.samples import COLUMNS, DECIMALS, as_csv, tabulate, write_npz
 from tests.step_tools import block, line
 
 
@@ -121,29 +117,6 @@ def test_npz_is_what_numpy_would_load(tmp_path: Path, table: Array) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert zipfile.ZipFile(tmp_path / "a.npz").testzip() is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
-
-
-def test_parquet_is_what_arrow_would_read(tmp_path: Path, table: Array) -> None:
-    for name in "ab":
-        with (tmp_path / f"{name}.parquet").open("wb") as file:
-            write_parquet(file, pieces(table), COLUMNS, "made by a test")
-    loaded = parquet.read_table(tmp_path / "a.parquet")
-    assert loaded.column_names == list(COLUMNS)
-    assert loaded.schema.metadata[b"stamp"] == b"made by a test"
-    for k, name in enumerate(COLUMNS):
-        np.testing.assert_array_equal(loaded[name].to_numpy(), table[:, k])
-    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
-
-
-def test_missing_extra_is_named(
-    tmp_path: Path, table: Array, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with (
-        (tmp_path / "a.parquet").open("wb") as file,
-        pytest.raises(HframeError, match=r"hframe-post\[parquet\]"),
-    ):
-        write_parquet(file, pieces(table), COLUMNS, "")
 
 
 def test_npz_does_not_hold_its_table_in_memory(tmp_path: Path) -> None:

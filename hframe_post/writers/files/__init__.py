@@ -1,1 +1,1 @@
-"""Output files: complete or not at all."""
+"""Output files that appear complete or not at all."""

@@ -1,8 +1,8 @@
-"""Output files: all of a command's appear whole, or none does; the rest is written through.
+"""Output files of a command: all of them appear complete, or none does.
 
-A file is written beside its target under a temporary name and takes the target's place at the
-end. What is no regular file (a device, a pipe, standard output) is written through, once
-everything is known.
+A file is written next to its target under a temporary name and replaces the target at the
+end. A target that is no regular file (a device, a pipe, standard output) is written to directly,
+once everything is known.
 """
 
 from __future__ import annotations
@@ -31,16 +31,15 @@ from hframe_post.writers.files.temporary import create, remove, undisturbed
 
 
 class Outputs:
-    """A context manager: what was written to its files appears once all of it is written.
+    """Context manager whose files appear once all of them are written.
 
-    reads: files that the command reads, which no output may replace. Raises HframeError or
-    OSError when a target is opened that cannot be written as it should be.
+    reads: files that the command reads, which no output may replace.
     """
 
     def __init__(self, reads: Iterable[Path] = ()) -> None:
         self._taken: list[object] = []
         for path in reads:
-            with contextlib.suppress(OSError):  # not there: nothing to replace
+            with contextlib.suppress(OSError):  # a missing file cannot be replaced
                 self._taken.append(identity(path))
         self._replaced: list[_Replaced] = []
         self._through: list[tuple[IO[bytes], Through]] = []
@@ -50,9 +49,10 @@ class Outputs:
         return self
 
     def open(self, path: Path | None, instead_of: Path | None = None) -> IO[bytes]:
-        """A file to write, which can be read and sought, too. None: standard output.
+        """Return a file to write, read and seek. None: standard output.
 
-        instead_of: the one among the files read that this may replace.
+        instead_of: the one among the files read that this may replace. Raises HframeError or
+        OSError if the target cannot be written.
         """
         through = written_through(path)
         if through is not None:
@@ -63,9 +63,13 @@ class Outputs:
         target = Path(os.path.realpath(path))
         with named(path):
             this = identity(target)
-        own = identity(instead_of) if instead_of is not None and instead_of.exists() else None
-        if this in self._taken and this != own:
-            raise HframeError(f"{path}: this file is read, or written, by the same command")
+        replaceable = (
+            identity(instead_of) if instead_of is not None and instead_of.exists() else None
+        )
+        if this in self._taken and this != replaceable:
+            raise HframeError(
+                f"{path} is already read or written by this command: name another file"
+            )
         self._taken.append(this)
         check_replaceable(target, path)
         with named(path):
@@ -74,7 +78,7 @@ class Outputs:
         return replaced.file
 
     def watch(self, source: IO[bytes], path: Path) -> None:
-        """Nothing appears if this file, which is being read, was changed before the end."""
+        """Let no file appear if this source is changed before the end."""
         if path.is_file():
             self._sources.append((path, stamp(os.fstat(source.fileno()))))
 
@@ -89,13 +93,16 @@ class Outputs:
                 replaced.discard()
 
     def _appear(self) -> None:
-        """What can fail comes first: full disks, closed pipes, changed sources."""
+        """Replace the targets, after all that can fail: full disks, closed pipes, new sources."""
         for replaced in self._replaced:
             with named(replaced.target):
                 replaced.finish()
         for path, before in self._sources:
             if stamp(os.stat(path)) != before:
-                raise HframeError(f"{path}: was changed while it was read; nothing was written")
+                raise HframeError(
+                    f"{path} was changed while it was read; nothing was written: run the command "
+                    "again"
+                )
         for file, opened in self._through:
             file.seek(0)
             with opened() as target:
@@ -107,14 +114,13 @@ class Outputs:
 
 @dataclass(frozen=True, slots=True)
 class _Replaced:
-    """A file that takes the place of ``target``, and its temporary name till then."""
+    """A file that will replace ``target``, and its temporary name."""
 
     target: Path
     file: IO[bytes]
     name: Path
 
     def finish(self) -> None:
-        """All of it on the disk, with the owner and the permissions of what it replaces."""
         self.file.flush()
         like(self.target, self.file)
         os.fsync(self.file.fileno())
@@ -126,5 +132,5 @@ class _Replaced:
 
     def discard(self) -> None:
         remove(self.name)  # before its lock goes
-        with contextlib.suppress(OSError):  # a full disk was told of already
+        with contextlib.suppress(OSError):  # a full disk was reported already
             self.file.close()

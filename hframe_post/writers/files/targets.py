@@ -1,4 +1,4 @@
-"""What stands where an output is to go: nothing yet, a file to replace, or a way out of here."""
+"""Targets of output: a new file, a file to replace, or a device, pipe or descriptor."""
 
 from __future__ import annotations
 
@@ -16,15 +16,13 @@ from typing import IO
 from hframe_post.errors import HframeError
 
 DESCRIPTOR = re.compile(r"/dev/std(?P<name>out|err)|/(?:dev|proc/self)/fd/(?P<number>\d+)")
-PERMISSIONS = 0o777  # without set-user-ID and the like
-MOST_LINKS = 40  # from one name to the next, as the system allows
 
 Stamp = tuple[int, int, int, int]  # device, file, size and time of change
 Through = Callable[[], AbstractContextManager[IO[bytes]]]
 
 
 def written_through(path: Path | None) -> Through | None:
-    """How to open what is no regular file; None for what is, or is not there yet."""
+    """Return how to open a path that is no regular file; None for a regular or a new file."""
     if path is None:
         if sys.stdout is None:
             raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
@@ -46,8 +44,8 @@ def _standard_output() -> Iterator[IO[bytes]]:
 
 
 def _descriptor(path: Path) -> int | None:
-    """Of a path that names, maybe through links, a file that is open already. Raises OSError."""
-    for _ in range(MOST_LINKS):
+    """Return the descriptor that a path names, maybe through links. Raises OSError."""
+    for _ in range(40):  # links, as many as the system follows
         if found := DESCRIPTOR.fullmatch(str(path)):
             number = int(found["number"] or {"out": 1, "err": 2}[found["name"]])
             with named(path):
@@ -61,7 +59,7 @@ def _descriptor(path: Path) -> int | None:
 
 @contextlib.contextmanager
 def named(path: Path) -> Iterator[None]:
-    """An OSError tells of the path that was asked for, whatever was tried for it."""
+    """Make an OSError name the path that the user asked for."""
     try:
         yield
     except OSError as error:
@@ -69,7 +67,7 @@ def named(path: Path) -> Iterator[None]:
 
 
 def identity(path: Path) -> tuple[object, ...]:
-    """Equal for every name of one file, there or not. Raises OSError where it cannot be."""
+    """Return a key that is equal for every name of one file, even a new one. Raises OSError."""
     try:
         status = os.stat(path)
     except OSError:
@@ -80,12 +78,12 @@ def identity(path: Path) -> tuple[object, ...]:
 
 
 def stamp(status: os.stat_result) -> Stamp:
-    """Differs once a file has been changed or replaced."""
+    """Return what differs once a file has been changed or replaced."""
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def check_replaceable(target: Path, path: Path) -> None:
-    """Raises OSError or HframeError where a file of the same kind cannot take the place."""
+    """Raise OSError or HframeError if a new file cannot replace the target."""
     if not target.exists():
         return
     status = target.stat()
@@ -94,13 +92,13 @@ def check_replaceable(target: Path, path: Path) -> None:
         raise PermissionError(errno.EACCES, "is write-protected", str(path))
     if status.st_nlink > 1:
         raise HframeError(
-            f"{path}: has {status.st_nlink} names (hard links), of which only one would be "
+            f"{path} has {status.st_nlink} names (hard links), and only one of them would be "
             "replaced: write to a new file with -o"
         )
 
 
 def like(old: Path, new: IO[bytes]) -> None:
-    """A replaced file keeps owner and permissions; a new one gets the usual."""
+    """Give a new file the owner and permissions of the old, or the usual ones."""
     if os.name != "posix":
         return
     if not old.exists():
@@ -108,11 +106,11 @@ def like(old: Path, new: IO[bytes]) -> None:
         os.umask(mask)
         os.fchmod(new.fileno(), 0o666 & ~mask)
         return
-    status, own = old.stat(), os.fstat(new.fileno())
-    if (status.st_uid, status.st_gid) != (own.st_uid, own.st_gid):
+    status, ours = old.stat(), os.fstat(new.fileno())
+    if (status.st_uid, status.st_gid) != (ours.st_uid, ours.st_gid):
         try:
             os.fchown(new.fileno(), status.st_uid, status.st_gid)
         except OSError:
-            cause = "belongs to others, and would not any more: write to a new file with -o"
-            raise HframeError(f"{old}: {cause}") from None
-    os.fchmod(new.fileno(), status.st_mode & PERMISSIONS)
+            cause = "belongs to another user, which a new file could not keep"
+            raise HframeError(f"{old} {cause}: write to another file with -o") from None
+    os.fchmod(new.fileno(), status.st_mode & 0o777)  # without set-user-ID and the like

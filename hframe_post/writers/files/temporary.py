@@ -1,7 +1,7 @@
-"""Temporary files, which no process leaves behind that can help it.
+"""Temporary files, removed even when a process is stopped.
 
-The process that writes one holds a lock on it, so one without a lock was left by a process that
-was killed, and is removed by the next.
+The process that writes one holds a lock on it. One without a lock was left by a killed process,
+and is removed by the next one.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _appearing = False
 
 
 def give_up() -> bool:
-    """Removes this process's temporary files: for a signal handler, which may come at any time.
+    """Remove this process's temporary files; safe in a signal handler.
 
-    False: files are appearing at this moment; let them.
+    Returns False, and removes nothing, while files are replacing their targets.
     """
     if _appearing:
         return False
@@ -40,7 +40,7 @@ def give_up() -> bool:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """While it lasts, ``give_up`` does nothing."""
+    """Keep ``give_up`` from removing files."""
     global _appearing
     _appearing = True
     try:
@@ -50,7 +50,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def create(folder: Path) -> tuple[IO[bytes], Path]:
-    """A new, locked file in this folder, and its name. Stale ones are removed."""
+    """Return a new, locked file in this folder, and its name. Removes stale ones."""
     _remove_stale(folder)
     while True:
         name = folder / f".hframe-post-{os.urandom(8).hex()}.tmp"
@@ -65,20 +65,20 @@ def create(folder: Path) -> tuple[IO[bytes], Path]:
             return file, name
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        if os.fstat(descriptor).st_nlink:  # nobody took it for a stale one before it was locked
+        if os.fstat(descriptor).st_nlink:  # no process removed it as stale before it was locked
             return file, name
         _unfinished.discard(name)
         file.close()
 
 
 def remove(name: Path) -> None:
-    """One of these, which may have been renamed meanwhile."""
+    """Remove one of these files, if it was not renamed meanwhile."""
     name.unlink(missing_ok=True)
     _unfinished.discard(name)
 
 
 def _remove_stale(folder: Path) -> None:
-    """Removes temporary files of processes that are no more."""
+    """Remove temporary files of processes that have ended."""
     if fcntl is None:
         return
     with os.scandir(folder) as entries:

@@ -1,4 +1,4 @@
-"""When motors step: samples joined by a monotone cubic, and where it crosses half steps.
+"""Times of steps: samples joined by a monotone cubic, and where it crosses half steps.
 
 =========  ============================================================
 symbol     meaning
@@ -10,7 +10,7 @@ symbol     meaning
 
 The tangents are those of Catmull and Rom, limited after Fritsch and Carlson (SIAM J. Numer.
 Anal. 17, 1980): between two samples the command never turns back, so the rounded positions
-of the samples alone tell how many steps lie between them.
+of the samples alone give the number of steps between them.
 """
 
 from __future__ import annotations
@@ -19,17 +19,13 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 
-STEEPEST = 3.0  # times the lesser neighbouring slope; monotone below (Fritsch and Carlson)
-ROUNDS = 3  # of Newton's method
-CLOSE = 1e-3  # steps from the level that count as on it
-HALVINGS = 40
 
-
-def crossings(u: Array) -> tuple[Integers, Array, Integers]:
-    """Steps between the inner n − 2 of n samples u (n,), in order: (k,) each.
+def crossings(u: Array, close: float = 1e-3) -> tuple[Integers, Array, Integers]:
+    """Return the steps between the inner n − 2 of n samples u (n,), in order: (k,) each.
 
     Returns the interval of each (0: after the second sample), its share s there, and its
     direction, 1 or −1. The outer samples only shape the tangents.
+    close: steps from a half step that count as on it.
     """
     at = np.floor(u[1:-1]).astype(np.int64)
     change = at[1:] - at[:-1]
@@ -47,13 +43,13 @@ def crossings(u: Array) -> tuple[Integers, Array, Integers]:
     m0, m1 = tangents(before, d), tangents(d, after)
     c2, c3 = 3.0 * d - 2.0 * m0 - m1, m0 + m1 - 2.0 * d
     c1, c2, c3, level = (np.repeat(column, count) for column in (m0, c2, c3, first))
-    return interval, _solved(c1, c2, c3, level + nth), np.repeat(heading, count)
+    return interval, _solved(c1, c2, c3, level + nth, close), np.repeat(heading, count)
 
 
 def tangents(before: Array, after: Array) -> Array:
-    """m (n,) at samples between slopes before and after them, each (n,) in steps a sample."""
+    """Return m (n,) at samples between slopes before and after them, (n,) steps a sample each."""
     least = np.minimum(np.abs(before), np.abs(after))
-    least *= STEEPEST
+    least *= 3.0  # monotone below (Fritsch and Carlson)
     m = (before + after) / 2.0
     np.minimum(m, least, out=m)
     np.maximum(m, -least, out=m)
@@ -61,15 +57,15 @@ def tangents(before: Array, after: Array) -> Array:
     return m
 
 
-def _solved(c1: Array, c2: Array, c3: Array, level: Array) -> Array:
-    """s (k,) in 0 … 1 at which the rising cubics c1·s + c2·s² + c3·s³ reach ``level``.
+def _solved(c1: Array, c2: Array, c3: Array, level: Array, close: float) -> Array:
+    """Return s (k,) in 0 … 1 at which the rising cubics c1·s + c2·s² + c3·s³ reach ``level``.
 
-    Newton's method from the parabola with the same start and end; where that has not arrived
-    (next to a standstill, mostly), by halving.
+    Uses Newton's method from the parabola with the same start and end. Where that does not
+    converge (mostly next to a standstill), it halves the interval.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         s = 2.0 * level / (c1 + np.sqrt(c1 * c1 + 4.0 * (c2 + c3) * level))
-        for _ in range(ROUNDS):
+        for _ in range(3):
             h = c3 * s
             t = h + c2
             h += t
@@ -84,7 +80,7 @@ def _solved(c1: Array, c2: Array, c3: Array, level: Array) -> Array:
     off = s * (c1 + s * (c2 + s * c3))
     off -= level
     np.abs(off, out=off)
-    arrived = (off <= CLOSE) & (s >= 0.0) & (s <= 1.0)
+    arrived = (off <= close) & (s >= 0.0) & (s <= 1.0)
     if not arrived.all():
         few = np.flatnonzero(~arrived)
         s[few] = _halved(c1[few], c2[few], c3[few], level[few])
@@ -92,17 +88,16 @@ def _solved(c1: Array, c2: Array, c3: Array, level: Array) -> Array:
 
 
 def _halved(c1: Array, c2: Array, c3: Array, level: Array) -> Array:
-    """The same by halving the interval."""
     s = np.full(len(level), 0.5)
-    for k in range(2, HALVINGS):
+    for k in range(2, 40):
         s += np.where(s * (c1 + s * (c2 + s * c3)) < level, 0.5**k, -(0.5**k))
     return s
 
 
 def spaced(due: Integers, direction: Integers, gap: int, last: int, heading: int) -> Integers:
-    """Ticks (k,) of one motor's steps, none before it is ``due`` (k,), order kept.
+    """Return the ticks (k,) of one motor's steps in order, none before it is ``due`` (k,).
 
-    One step a tick at most, and ``gap`` ticks from a step to the next in the other direction.
+    At most one step a tick, and ``gap`` ticks from a step to the next in the other direction.
     last, heading: tick and direction of the step before these; 0: there was none.
     """
     turns = np.diff(direction, prepend=heading) != 0

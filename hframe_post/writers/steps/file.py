@@ -1,6 +1,6 @@
-"""Step files: their items, and their text, one row a step or one row a tick.
+"""Step files: their items, and their text with one row a step or one row a tick.
 
-docs/formats.md describes them for other readers; ``step_reader`` is the inverse.
+docs/formats.md describes the format; ``reader`` is the inverse.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ KEY_BITS = 3  # of a key: two for the motor, one for the direction
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a step file says of itself. matrix (2, 2): mm of belts A, B per mm of x, y."""
+    """Header of a step file. matrix (2, 2): mm of belts A, B per mm of x, y."""
 
     kind: str
     version: str
@@ -33,7 +33,6 @@ class Header:
     matrix: Array
 
     def text(self) -> bytes:
-        """The lines before the rows."""
         rows = zip(MOTORS, self.matrix.tolist(), strict=False)
         lines = [
             f"#hframe-post {self.kind},{VERSION}",
@@ -57,7 +56,6 @@ class Note:
     text: bytes
 
     def line(self) -> bytes:
-        """Its row in the file of events."""
         return b"%d,%s,%s\n" % (self.tick, self.handling.encode(), self.text)
 
 
@@ -66,7 +64,7 @@ EVENTS_HEADER = b"#hframe-post events,%d\ntick,handling,text\n" % VERSION
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the motors stand, (4,) whole steps from the origin, before the next steps."""
+    """Position of the motors, (4,) whole steps from the origin, before the next steps."""
 
     tick: int
     position: tuple[int, ...]
@@ -91,7 +89,7 @@ Item = Start | Stepped | End
 
 
 class StepFileWriter:
-    """Steps as the text of a step file. rows, lines: of steps and of all, written so far."""
+    """Writer of a step file's text. rows, lines: of steps and of all lines, written so far."""
 
     def __init__(self, header: Header) -> None:
         self._header = header
@@ -99,7 +97,7 @@ class StepFileWriter:
         self.rows, self.lines = 0, 0
 
     def write(self, items: Iterable[Item]) -> Iterator[bytes | Note]:
-        """The text, and the notes after the steps of their tick, for a file of events."""
+        """Yield the text, and the notes after the steps of their tick, for a file of events."""
         head = self._header.text()
         self.lines += head.count(b"\n")
         yield head
@@ -127,18 +125,18 @@ class StepFileWriter:
 
 
 def inlined(pieces: Iterable[bytes | Note]) -> Iterator[bytes]:
-    """All as one text, in which notes are lines."""
+    """Yield one text, in which notes are lines."""
     for piece in pieces:
         yield b"#event," + piece.line() if isinstance(piece, Note) else piece
 
 
 def _steps(keys: Integers) -> tuple[int, bytes]:
-    """A row for each step, and how many."""
+    """Return the number of rows and their text, a row for each step."""
     return len(keys), digits.rows([digits.whole(keys >> KEY_BITS), _tails("ABZE", 2)[keys & 7]])
 
 
 class _Ticks:
-    """A row for each tick with a step. Remembers which way each motor went last."""
+    """Text with a row for each tick with a step. Remembers each motor's last direction."""
 
     def __init__(self) -> None:
         self._headings = 0
@@ -162,6 +160,6 @@ class _Ticks:
 
 @cache
 def _tails(names: str, values: int) -> digits.Bytes:
-    """The end of a row for each name and value, (names·values, 5)."""
+    """Return the end of a row for each name and value, (names·values, 5)."""
     rows = "".join(f",{name},{value:x}\n" for name in names for value in range(values))
     return np.frombuffer(rows.encode(), dtype=np.uint8).reshape(-1, 5)

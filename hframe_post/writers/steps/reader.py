@@ -1,4 +1,4 @@
-"""Step files → positions: what a controller's motors do with them."""
+"""Step files → positions of the motors."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ VALUES = {"steps": ("ABZE", "01"), "step-bits": ("0123456789abcdef",) * 2}
 
 @dataclass(frozen=True, slots=True)
 class Positions:
-    """Where the motors stand after each of n rows, in order of tick.
+    """Positions of the motors after each of n rows, in order of tick.
 
     tick (n,); position (n, 4): whole steps of A, B, z, e; xyze (n, 4): mm. Of rows with equal
-    ticks the last counts. fresh: the first is no step but where the machine was found to stand.
+    ticks the last counts. fresh: the first row is a start position, not a step.
     """
 
     tick: Integers
@@ -46,14 +46,14 @@ class Positions:
 
 @dataclass(frozen=True, slots=True)
 class StepFile:
-    """A step file on disk. Iterating gives its ``Positions`` in blocks, in constant memory."""
+    """A step file on disk. Iterating yields its ``Positions`` in blocks, in constant memory."""
 
     path: Path
     header: Header
     head: int  # bytes before the first row
 
     def __iter__(self) -> Iterator[Positions]:
-        """Raises StepFileError, which names the line, and OSError."""
+        """Yield the positions. Raises StepFileError, which names the line, and OSError."""
         reader = _Reader(self)
         with decompressing(self.path) as file:
             _piece(file, self.head, self.path)
@@ -67,25 +67,29 @@ class StepFile:
 
 
 def read(path: str | Path) -> StepFile:
-    """Read a step file; .gz and .zst are unpacked.
+    """Read a step file; .gz is unpacked.
 
-    Raises StepFileError where it is none, OSError, and HframeError without zstandard.
+    Raises StepFileError if it is not a step file, and OSError.
     """
     path = Path(path)
     with decompressing(path) as file:
         text = _piece(file, BYTES_AT_ONCE, path)
     match = HEADER.match(text)
     if match is None:
-        raise StepFileError("this is no step file", path, 1)
+        raise StepFileError("this is not a step file", path, 1)
     kind, version, printer, settings = (match[k].decode("utf-8", "replace") for k in (1, 3, 4, 5))
     if match[2] != b"%d" % VERSION:
-        raise StepFileError(f"version {match[2].decode()} of the format is not known", path, 1)
+        raise StepFileError(
+            f"version {match[2].decode()} of the format is unknown: install a newer hframe-post",
+            path,
+            1,
+        )
     if not text.startswith(NAMES[kind], match.end()):
         raise StepFileError("the names of the columns are missing", path, text.count(b"\n"))
     clock, *numbers = (float(match[k]) for k in range(6, 15))
     steps, matrix = tuple(numbers[:4]), np.reshape(numbers[4:], (2, 2))
     if min(clock, *steps) <= 0.0 or np.linalg.det(matrix) == 0.0:
-        raise StepFileError("clock, step lengths or belts make no sense", path, 1)
+        raise StepFileError("clock, step lengths or belts are invalid", path, 1)
     header = Header(kind, version, printer, settings, clock, steps, matrix)
     return StepFile(path, header, match.end() + len(NAMES[kind]))
 
@@ -114,11 +118,10 @@ class _Reader:
         self._ended = False
 
     def lines(self, text: bytes) -> Iterator[Positions]:
-        """Whole lines."""
         at = 0
         while at < len(text):
             if self._ended:
-                raise self._wrong("lines after the end")
+                raise self._error("lines after the end")
             if text.startswith(b"#", at):
                 stop = text.index(b"\n", at)
                 yield from self._directive(text[at:stop])
@@ -130,33 +133,31 @@ class _Reader:
                 at = stop
 
     def finish(self, rest: bytes) -> None:
-        """After the last whole line."""
         if rest or not self._ended:
-            raise self._wrong("the file is not complete")
+            raise self._error("the file is incomplete")
 
     def _directive(self, line: bytes) -> Iterator[Positions]:
         if match := START.fullmatch(line):
             tick, *position = (int(number) for number in match.groups())
             if tick < self._tick:
-                raise self._wrong("ticks go backwards")
+                raise self._error("ticks go backwards")
             self._tick, self._position = tick, np.array(position)
             yield self._positions(np.array([tick]), self._position[None], fresh=True)
         elif match := END.fullmatch(line):
             if int(match[2]) != self._rows:
-                raise self._wrong(f"{self._rows} rows where there should be {int(match[2])}")
+                raise self._error(f"{self._rows} rows, but {int(match[2])} were written")
             self._ended = True
         elif not line.startswith(b"#event,"):
-            raise self._wrong("this line is not known")
+            raise self._error("unknown kind of line")
 
     def _rows_of(self, text: bytes) -> Positions:
-        """Rows between two other lines."""
         if self._position is None:
-            raise self._wrong("steps from an unknown position")
+            raise self._error("steps from an unknown position")
         tick, first, second, good = _numbers(text, *self._tables)
         good &= np.diff(tick, prepend=self._tick) >= self._bits * (np.arange(len(tick)) > 0)
         if not good.all():
             self._line += int(np.argmin(good))
-            raise self._wrong("this is no row of steps, or its tick goes backwards")
+            raise self._error("this is not a row of steps, or its tick goes backwards")
         change = np.zeros((len(tick), len(MOTORS)), dtype=np.int64)
         if self._bits:
             for motor in range(len(MOTORS)):
@@ -174,12 +175,12 @@ class _Reader:
         xyze[:, :2] = xyze[:, :2] @ self._to_xy.T
         return Positions(tick, position, xyze, fresh)
 
-    def _wrong(self, cause: str) -> StepFileError:
+    def _error(self, cause: str) -> StepFileError:
         return StepFileError(cause, self._path, self._line)
 
 
 def _table(names: str) -> Integers:
-    """The value that each byte means; −1: none."""
+    """Return the value of each byte; −1: none."""
     table = np.full(256, -1)
     table[list(names.encode())] = np.arange(len(names))
     return table
@@ -188,7 +189,7 @@ def _table(names: str) -> Integers:
 def _numbers(
     text: bytes, first: Integers, second: Integers
 ) -> tuple[Integers, Integers, Integers, Flags]:
-    """The three columns of rows ``123,A,1``, (n,) each, and whether each row is one."""
+    """Return the three columns of rows ``123,A,1``, (n,) each, and whether each is valid."""
     byte = np.frombuffer(text, dtype=np.uint8)
     end = np.flatnonzero(byte == ord("\n"))
     width = np.diff(end, prepend=-1) - len(",A,1\n")

@@ -39,10 +39,10 @@ HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE:
 
 @dataclass(frozen=True, slots=True)
 class StepCounts:
-    """What was stepped: by motor (4,) all steps, and forwards less backwards.
+    """Counts by motor (4,): all steps, and forward minus backward steps.
 
-    ticks: of the whole print; starts: how often the motors' places were given anew; passed: mm
-    of filament in lines passed on.
+    ticks: of the whole print; starts: number of ``Start`` items; passed: mm of filament in lines
+    passed on.
     """
 
     steps: Integers
@@ -53,13 +53,13 @@ class StepCounts:
 
 
 class Stepper:
-    """Commands as steps. strategy: whose command is stepped."""
+    """Stage that turns a strategy's command into steps."""
 
     def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
         self._machine = _Machine(strategy, kinematics, table)
 
     def step(self, chunks: Iterable[Samples]) -> Iterator[Item]:
-        """The steps, with a ``Start`` wherever the machine may stand anew. Raises LimitError."""
+        """Yield the steps, with a ``Start`` after each release. Raises LimitError."""
         for stretch in stretches(chunks):
             for chunk in stretch:
                 yield from self._machine.chunk(chunk)
@@ -68,7 +68,7 @@ class Stepper:
 
     @property
     def counts(self) -> StepCounts:
-        """Of everything, once all steps have been asked for."""
+        """Return the counts of all steps, once they have been yielded."""
         m = self._machine
         return StepCounts(m.steps.copy(), m.net.copy(), m.ticks, m.starts, m.passed)
 
@@ -83,7 +83,7 @@ class _Motor:
         self._last, self._heading = -self._gap, 0
 
     def place(self, due: Integers, direction: Integers, line: Integers) -> Integers:
-        """Ticks (k,) of the next steps, k ≥ 1. Raises LimitError where one comes too late."""
+        """Return the ticks (k,) of the next steps, k ≥ 1. Raises LimitError if one is late."""
         ticks = spaced(due, direction, self._gap, self._last, self._heading)
         late = ticks - due
         if late.max() > self._latest:
@@ -109,7 +109,7 @@ class _Machine:
         self._lengths = np.array([table.belt, table.belt, table.z, table.e])
         self._per_sample, self._clock = table.clock_hz * TS, table.clock_hz
         self._motors = [_Motor(letter, table) for letter in MOTORS]
-        self.known = False  # whether the motors' places are
+        self.known = False  # whether the motors' positions are
         self._u = np.zeros((0, len(MOTORS)))  # the sample before the first interval, and on
         self._line = np.zeros(0, dtype=np.int64)
         self._index = 0  # of the sample _u[1]
@@ -119,7 +119,7 @@ class _Machine:
         self._notes: list[Note] = []
 
     def chunk(self, chunk: Samples) -> Iterator[Item]:
-        """Takes a chunk; yields what nothing can precede any more."""
+        """Take a chunk; yield the items that are final."""
         x, y = chunk.commands[self._strategy].T
         mm = np.column_stack([*self._kinematics.belts(x, y), chunk.xyze[:, Z:]])
         u = np.round(mm, GRAIN) / self._lengths + 0.5
@@ -142,17 +142,16 @@ class _Machine:
         yield from self._take(u[done:], chunk, done)
 
     def end(self) -> Iterator[Item]:
-        """What is left."""
         yield from self._rest(self._end)
         yield End(self._floor)
         self.ticks = self._floor
 
     def _tick(self, index: int) -> int:
-        """Tick at which the millisecond of the sample ``index`` begins."""
+        """Return the tick at which the millisecond of the sample ``index`` begins."""
         return math.ceil(index * self._per_sample)
 
     def _take(self, u: Array, chunk: Samples, row: int) -> Iterator[Item]:
-        """Samples u (n, 4), of which the first is row ``row`` of the chunk."""
+        """Take samples u (n, 4), of which the first is row ``row`` of the chunk."""
         if not len(u):
             return
         line = chunk.line[row : row + len(u)]
@@ -172,7 +171,7 @@ class _Machine:
             yield from self._emit(self._tick(self._index + 1))
 
     def _rest(self, index: int) -> Iterator[Item]:
-        """The machine stands before sample ``index``, and everything up to there is yielded."""
+        """Yield everything up to sample ``index``, before which the machine stands."""
         if self.known:
             self._u = np.concatenate([self._u, self._u[-1:]])
             self._line = np.concatenate([self._line, self._line[-1:]])
@@ -183,7 +182,7 @@ class _Machine:
         yield from self._emit(None)
 
     def _advance(self) -> None:
-        """Steps of the intervals that have a sample on either side."""
+        """Add the steps of the intervals that have a sample on either side."""
         n = len(self._u) - 3
         if n < 1:
             return
@@ -204,7 +203,7 @@ class _Machine:
         self._u, self._line, self._index = self._u[n:], self._line[n:], self._index + n
 
     def _check_speed(self) -> None:
-        """Raises LimitError where the stepping clock is too slow for the command."""
+        """Raise LimitError if the stepping clock is too slow for the command."""
         rate = np.abs(np.diff(self._u[1:-1], axis=0))
         over = ~(rate <= self._per_sample * LEEWAY)  # what is no number is over, too
         if over.any():
@@ -219,7 +218,7 @@ class _Machine:
             )  # fmt: skip
 
     def _emit(self, before: int | None) -> Iterator[Item]:
-        """Steps and notes of ticks below ``before``; None: all."""
+        """Yield steps and notes of ticks below ``before``; None: all."""
         if before is None:
             keys, self._keys = self._keys, self._keys[:0]
             notes, self._notes = tuple(self._notes), []
