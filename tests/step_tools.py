@@ -21,7 +21,7 @@ STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 
 
 def block(xyze: Array, first: int = 0, events: tuple[Event, ...] = ()) -> Samples:
-    """Samples (n, 4) whose command is the path; the line of sample i is i + 1."""
+    """Return samples (n, 4) whose command is the path; the line of sample i is i + 1."""
     line = np.arange(first, first + len(xyze)) + 1
     last = events[-1] if events else None
     ends = isinstance(last, Pause) and released(last)
@@ -29,7 +29,7 @@ def block(xyze: Array, first: int = 0, events: tuple[Event, ...] = ()) -> Sample
 
 
 def released(pause: Pause) -> bool:
-    """Whether the machine may move itself in it."""
+    """Return whether the machine is released in it."""
     action = pause.action
     return isinstance(action, Passthrough) and action.handling is Handling.RELEASE
 
@@ -40,7 +40,7 @@ def line(text: bytes, handling: Handling, seconds: float = 0.0) -> Passthrough:
 
 @dataclass
 class Stepping:
-    """What a stream of samples was stepped into: tick, motor, direction of each step."""
+    """Steps of a stream of samples: tick, motor, direction of each."""
 
     rows: Integers
     starts: list[Start]
@@ -48,7 +48,7 @@ class Stepping:
     counts: StepCounts
 
     def of(self, motor: int) -> tuple[Integers, Integers]:
-        """Ticks and directions of one motor."""
+        """Return ticks and directions of one motor."""
         mine = self.rows[self.rows[:, 1] == motor]
         return mine[:, 0], mine[:, 2]
 
@@ -72,7 +72,7 @@ def stepped(blocks: list[Samples], table: Steps, kinematics: Kinematics | None =
 def write_steps(
     path: Path, lines: list[bytes], printer: Printer, kind: str = "steps", strategy: str = "racking"
 ) -> Report:
-    """A whole conversion to an uncompressed step file, without its events."""
+    """Write a whole conversion to an uncompressed step file, without its events."""
     pieces = StepConversion(iter(lines), printer, Options(strategy), kind)
     path.write_bytes(b"".join(piece for piece in pieces if isinstance(piece, bytes)))
     return pieces.report()

@@ -31,7 +31,7 @@ ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever
 def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator[Array]:
     """Yield tables (n, len(COLUMNS)) of a strategy's command. t: the end of a sample's millisecond.
 
-    The prediction starts from rest wherever the machine may stand anew.
+    The prediction starts from rest after each release of the machine.
     """
     for stretch in stretches(chunks):
         response: Response | None = None

@@ -121,7 +121,7 @@ class WholeFileOs:
 
     @staticmethod
     def read(fd: int, _size: int) -> bytes:
-        """Everything left to read; klippy drops a last line without its newline, so add it."""
+        """Return the rest of the input, with a last newline, which klippy needs."""
         with open(fd, "rb", closefd=False) as file:
             data = file.read()
         return data if not data or data.endswith(b"\n") else data + b"\n"

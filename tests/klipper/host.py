@@ -63,7 +63,7 @@ class Steps:
     size: float
 
     def position(self, t: ArrayLike) -> Floats:
-        """Motor position (n,) in mm at times ``t`` (n,) in s, counted in whole steps from 0."""
+        """Return the motor position (n,) in mm at times ``t`` (n,) in s, in steps from 0."""
         counts = np.concatenate([[0], np.cumsum(self.direction, dtype=np.int64)])
         position: Floats = self.size * counts[np.searchsorted(self.time, t, side="right")]
         return position
@@ -71,7 +71,7 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """What the host made of a file.
+    """Motion that the host planned for a file.
 
     moves : (n,) of ``MOVE``, the toolhead's motion queue in order of time
     extruder : (m,) of ``MOVE``, the extruder's, with the filament position in ``start[:, 0]``
@@ -87,32 +87,32 @@ class Playback:
 
     @property
     def start(self) -> float:
-        """Time in s at which the first move of toolhead or extruder begins, 0 without any."""
+        """Return the time in s at which the first move begins, 0 without any."""
         return min((float(queue["print_time"][0]) for queue in self._queues()), default=0.0)
 
     @property
     def end(self) -> float:
-        """Time in s at which the last move of toolhead or extruder ends, 0 without any."""
+        """Return the time in s at which the last move ends, 0 without any."""
         return max((_end(queue[-1]) for queue in self._queues()), default=0.0)
 
     @property
     def duration(self) -> float:
-        """Time in s from ``start`` to ``end``, rests in between included."""
+        """Return the time in s from ``start`` to ``end``, rests in between included."""
         return self.end - self.start
 
     def position(self, t: ArrayLike) -> Floats:
-        """Planned tool position (n, 3) in mm at times ``t`` (n,) in s.
+        """Return the planned tool position (n, 3) in mm at times ``t`` (n,) in s.
 
         Between moves and after the last it is where the move before ended.
         """
         return _evaluate(self.moves, t)
 
     def extruded(self, t: ArrayLike) -> Floats:
-        """Planned filament position (n,) in mm at times ``t`` (n,) in s, 0 before any move."""
+        """Return the planned filament (n,) in mm at times ``t`` (n,) in s, 0 before any move."""
         return _evaluate(self.extruder, t)[:, 0]
 
     def steps(self) -> dict[str, Steps]:
-        """Steps of the motors ``A`` (x + y), ``B`` (x - y), ``z`` and ``e``.
+        """Return the steps of the motors ``A`` (x + y), ``B`` (x - y), ``z`` and ``e``.
 
         Decoded from the commands to the controller, hence with the host's step compression
         (25 us at most). Counts start at 0 where the first G28 declared the origin. A motor
@@ -166,13 +166,13 @@ def play(
 
 
 def _configuration(limits: Mapping[str, float]) -> str:
-    """The template with ``limits``: of an option given twice, klippy takes the last value."""
+    """Return the template with ``limits``; klippy takes the last value of an option."""
     lines = [f"{option}: {float(value)!r}" for option, value in limits.items()]
     return "\n".join([TEMPLATE.read_text(), "[printer]", *lines, ""])
 
 
 def _run(workdir: Path, arguments: list[str], log: Path) -> tuple[str, float]:
-    """Run klippy; its log from the end of the configuration on, and its last print time in s."""
+    """Run klippy; return its log after the configuration and its last print time in s."""
     # -P keeps this folder's modules out of klippy's way.
     command = [sys.executable, "-P", str(BATCH), str(workdir), *arguments]
     try:
@@ -190,7 +190,7 @@ def _run(workdir: Path, arguments: list[str], log: Path) -> tuple[str, float]:
 
 
 def _messages(log: Path) -> str:
-    """The log without the configuration, which it repeats between rules."""
+    """Return the log without the configuration, which it repeats between rules."""
     text = log.read_text(errors="replace") if log.exists() else ""
     return re.split(r"^={23}$", text, flags=re.MULTILINE)[-1]
 
@@ -201,12 +201,12 @@ def _failure(reason: str, output: str) -> KlippyError:
 
 
 def _end(move: np.void) -> float:
-    """Time in s at which a move ends."""
+    """Return the time in s at which a move ends."""
     return float(move["print_time"] + move["accel_t"] + move["cruise_t"] + move["decel_t"])
 
 
 def _evaluate(moves: NDArray[np.void], t: ArrayLike) -> Floats:
-    """Positions (n, 3) in mm at times ``t`` (n,) in s; zeros if there are no moves."""
+    """Return positions (n, 3) in mm at times ``t`` (n,) in s; zeros if there are no moves."""
     times = np.atleast_1d(np.asarray(t, dtype=np.float64))
     if not len(moves):
         return np.zeros((len(times), 3))
@@ -227,7 +227,7 @@ def _evaluate(moves: NDArray[np.void], t: ArrayLike) -> Floats:
 
 
 def _integers(stream: bytes) -> Ints:
-    """All integers (n,) of the stream of blocks, message ids and parameters alike.
+    """Return all integers (n,) of the stream of blocks, message ids and parameters alike.
 
     A block is its length, a sequence byte, whole messages, a checksum of two bytes and a sync
     byte. An integer is big-endian in groups of 7 bits, bit 7 set on all bytes but the last; a
@@ -249,7 +249,7 @@ def _integers(stream: bytes) -> Ints:
 
 
 class _Stepping:
-    """The messages that concern steppers, picked from the stream's integers."""
+    """Return the messages that concern steppers, picked from the stream's integers."""
 
     def __init__(self, integers: Ints) -> None:
         ids = {text.split()[0]: i for i, text in enumerate(COMMANDS, start=1)}
@@ -267,7 +267,7 @@ class _Stepping:
         self._oid_of_pin = {int(integers[at + 2]): int(integers[at + 1]) for at in config}
 
     def train(self, step_pin: int) -> tuple[Floats, NDArray[np.int8]]:
-        """Times (n,) in s and directions (n,) of the steps on a pin.
+        """Return times (n,) in s and directions (n,) of the steps on a pin.
 
         reset_step_clock is not looked at: it comes once, with clock 0, since nothing homes.
         """

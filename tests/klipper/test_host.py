@@ -36,7 +36,7 @@ def play_text(folder: Path, text: str, **limits: float) -> Playback:
 
 
 def trapezoid_time(distance: float, speed: float, accel: float) -> float:
-    """Time in s from rest to rest for a distance long enough to reach the speed."""
+    """Return the time in s from rest to rest for a distance long enough to reach the speed."""
     return distance / speed + speed / accel
 
 

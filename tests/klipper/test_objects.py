@@ -54,7 +54,7 @@ def loop(x: float, y: float) -> list[str]:
 
 
 def objects(layers: int = 2) -> list[str]:
-    """Labelled objects as OrcaSlicer writes them, with its spiral lift."""
+    """Return labelled objects as OrcaSlicer writes them, with its spiral lift."""
     lines = [f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in OBJECTS]
     for k in range(layers):
         z = 0.2 * (k + 1)
@@ -67,7 +67,7 @@ def objects(layers: int = 2) -> list[str]:
 
 
 def both(lines: list[str], folder: Path) -> tuple[Playback, Playback]:
-    """The file as sliced and as converted, played."""
+    """Return the file as sliced and as converted, both played."""
     paper = load("paper")
     limits = replace(paper.limits, z_velocity=20.0, z_acceleration=500.0)
     conversion = GcodeConversion(
@@ -84,7 +84,7 @@ def both(lines: list[str], folder: Path) -> tuple[Playback, Playback]:
 
 
 def left_out(name: str) -> list[str]:
-    """The print with an object cancelled while another one is printed.
+    """Return the print with an object cancelled while another one is printed.
 
     Of the one being printed, Klipper loses count of filament in the file as sliced, too.
     """
@@ -177,7 +177,7 @@ WINDOW = 2e-3  # s; what a belt does within is not the motors' but the teeth's b
 
 
 def strokes(n: int) -> list[str]:
-    """Lines in any direction, with a retraction and a travel between them."""
+    """Return lines in any direction, with a retraction and a travel between them."""
     rng = np.random.default_rng(7)
     lines, at = [*HEAD, "G1 Z.3 F600", "G1 X120 Y120 F9000"], np.array([120.0, 120.0])
     for _ in range(n):
@@ -258,7 +258,7 @@ WHOLE = {"max_accel": 10_000.0, "max_velocity": 300.0}
 
 @pytest.fixture(scope="module")
 def labelled() -> list[bytes]:
-    """Objects of strokes between retractions and lifts, converted, row by row."""
+    """Return objects of strokes between retractions and lifts, converted, row by row."""
     rng, lines = (
         np.random.default_rng(5),
         [f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in OBJECTS],
@@ -277,7 +277,7 @@ def labelled() -> list[bytes]:
 
 
 def interrupted(kind: str, rows: list[bytes], at: int) -> list[bytes]:
-    """The rows with a pause, a cancelled print or a cancelled object before row ``at``."""
+    """Return the rows with a pause, a cancelled print or a cancelled object before row ``at``."""
     if kind == "pause":
         return [*rows[:at], b"PAUSE\n", *PARK, b"RESUME\n", *rows[at:]]
     if kind == "cancel":

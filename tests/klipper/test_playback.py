@@ -25,7 +25,7 @@ MOVING = 2e-4  # mm a millisecond
 
 
 def hops(seed: int, count: int) -> list[bytes]:
-    """Lines in any direction; between them retraction, lift, travel, drop, priming."""
+    """Return lines in any direction; between them retraction, lift, travel, drop, priming."""
     rng, at = np.random.default_rng(seed), np.array([100.0, 100.0])
     lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X100 Y100 F9000"]
     for _ in range(count):
@@ -41,7 +41,7 @@ def hops(seed: int, count: int) -> list[bytes]:
 
 @dataclass
 class Played:
-    """A sample, its intended command (n, 2), z and e (n, 2), and what Klipper made of it."""
+    """Sample, its intended command (n, 2), z and e (n, 2), and its playback by Klipper."""
 
     command: Array
     z_e: Array
@@ -70,7 +70,7 @@ def lines_played(lines: list[bytes], folder: Path, options: Options) -> Played:
 
 
 def offset_between(run: Played, first: int, last: int, guess: float) -> float:
-    """Klipper's time of sample 0 (s), by least squares over samples first … last."""
+    """Return Klipper's time of sample 0 (s), by least squares over samples first … last."""
     index = np.arange(first, last)
     for _ in range(6):
         t = index * TS + guess
@@ -82,7 +82,7 @@ def offset_between(run: Played, first: int, last: int, guess: float) -> float:
 
 
 def first_offset(run: Played) -> tuple[int, float]:
-    """First sample in motion, and Klipper's time of sample 0 as the first seconds tell."""
+    """Return the first sample in motion, and Klipper's time of sample 0 by the first seconds."""
     moving = np.abs(np.diff(run.command, axis=0)).max(axis=1) > MOVING
     start = int(np.argmax(moving))
     last = min(start + 6000, len(run.command))

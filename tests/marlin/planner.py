@@ -1,4 +1,4 @@
-"""What Marlin makes of a file: the times of the motors' steps, without a printer.
+"""Simulation of Marlin: the times of the motors' steps for a file, without a printer.
 
 Written from what Marlin's documentation and behaviour say of its planner, for belts A = x + y,
 B = x − y (or one motor an axis). It follows a file line by line:
@@ -32,7 +32,7 @@ SHALLOW = -math.sqrt(0.5)  # cosine of the angle between segments
 
 @dataclass
 class Build:
-    """How a firmware was built and set up; mm, s. belt, z, e: mm per step."""
+    """Build options and settings of a firmware; mm, s. belt, z, e: mm per step."""
 
     belt: float
     z: float
@@ -43,7 +43,7 @@ class Build:
     timer_hz: float = 2e6
     planner: str = "2.1"  # 2.0, 2.1, 2.1-dev or ft-motion
     s_curve: bool = False  # S_CURVE_ACCELERATION, of 2.0 and 2.1
-    extra_tick: bool = False  # the timer counts one tick beyond what it is told
+    extra_tick: bool = False  # the timer counts one tick more than it is set to
     smoothing_hz: float = 0.0  # of interrupts, up to which ADAPTIVE_STEP_SMOOTHING splits steps
     max_velocity: list[float] = field(default_factory=lambda: [300.0, 300.0, 20.0, 60.0])
     max_acceleration: list[float] = field(default_factory=lambda: [1e4, 1e4, 500.0, 2000.0])
@@ -71,7 +71,7 @@ class Block:
 
     @property
     def rate(self) -> float:
-        """Nominal steps per second of the leading motor."""
+        """Return the nominal steps per second of the leading motor."""
         return self.v * self.n / self.d
 
     @property
@@ -81,7 +81,7 @@ class Block:
 
 @dataclass
 class Run:
-    """What was stepped between two moments with an empty queue; time from its first block."""
+    """Steps between two moments with an empty queue; time counts from the first block."""
 
     time: Array  # (m,) of every step of the leading motor
     steps: Integers  # (m, 4): A, B, z, e after it
@@ -92,14 +92,14 @@ class Run:
         return float(self.time[-1])
 
     def cells(self, t: Array) -> Integers:
-        """Steps (n, 4) made at times t (n,)."""
+        """Return the steps (n, 4) made at times t (n,)."""
         made = np.searchsorted(self.time, t, side="right")
         return np.where(made[:, None] > 0, self.steps[made - 1], self.start)
 
 
 @dataclass
 class FixedTimeRun:
-    """The same where motion is looked up every FRAME, and straight between."""
+    """Steps of fixed-time motion, looked up every FRAME, and straight between."""
 
     frames: Array  # (m, 4): A, B, z, e in steps, not whole
 
@@ -108,7 +108,7 @@ class FixedTimeRun:
         return FRAME * (len(self.frames) - 1)
 
     def cells(self, t: Array) -> Integers:
-        """Steps (n, 4) made at times t (n,): each in the middle between two places."""
+        """Return the steps (n, 4) made at times t (n,): each in the middle between two places."""
         at = np.clip(t / FRAME, 0.0, len(self.frames) - 1.000001)
         k = at.astype(np.int64)
         part = (at - k)[:, None]
@@ -117,7 +117,7 @@ class FixedTimeRun:
 
 
 class Machine:
-    """Follows a file; ``runs`` is filled as the queue runs empty."""
+    """Machine that follows a file; it adds to ``runs`` as the queue runs empty."""
 
     def __init__(self, build: Build) -> None:
         self.build = build
@@ -245,7 +245,7 @@ class Machine:
         self._queue.append(block)
 
     def _corner(self, block: Block, unit: Array) -> float:
-        """Junction deviation, with its bound for short segments of arcs."""
+        """Limit by junction deviation, with its bound for short segments of arcs."""
         cosine = -float(self._unit @ unit)
         if cosine > 0.999999:
             return 0.0
@@ -264,7 +264,7 @@ class Machine:
         return math.sqrt(v2)
 
     def _jerk(self, block: Block, unit: Array) -> float:
-        """Sudden changes of speed, axis by axis.
+        """Limit sudden changes of speed, axis by axis.
 
         Before the development branch, blocks whose speed may be taken up from a standstill, and
         given up to one, begin at their own speed whatever that of the one before.
@@ -314,7 +314,7 @@ class Machine:
 
 
 class _Timer:
-    """Ticks from step to step. Smoothing splits a step into 2, 4, 8 … while the timer can."""
+    """Intervals of steps in ticks. Smoothing splits a step into 2, 4, 8 … while the timer can."""
 
     def __init__(self, build: Build, nominal: int) -> None:
         self.hz, self.extra = build.timer_hz, int(build.extra_tick)
@@ -326,12 +326,12 @@ class _Timer:
         return int(self.hz // (rate << self.shift))
 
     def taken(self, counted: Array) -> Array:
-        """Ticks (n,) of whole steps, of which the parts were counted (n << shift,)."""
+        """Return the ticks (n,) of whole steps, of which the parts were counted (n << shift,)."""
         return np.asarray((counted + self.extra).reshape(-1, 1 << self.shift).sum(axis=1))
 
 
 def released(block: Block, build: Build) -> Array:
-    """Ticks (n,) of the steps, as 2.0.9 and 2.1.2 have them.
+    """Return the ticks (n,) of the steps, as 2.0.9 and 2.1.2 have them.
 
     Rates are at least 120 steps a second. Ramps: rising through step ``up``, falling after
     ``n − down``. 2.1 counts the first step into the time of the ramp, 2.0 does not.
@@ -379,13 +379,13 @@ def _reach(rate: float, a: float, steps: int) -> float:
 
 
 def _curve(start: int, end: int, a: float, t: float) -> int:
-    """Rate on the Bézier curve of sixth order that lasts as long as a line would."""
+    """Return the rate on the Bézier curve of sixth order that lasts as long as a line would."""
     u = min(a * t / abs(end - start), 1.0) if end != start else 1.0
     return int(start + (end - start) * (u**3 * (10.0 - 15.0 * u + 6.0 * u**2)))
 
 
 def development(block: Block, build: Build) -> Array:
-    """Ticks (n,) of the steps, as the development branch has them since the end of 2024.
+    """Return the ticks (n,) of the steps, as the development branch has them since the end of 2024.
 
     Both ramps begin half an interval on; falling takes whole steps rounded up.
     """
@@ -419,14 +419,14 @@ def development(block: Block, build: Build) -> Array:
 
 
 def _spread(block: Block) -> Integers:
-    """Steps (n, 4) of all motors after each step of the leading one."""
+    """Return the steps (n, 4) of all motors after each step of the leading one."""
     k = np.arange(1, block.n + 1)[:, None]
     made = (2 * k * np.abs(block.delta) + block.n) // (2 * block.n)
     return np.asarray(block.start + np.sign(block.delta) * made)
 
 
 def fixed_time(blocks: list[Block]) -> FixedTimeRun:
-    """Exact trapezoids in time, looked up every millisecond."""
+    """Return exact trapezoids in time, looked up every millisecond."""
     durations, shares = [], []
     for block in blocks:
         a, v_s, v_e = block.path_acceleration, block.entry, block.exit
@@ -452,7 +452,7 @@ def fixed_time(blocks: list[Block]) -> FixedTimeRun:
 
 
 def xy(cells: Integers, build: Build) -> Array:
-    """mm (n, 2) at steps (n, 4)."""
+    """Return x and y (n, 2) in mm at steps (n, 4)."""
     a, b = cells[:, 0], cells[:, 1]
     planar = np.stack([a, b] if build.cartesian else [(a + b) / 2.0, (a - b) / 2.0], axis=1)
     return np.asarray(planar * build.belt)

@@ -40,11 +40,11 @@ class Played:
     machine: Machine
 
     def at(self, t: NDArray[np.floating[Any]]) -> Array:
-        """Command (m, 2) of the simulated firmware at its times t (m,)."""
+        """Return the command (m, 2) of the simulated firmware at its times t (m,)."""
         return xy(self.run.cells(np.asarray(t, dtype=np.float64)), self.build)
 
     def lateness(self, first: int, guess: float, reach: float) -> tuple[float, Array]:
-        """Seconds that fit best over a window, and what is left: distances (WINDOW,), mm."""
+        """Return the best-fit lateness (s) over a window, and residual distances (WINDOW,), mm."""
         index = np.arange(first, min(first + WINDOW, len(self.command)))
 
         def miss(late: float) -> float:
@@ -55,7 +55,7 @@ class Played:
         return guess, np.hypot(*(self.at(index * TS + guess) - self.command[index]).T)
 
     def track(self) -> tuple[Array, Array, Array]:
-        """First samples of the windows, lateness (s) in each, and what is left, mm."""
+        """Return the first samples of the windows, lateness (s) in each, and residuals, mm."""
         late, _ = self.lateness(0, 0.0, 0.4)
         found, left, first = [], [], list(range(STEP, len(self.command) - WINDOW, STEP))
         for start in first:
@@ -72,7 +72,7 @@ def built(printer: Printer, **how: object) -> Build:
 
 
 def intended(lines: list[bytes], printer: Printer) -> Array:
-    """The command (n, 2) that is to be played."""
+    """Return the command (n, 2) that is to be played."""
     options = Options(printer.compensation.strategy)
     blocks = Commands(iter(lines), printer, options).computed()
     return np.concatenate([b.commands[options.strategy] for b in blocks])
@@ -91,7 +91,7 @@ def laps(count: int = LAPS) -> list[bytes]:
 
 
 def drift(first: Array, late: Array) -> float:
-    """ms in a minute, by a straight line."""
+    """Return the drift in ms a minute, by a straight line."""
     return float(np.polyfit(first * TS, late, 1)[0] * 60.0 * 1e3)
 
 
@@ -130,7 +130,7 @@ REAL = [
 
 @pytest.fixture(scope="module")
 def command_of_laps() -> Array:
-    """What those streams were to play; kept in µm."""
+    """Return the commands of those streams, stored in µm."""
     with np.load(STREAMS / "laps.npz") as kept:
         return np.asarray(kept["um"] * 1e-3)
 
@@ -283,7 +283,7 @@ def test_prism_keeps_place(marlin: Printer) -> None:
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:
-    """µm RMS."""
+    """Return the RMS in µm."""
     found = [j.contour[name] for j in judge([block], printer.plant, 1)]
     return 1e3 * rms(np.concatenate(found))
 
@@ -291,7 +291,7 @@ def contour(block: Samples, printer: Printer, name: str) -> float:
 def test_nozzle_follows_with_marlins_command(
     marlin: Printer, rectangle: Played, commands: Callable[[str], Samples]
 ) -> None:
-    """Predicted contour error with the simulated firmware's command for the intended one."""
+    """The predicted contour error holds for the simulated firmware's command, too."""
     block = commands("racking")
     one = played(sample("rectangle.gcode"), marlin)
     late, _ = one.lateness(len(block) // 2, 0.0, 0.4)

@@ -69,11 +69,11 @@ class Klipper:
         if printer.firmware.klipper is None:
             cause = "the table is missing: Klipper's own limits"
             raise PrinterError(cause, "firmware.klipper", printer.name)
-        own = printer.limits
-        limits = StreamLimits.from_limits(own, printer.motors, printer.kinematics)
+        users = printer.limits
+        limits = StreamLimits.from_limits(users, printer.motors, printer.kinematics)
         return cls(
-            printer.firmware.klipper, limits, tolerance, own.velocity,
-            own.square_corner_velocity, retract_moving,
+            printer.firmware.klipper, limits, tolerance, users.velocity,
+            users.square_corner_velocity, retract_moving,
         )  # fmt: skip
 
     @property
@@ -114,18 +114,18 @@ class Klipper:
         return [line.encode() for line in [STAND, *start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        own, names = self.table, coordinates(state.offset, at[:E] - state.offset)
-        if own.end_macro:
-            stop = [own.end_macro]
+        table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
+        if table.end_macro:
+            stop = [table.end_macro]
         else:
             stop = [
                 _limit(
-                    own.velocity, own.acceleration,
-                    own.square_corner_velocity, own.minimum_cruise_ratio,
+                    table.velocity, table.acceleration,
+                    table.square_corner_velocity, table.minimum_cruise_ratio,
                 )
             ]  # fmt: skip
-            if own.shaper_freq_x or own.shaper_freq_y:
-                x, y = own.shaper_freq_x, own.shaper_freq_y
+            if table.shaper_freq_x or table.shaper_freq_y:
+                x, y = table.shaper_freq_x, table.shaper_freq_y
                 stop.append(
                     f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
                 )
@@ -143,10 +143,10 @@ class Klipper:
 
         It does so in the first move that changes x or y, at the speed and acceleration of that.
         """
-        own, to, axis = self.table, at.copy(), int(np.abs(way).argmax())
+        table, to, axis = self.table, at.copy(), int(np.abs(way).argmax())
         to[axis] += math.copysign(NUDGE, way[axis])
         place = " ".join(f"{name}{plain(p, 6)}" for name, p in zip("XYZ", to, strict=False))
-        speed, a = min(self.travel, own.velocity), own.acceleration
+        speed, a = min(self.travel, table.velocity), table.acceleration
         text = (
             f"SET_VELOCITY_LIMIT ACCEL={plain(a, 0)}\n"
             f"G1 {place} F{plain(60.0 * speed, 1)}\n"

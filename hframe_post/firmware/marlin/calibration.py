@@ -123,11 +123,11 @@ def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) ->
 
 
 def _lines(printer: Printer, marlin: Marlin, parts: tuple[Part, ...]) -> list[bytes]:
-    limits, own = printer.limits, marlin.table
+    limits, table = printer.limits, marlin.table
     a, v = plain(limits.acceleration, 0), plain(limits.velocity + 1.0, 0)
     y = plain(sum(printer.travel.y) / 2.0, 3)
-    corners = "X1 Y1 E1" if own.classic_jerk else "J0.3"  # a reversal is a stop with either
-    motion = "M493 S1 X0 Y0 C0 P0" if own.planner == "ft-motion" else "M493 S0"
+    corners = "X1 Y1 E1" if table.classic_jerk else "J0.3"  # a reversal is a stop with either
+    motion = "M493 S1 X0 Y0 C0 P0" if table.planner == "ft-motion" else "M493 S0"
     text = [
         "; home first; the duration of each part shows the planner and the timer", "M400",
         "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -90,23 +91,10 @@ UNROUNDED = Timer(1e15)  # with ticks too short for rounding to matter
 BlockTimes = Callable[[Blocks, Array, Array, Array, Timer, bool], Array]
 
 
-def times_2_0(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool
-) -> Array:
-    """Return block times of 2.0, in which the first ramp begins at the begin rate."""
-    return _released_times(blocks, begin, rate, end, timer, s_curve, ahead=0.0)
-
-
-def times_2_1(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool
-) -> Array:
-    """Return block times of 2.1, in which the rising ramp is ahead by the first interval."""
-    return _released_times(blocks, begin, rate, end, timer, s_curve, ahead=1.0)
-
-
 def _released_times(
     blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool, ahead: float
 ) -> Array:
+    """Return block times of 2.0 and 2.1; ahead: share of the first interval, see the table."""
     n, _, a, _ = blocks
     begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), 120.0), rate) for w in (begin, end))
     rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
@@ -125,6 +113,10 @@ def _released_times(
     top = np.maximum(reach if s_curve else top, end)
     drop, _ = _ramp(top, end, a, falling, np.zeros(len(n)), shares, timer, s_curve)
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
+
+
+times_2_0 = partial(_released_times, ahead=0.0)
+times_2_1 = partial(_released_times, ahead=1.0)
 
 
 def times_2_1_dev(

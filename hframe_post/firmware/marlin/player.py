@@ -82,25 +82,26 @@ class Marlin:
         return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        own = self.table
+        table = self.table
         velocity, acceleration = (
-            f"X{plain(x, 3)} Y{plain(y, 3)}" for x, y in (own.max_velocity, own.max_acceleration)
+            f"X{plain(x, 3)} Y{plain(y, 3)}"
+            for x, y in (table.max_velocity, table.max_acceleration)
         )
-        least = f"S{plain(own.min_velocity, 3)} T{plain(own.min_travel_velocity, 3)}"
+        least = f"S{plain(table.min_velocity, 3)} T{plain(table.min_travel_velocity, 3)}"
         lines = [
             "M400", f"M201 {acceleration}", f"M203 {velocity}",
-            f"M204 P{plain(own.acceleration, 3)} T{plain(own.travel_acceleration, 3)}"
+            f"M204 P{plain(table.acceleration, 3)} T{plain(table.travel_acceleration, 3)}"
             f"{self._retract(True)}",
-            f"M205 B{plain(own.min_segment_time * 1e6, 0)} {least} {self._corners(True)}",
+            f"M205 B{plain(table.min_segment_time * 1e6, 0)} {least} {self._corners(True)}",
         ]  # fmt: skip
-        if own.linear_advance:
-            lines.append(f"M900 K{plain(own.linear_advance, 5)}")
-        for axis, frequency in (("X", own.shaper_freq_x), ("Y", own.shaper_freq_y)):
+        if table.linear_advance:
+            lines.append(f"M900 K{plain(table.linear_advance, 5)}")
+        for axis, frequency in (("X", table.shaper_freq_x), ("Y", table.shaper_freq_y)):
             if frequency:
                 lines.append(f"M593 {axis} F{plain(frequency, 3)}")
-        if own.fixed_time_motion or self._planner.fixed_time:
-            lines.append(f"M493 S{own.fixed_time_motion}")
-        for axis, shaper in zip("XY", own.fixed_time_shaper, strict=True):
+        if table.fixed_time_motion or self._planner.fixed_time:
+            lines.append(f"M493 S{table.fixed_time_motion}")
+        for axis, shaper in zip("XY", table.fixed_time_shaper, strict=True):
             if shaper:  # the mode is a word of the axis, or of C in later builds
                 lines.append(f"M493 {axis}{shaper:.0f} C{shaper:.0f}")
         lines += [
@@ -191,15 +192,19 @@ class Marlin:
 
     def _retract(self, users: bool) -> str:
         """Return the word of M204 for the acceleration that retractions are planned with."""
-        own = self.table.retract_acceleration
-        return f" R{plain(own if users else self.limits.extruder_acceleration, 3)}" if own else ""
+        retract = self.table.retract_acceleration
+        return (
+            f" R{plain(retract if users else self.limits.extruder_acceleration, 3)}"
+            if retract
+            else ""
+        )
 
     def _corners(self, users: bool) -> str:
         """Return the words of M205 that set the limits of corners."""
-        own = self.table
-        if not own.classic_jerk:
-            return f"J{plain(own.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
-        x, y, e = (*own.jerk, own.jerk_e) if users else (JERK, JERK, JERK)
+        table = self.table
+        if not table.classic_jerk:
+            return f"J{plain(table.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
+        x, y, e = (*table.jerk, table.jerk_e) if users else (JERK, JERK, JERK)
         return f"X{plain(x, 3)} Y{plain(y, 3)} E{plain(e, 3)}"
 
     @property
@@ -242,13 +247,15 @@ class Marlin:
 
     @property
     def _planner(self) -> Planner:
-        own = self.table
-        return make_planner(own.planner, self._timer, own.classic_jerk, own.s_curve_acceleration)
+        table = self.table
+        return make_planner(
+            table.planner, self._timer, table.classic_jerk, table.s_curve_acceleration
+        )
 
     @property
     def _timer(self) -> Timer:
-        own = self.table
-        return Timer(own.timer_hz, own.timer_extra_tick, own.adaptive_step_smoothing)
+        table = self.table
+        return Timer(table.timer_hz, table.timer_extra_tick, table.adaptive_step_smoothing)
 
     def _blocks(self, at: Array) -> Blocks:
         """Return the blocks of segments between positions at (k + 1, 4)."""
