@@ -1,4 +1,4 @@
-"""The wheel holds all that the tool needs, and what it was built from."""
+"""The wheel holds everything the tool needs, and its sources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 @pytest.fixture
 def wheel(tmp_path: Path) -> Path:
-    """Built from the source distribution, so that holds all that is needed, too."""
+    """Build the wheel from the source distribution, which must be complete for that."""
     build = [sys.executable, "-W", "error", "-m", "build", "-q", "--outdir", str(tmp_path)]
     subprocess.run([*build, str(ROOT)], check=True)
     assert len(list(tmp_path.glob("*.tar.gz"))) == 1
@@ -55,7 +55,7 @@ def test_the_wheel_converts_the_sample_in_an_empty_environment(wheel: Path, tmp_
 
 
 def converts(program: Path, folder: Path) -> None:
-    """That program does what this tree does, in several processes and for several files."""
+    """Check that the program writes the same as this tree, in several processes and in a batch."""
     environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     cube, rectangle = SAMPLES / "cube.gcode", SAMPLES / "rectangle.gcode"
     whole: list[str | Path] = [program, cube, "-q", "-o", folder / "cube.gcode", "--jobs", "2"]

@@ -1,4 +1,4 @@
-"""``hframe-post batch``: many files, each as if it were alone."""
+"""``hframe-post batch``: each file is converted as if it were alone."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     assert sorted(path.name for path in out.iterdir()) == ["a.gcode", "c.gcode"]
     for path in out.iterdir():
         assert path.read_bytes() == (tmp_path / "single.gcode").read_bytes()
-    told = json.loads((tmp_path / "s.json").read_text())
-    assert [each["state"] for each in told["files"]] == ["done", "failed", "done"]
-    assert told["files"][1]["error"].startswith("line 3: ")
-    assert told["files"][0]["summary"]["moves"] == 4
+    summary = json.loads((tmp_path / "s.json").read_text())
+    assert [each["state"] for each in summary["files"]] == ["done", "failed", "done"]
+    assert summary["files"][1]["error"].startswith("line 3: ")
+    assert summary["files"][0]["summary"]["moves"] == 4
     assert "\x1b" not in done.stderr.decode()
 
 

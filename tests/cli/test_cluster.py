@@ -48,12 +48,12 @@ def single(source: Path, folder: Path, *options: str | Path) -> bytes:
     return (folder / "single.gcode").read_bytes()
 
 
-def told(path: Path) -> list[dict[str, Any]]:
+def files_of(path: Path) -> list[dict[str, Any]]:
     files: list[dict[str, Any]] = json.loads(path.read_text())["files"]
     return files
 
 
-def test_by_content_the_bytes_are_those_of_this_machine(scheduler: str, tmp_path: Path) -> None:
+def test_the_bytes_are_those_of_this_machine(scheduler: str, tmp_path: Path) -> None:
     """With a profile that no worker has, and a name with spaces."""
     part, bad, own = tmp_path / "the part.gcode", tmp_path / "bad.gcode", tmp_path / "my own.toml"
     shutil.copy(RECTANGLE, part)
@@ -64,7 +64,7 @@ def test_by_content_the_bytes_are_those_of_this_machine(scheduler: str, tmp_path
                "--json", tmp_path / "s.json")  # fmt: skip
     assert done.returncode == 1
     assert (tmp_path / "out" / part.name).read_bytes() == expected
-    good, failed = told(tmp_path / "s.json")
+    good, failed = files_of(tmp_path / "s.json")
     assert good["worker"].startswith("tcp://")
     assert failed["error"].startswith("line 3: ")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [part.name]
@@ -102,7 +102,7 @@ def converting(name: str) -> list[int]:
 
 
 def parent(pid: int) -> int:
-    """Of a process; 0 if it is gone."""
+    """Return the parent of a process; 0 if it has ended."""
     return int(read(Path(f"/proc/{pid}/stat")).rpartition(b")")[2].split()[1:2][0] or 0)
 
 
@@ -118,7 +118,7 @@ def test_wrong_usage(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_where_no_cluster_is_the_error_says_what_to_do(tmp_path: Path) -> None:
+def test_without_a_cluster_the_error_says_what_to_do(tmp_path: Path) -> None:
     done = run("batch", RECTANGLE, "-d", tmp_path, "--scheduler", "tcp://127.0.0.1:1")
     assert done.returncode == 1
     assert b"dask scheduler" in done.stderr

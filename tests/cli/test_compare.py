@@ -1,4 +1,4 @@
-"""``hframe-post compare``: its statuses and what it says."""
+"""``hframe-post compare``: exit statuses and messages."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def test_status_and_first_difference(moved: Path) -> None:
 
 def test_standard_input_and_json(moved: Path) -> None:
     done = run("compare", RECTANGLE, "-", "--json", "-", stdin=moved.read_bytes())
-    told = json.loads(done.stdout)
-    assert told["same"] is False
-    assert told["first_difference"]["what"].startswith("b is elsewhere")
+    summary = json.loads(done.stdout)
+    assert summary["same"] is False
+    assert summary["first_difference"]["what"].startswith("b is elsewhere")
 
 
 @pytest.mark.parametrize("bad", ["0", "-1um", "1 parsec", "nan", "um", "1um,", "1um,1mm"])

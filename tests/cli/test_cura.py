@@ -1,4 +1,4 @@
-"""The script for Cura, loaded and run as Cura's PostProcessingPlugin does it, on Cura's text."""
+"""The script for Cura, loaded and run as by Cura's PostProcessingPlugin, on Cura's text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROGRAM = f'"{sys.executable}" -m hframe_post'
 
 
 class Script:
-    """What Cura's Script gives to a script: its settings, read from its JSON."""
+    """The base class in Cura: reads a script's settings from its JSON."""
 
     def __init__(self) -> None:
         self.own: dict[str, str] = {}
@@ -60,7 +60,7 @@ class Logger:
 
 @pytest.fixture
 def cura(monkeypatch: pytest.MonkeyPatch) -> type[Script]:
-    """Modules under the names that Cura has for them. Another Python's settings are about."""
+    """Provide modules under Cura's names, and environment variables of another Python."""
     Message.shown = []
     modules: dict[str, dict[str, Any]] = {
         "PostProcessingPlugin": {},
@@ -80,7 +80,7 @@ def cura(monkeypatch: pytest.MonkeyPatch) -> type[Script]:
 
 
 def loaded(path: Path) -> Any:
-    """An instance of the class, found as Cura finds it: by the file's name."""
+    """Return an instance of the class, found by the file's name as in Cura."""
     name = path.stem
     spec = importlib.util.spec_from_file_location(
         "PostProcessingPlugin.PostProcessingPlugin." + name, path
@@ -102,7 +102,7 @@ def own(cura: type[Script], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def data() -> list[str]:
-    """Cura's list: header, start code, layers, end code."""
+    """Return Cura's list of texts: header, start code, layers, end code."""
     text = (SAMPLES / "cube.gcode").read_text()
     header, rest = text.split("\n;LAYER:0", 1)
     layers = re.split(r"(?m)^(?=;LAYER:)", ";LAYER:0" + rest)[1:]
@@ -125,7 +125,7 @@ def test_layers_stay_apart_and_are_compensated(own: Any, data: list[str]) -> Non
 
 
 def exported(own: Any, data: list[str]) -> str:
-    """The file that Cura writes, after this script alone; what a script raises it only logs."""
+    """Return the file that Cura writes after this script. Cura only logs what a script raises."""
     parts = own.execute(data)
     parts[0] += ";POSTPROCESSED\n"
     return "".join(parts)
@@ -151,7 +151,7 @@ def test_spaces_in_all_paths(own: Any, data: list[str], tmp_path: Path) -> None:
 def test_without_its_settings_the_script_has_those_of_its_installation(
     own: Any, data: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cura answers None until the script is in a list."""
+    """Cura returns None for settings until the script is in its list."""
     monkeypatch.setattr(type(own), "getSettingValueByKey", lambda self, key: None)
     assert exported(own, data).startswith("; processed by hframe-post")
 

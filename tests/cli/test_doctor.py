@@ -15,10 +15,10 @@ def test_doctor_finds_no_problem_in_a_new_profile_from_printer_cfg(tmp_path: Pat
     assert b"Warning: --description will be removed" in made.stderr
     assert made.returncode == 0, made.stderr
     assert load(str(own)).description == 'my "H"'
-    well = run("doctor", "-p", own, "--printer-cfg", REAL)
-    assert well.returncode == 0, well.stdout
-    assert b"no problems found" in well.stdout
-    assert b"PROBLEM" not in well.stdout
+    done = run("doctor", "-p", own, "--printer-cfg", REAL)
+    assert done.returncode == 0, done.stdout
+    assert b"no problems found" in done.stdout
+    assert b"PROBLEM" not in done.stdout
     assert run(RECTANGLE, "-n", "-p", own).returncode == 0
     again = run("printers", "new", "-o", own, "--printer-cfg", REAL)
     assert again.returncode == 1
@@ -47,9 +47,9 @@ def test_doctor_finds_other_problems(tmp_path: Path) -> None:
     assert b"PROBLEM  " in run("doctor", "--printer-cfg", tmp_path / "no.cfg").stdout
     (tmp_path / "bad.toml").write_text('extends = "paper"\nx = 1\n')
     assert run("doctor", "-p", tmp_path / "bad.toml").returncode == 1
-    gone = run("doctor", "--folder", tmp_path / "gone")
-    assert gone.returncode == 1
-    assert b"files cannot be written" in gone.stdout
+    missing = run("doctor", "--folder", tmp_path / "gone")
+    assert missing.returncode == 1
+    assert b"files cannot be written" in missing.stdout
 
 
 def test_a_new_profile_from_answers(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""As a post-processing program of the real PrusaSlicer."""
+"""The tool as a post-processing program of the real PrusaSlicer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(SLICER is None, reason="prusa-slicer is not inst
 
 
 def plate() -> str:
-    """10 × 10 × 1 mm, as STL."""
+    """Return a plate of 10 × 10 × 1 mm as STL."""
     corners = list(itertools.product((0, 10), (0, 10), (0, 1)))
     sides = ("0132", "4675", "0451", "2376", "0264", "1573")
     triangles = [t for side in sides for t in (side[:3], side[0] + side[2:])]
@@ -32,7 +32,7 @@ def plate() -> str:
 
 
 def sliced(folder: Path, hook: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """What the slicer did in a folder with spaces, with this program as its hook."""
+    """Run the slicer in a folder with spaces, with this tool as its post-processing program."""
     (folder / "the plate.stl").write_text(plate())
     escaped = hook.replace("\\", "\\\\").replace('"', '\\"')  # as in a saved preset
     return subprocess.run(

@@ -1,4 +1,4 @@
-"""Which profile is used, and that the summary says so and why."""
+"""Choice of the profile; the summary names it and the reason."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> 
     used = at_home(RECTANGLE, "-n").stderr.decode()
     assert used.startswith(f"profile     {own} (default set with 'hframe-post use')\n")
     assert str(own) in at_home("use").stdout.decode()
-    told = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
-    assert told["profile"] == str(own)
+    summary = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
+    assert summary["profile"] == str(own)
     assert at_home("use", "--forget").returncode == 0
     assert b"NOT YOURS" in at_home(RECTANGLE, "-n").stderr
 
 
-def test_what_is_more_particular_goes_first(own: Path, tmp_path: Path) -> None:
+def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
     at_home("use", own)
     varied = partial(at_home, HFRAME_PRINTER="paper-marlin")
@@ -47,9 +47,7 @@ def test_what_is_more_particular_goes_first(own: Path, tmp_path: Path) -> None:
         assert done.stderr.decode().startswith("profile     " + start)
 
 
-def test_a_bad_profile_is_not_chosen_and_a_lost_one_not_passed_over(
-    own: Path, tmp_path: Path
-) -> None:
+def test_a_bad_profile_is_refused_and_a_missing_one_is_an_error(own: Path, tmp_path: Path) -> None:
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
     (tmp_path / "bad.toml").write_text('extends = "paper"\nnonsense = 1\n')
     assert at_home("use", tmp_path / "bad.toml").returncode == 1
@@ -62,7 +60,7 @@ def test_a_bad_profile_is_not_chosen_and_a_lost_one_not_passed_over(
     assert at_home(RECTANGLE, "-n", "-p", "paper").returncode == 0
 
 
-def test_a_broken_configuration_is_told_of(tmp_path: Path) -> None:
+def test_a_broken_configuration_is_an_error(tmp_path: Path) -> None:
     config = tmp_path / "hframe-post" / "config.toml"
     config.parent.mkdir()
     for text in ("printer = ", "printer = 3", "\xff"):
@@ -82,11 +80,11 @@ def test_a_broken_configuration_is_told_of(tmp_path: Path) -> None:
         ("a\nHFRAME_PRINTER=big blue.toml\r\nb", "big blue.toml"),
     ],
 )
-def test_notes_of_the_slicers_printer(notes: str, profile: str) -> None:
+def test_the_profile_in_the_slicers_printer_notes(notes: str, profile: str) -> None:
     assert choose(None, {"SLIC3R_PRINTER_NOTES": notes}).profile == profile
 
 
-def test_more_acceleration_than_the_profile_has_is_told_of(paper: Printer) -> None:
+def test_more_acceleration_than_in_the_profile_is_a_warning(paper: Printer) -> None:
     environ = {
         "SLIC3R_INFILL_ACCELERATION": "12000,1000",
         "SLIC3R_TRAVEL_ACCELERATION": "0",

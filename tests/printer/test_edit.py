@@ -1,4 +1,4 @@
-"""Windows changed in a profile's text; all else, comments too, stays as its owner wrote it."""
+"""Changes to a profile's text keep everything else, comments included."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(path: Path, text: str | bytes) -> bytes:
-    """The profile with that text after a change to the windows of ``pair``."""
+    """Return the profile with that text after changing the windows to those of ``pair``."""
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return with_windows(str(path), pair()).encode()
 
 
 def others(text: bytes) -> list[bytes]:
-    """All lines but the four settings."""
+    """Return all lines except the four settings."""
     return [line for line in text.splitlines(keepends=True) if not SETTING.match(line)]
 
 

@@ -1,4 +1,4 @@
-"""Profiles whose plant is no printer's: nothing is compensated with them until it is measured."""
+"""Profiles with an unmeasured plant: nothing is compensated until the printer is measured."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     renamed = run(*line, "--i-know")
     assert renamed.returncode == 0
     assert b"Warning: --i-know will be removed: use --force" in renamed.stderr
-    told = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
-    assert told.returncode == 0, told.stderr
+    done = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
+    assert done.returncode == 0, done.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
     assert b"[example: not measured on a printer]" in run("printers").stdout
     assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout

@@ -1,4 +1,4 @@
-"""A printer.cfg is read as Klipper reads it, and laid beside a profile."""
+"""A printer.cfg is read as Klipper reads it, and compared with a profile."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("max_z_velocity: 20", "max_z_velocity: 10"), "max_z_velocity: 10, but limits.z_velocity"),
         (("max_z_accel: 500", "max_z_accel=400 # slow"), "max_z_accel: 400"),
@@ -62,11 +62,11 @@ def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
     ],
 )
 def test_each_difference_is_wrong(
-    own: Printer, tmp_path: Path, change: tuple[str, str], told: str
+    own: Printer, tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     found = wrong(changed(tmp_path, change), own)
-    assert len(found) == (1 if told else 0)
-    assert told in "".join(found)
+    assert len(found) == (1 if message else 0)
+    assert message in "".join(found)
 
 
 def test_macros_that_the_profile_names_must_be_there(own: Printer, tmp_path: Path) -> None:

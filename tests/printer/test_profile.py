@@ -1,4 +1,4 @@
-"""Profiles: the shipped ones load, the bad ones say which key is wrong and why."""
+"""Shipped profiles load; errors in a profile name the key and the reason."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def error(text: str) -> PrinterError:
 
 
 def edited(pattern: str, replacement: str) -> str:
-    """The paper's profile with one change."""
+    """Return a profile that extends the paper's with one change."""
     text, changes = re.subn(pattern, replacement, PAPER, count=1, flags=re.MULTILINE | re.DOTALL)
     assert changes == 1
     return text
