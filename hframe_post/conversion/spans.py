@@ -34,7 +34,7 @@ class Beginning:
 class Span:
     """Planned items that are computed together; a Halt ends all spans but the last.
 
-    items: a tuple, unless the span is too long to be kept in memory.
+    items: a tuple, unless the span is too long to be kept in memory or the only one of its print.
     """
 
     beginning: Beginning
@@ -55,6 +55,7 @@ class Spans:
         self._first: Planned | None = None  # item of the next span
         self._seconds = 0.0  # of the present span
         self._moved = False  # since the output took control of the machine
+        self._any = False  # whether a span has been yielded
 
     def __iter__(self) -> Iterator[Span]:
         while (span := self._next()) is not None:
@@ -66,7 +67,11 @@ class Spans:
             items.append(item)
             if self._seconds > 4.0 * SECONDS or len(items) > MAX_ITEMS:
                 return Span(beginning, self._streamed(items))
-        return Span(beginning, tuple(items)) if items else None
+        if not items:
+            return None
+        # for the only span of a print, a worker process would take longer to start than it saves
+        only, self._any = not self._any and self._first is None, True
+        return Span(beginning, iter(items) if only else tuple(items))
 
     def _streamed(self, items: list[Planned]) -> Iterator[Planned]:
         yield from items
