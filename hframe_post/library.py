@@ -33,7 +33,7 @@ from hframe_post.page.build import page as print_page
 from hframe_post.prediction import contour
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.simulation import simulate as simulation
 from hframe_post.studies.simulation.report import SimulationReport
 from hframe_post.studies.simulation.uncertainty import draws as drawn

@@ -20,8 +20,8 @@ from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread
 from hframe_post.stream.chunks import join
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 
 settings.register_profile(

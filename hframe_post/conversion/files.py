@@ -20,10 +20,10 @@ from hframe_post.conversion.conversions import (
 from hframe_post.conversion.pipeline import Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
-from hframe_post.gcode.binary import SUFFIX, as_binary, is_binary
+from hframe_post.gcode.lines import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files.atomic_file import Outputs
 from hframe_post.writers.files.compression import compressing
 from hframe_post.writers.samples import COLUMNS, as_csv, write_npz

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z
-from hframe_post.native.kernels import kernel
+from hframe_post.native import kernel
 
 SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long

@@ -12,7 +12,7 @@ from hframe_post.gcode.curves import FARTHEST
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import Bed
 from hframe_post.gcode.state import State
-from hframe_post.native.kernels import kernel
+from hframe_post.native import kernel
 from hframe_post.stream.types import (
     Handling,
     Item,

@@ -1,15 +1,89 @@
-"""The numbered lines of a file, some of which can be seen before their turn."""
+"""The numbered lines of a file, text or binary, some of which can be seen before their turn.
+
+Prusa's binary G-code (.bgcode) is read and written through libbgcode's Python binding, an optional
+extra. It is converted to and from text in temporary files, since libbgcode works on files.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from tempfile import TemporaryDirectory
+from typing import IO, Any
 
-from hframe_post.errors import GcodeError
-from hframe_post.gcode.binary import MAGIC, as_text
+from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode.lexer import Line
+
+MAGIC = b"GCDE"
+SUFFIX = ".bgcode"
+
+
+def is_binary(path: Path) -> bool:
+    """Return whether the first bytes of a file are those of binary G-code."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+@contextmanager
+def as_text(first: bytes, rest: IO[bytes]) -> Iterator[IO[bytes]]:
+    """Open the text of binary G-code that begins with the bytes ``first``. Raises GcodeError."""
+    with TemporaryDirectory(prefix="hframe-post-") as folder:
+        binary, text = Path(folder, "binary"), Path(folder, "text")
+        with binary.open("wb") as copy:
+            copy.write(first)
+            shutil.copyfileobj(rest, copy)
+        cause = _convert("from_binary_to_ascii", binary, text, verify=True)
+        if cause is not None:
+            raise GcodeError(f"this binary G-code cannot be read: {cause}")
+        with text.open("rb") as file:
+            yield file
+
+
+@contextmanager
+def as_binary(target: IO[bytes]) -> Iterator[IO[bytes]]:
+    """Open a file for text that becomes binary G-code in ``target``. Raises HframeError."""
+    with TemporaryDirectory(prefix="hframe-post-") as folder:
+        text, binary = Path(folder, "text"), Path(folder, "binary")
+        with text.open("w+b") as file:
+            yield file
+        cause = _convert("from_ascii_to_binary", text, binary)
+        if cause is not None:
+            raise HframeError(f"this cannot be written as binary G-code: {cause}")
+        with binary.open("rb") as whole:
+            shutil.copyfileobj(whole, target)
+
+
+def _convert(function: str, source: Path, target: Path, verify: bool = False) -> str | None:
+    """Convert a file; return the error message, if there is one."""
+    bgcode = _library()
+    opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
+    try:
+        result = getattr(bgcode, function)(*opened, *((True,) if verify else ()))
+    except (RuntimeError, ValueError, MemoryError) as error:
+        return str(error)
+    finally:
+        for file in opened:
+            bgcode.close(file)
+    if result == bgcode.EResult.Success:
+        return None
+    return str(bgcode.translate_result(result))
+
+
+def _library() -> Any:
+    try:
+        import pybgcode
+    except ImportError:
+        raise HframeError(
+            "this is binary G-code: run pip install 'hframe-post[bgcode]' to read and write it, "
+            "or turn off 'Supports binary G-code' in the slicer's printer settings and slice again"
+        ) from None
+    return pybgcode
+
 
 MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
 MAX_LINES_AHEAD = 4000  # that can be seen before their turn

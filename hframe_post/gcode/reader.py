@@ -28,7 +28,13 @@ from hframe_post.gcode.batching import (
 )
 from hframe_post.gcode.commands import Effect
 from hframe_post.gcode.curves import FARTHEST, check_curve, curve
-from hframe_post.gcode.extrusion import is_absolute
+from hframe_post.gcode.extrusion import (
+    KLIPPER_COMMAND,
+    KLIPPER_PARAMETERS,
+    MARLIN_WORDS,
+    FirmwareRetraction,
+    is_absolute,
+)
 from hframe_post.gcode.lexer import (
     Command,
     Line,
@@ -42,12 +48,6 @@ from hframe_post.gcode.lexer import (
 )
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import Bed, ReadOptions
-from hframe_post.gcode.retraction import (
-    KLIPPER_COMMAND,
-    KLIPPER_PARAMETERS,
-    MARLIN_WORDS,
-    FirmwareRetraction,
-)
 from hframe_post.gcode.state import AXES, State
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 

@@ -49,7 +49,7 @@ from hframe_post.identification.responses.measured import (
     nozzle_responses,
 )
 from hframe_post.model.plant import Plant
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 AXIS = {"Gxx": "x", "Gyy": "y"}

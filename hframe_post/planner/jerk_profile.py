@@ -10,7 +10,7 @@ from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
 from hframe_post.arrays import TS, Array, Flags
 from hframe_post.errors import HframeError
-from hframe_post.native.kernels import kernel
+from hframe_post.native import kernel
 from hframe_post.stream.types import Plan
 
 ALMOST = 0.999  # share of a limit that counts as all of it

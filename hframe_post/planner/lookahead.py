@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
-from hframe_post.model import cornering
+from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
@@ -185,7 +185,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
         by_e = Z_SHARE * limits.extruder_acceleration / retracting
     acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
     corner = np.minimum(moves.corner, limits.square_corner_velocity)
-    deviation = cornering.junction_deviation(corner, acceleration)
+    deviation = junction_deviation(corner, acceleration)
     deviation = np.minimum(deviation, limits.junction_deviation)
     return _Limited(moves.line, moves.points, length, cruise, acceleration, deviation)
 
@@ -193,7 +193,7 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
 def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
     """Return the greatest speed at each vertex, (n + 1,), without limits at the ends."""
     delta = np.diff(moves.points, axis=0)
-    inner = cornering.junction_speeds(
+    inner = junction_speeds(
         delta, moves.length, moves.acceleration, moves.deviation, limits.extruder_corner_velocity
     )
     steep = np.abs(delta[:, Z]) > STEEP * np.hypot(delta[:, 0], delta[:, 1])

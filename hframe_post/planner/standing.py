@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
-from hframe_post.model.trapezoid import Trapezoid
+from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.planner.jerk_profile import samples_until
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Plan, Standing

@@ -6,7 +6,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
 from hframe_post.model.stop_cost import NEAREST
-from hframe_post.native.kernels import kernel
+from hframe_post.native import kernel
 
 COARSE = 3  # samples from one candidate to the next in the first search
 STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import NEAREST
 from hframe_post.prediction.contour import contour_error
+from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches, with_neighbours
-from hframe_post.stream.types import Samples
+from hframe_post.stream.types import Samples, frozen
 
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
@@ -83,3 +85,33 @@ def in_motion(xyze: Array) -> tuple[Flags, Flags]:
     moving[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
     extruding[1:] = moving[1:] & (e[1:] > e[:-1])
     return moving, extruding
+
+
+def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
+    """Yield the chunks with their commands in whole steps."""
+    for stretch in stretches(chunks):
+        for chunk, wide, where in with_neighbours(stretch, 1, 1):
+            commands = {
+                name: frozen(stepped(command, kinematics, steps)[where])
+                for name, command in wide.commands.items()
+            }
+            yield replace(chunk, commands=commands)
+
+
+def stepped(command: Array, kinematics: Kinematics, steps: Steps) -> Array:
+    """Return the command (n, 2) with both belts in whole steps, (n, 2).
+
+    A sample is the mean over the ticks of the millisecond around it, since carriage and belts do
+    not follow a single step at 40 kHz. The command is interpolated at the ticks.
+    """
+    ticks = max(round(steps.clock_hz * TS), 1)
+    belts = kinematics.belts(*command.T).T / steps.belt
+    before, after = (
+        np.diff(belts, axis=0, prepend=belts[:1]),
+        np.diff(belts, axis=0, append=belts[-1:]),
+    )
+    mean = np.zeros_like(belts)
+    for k in range(ticks):
+        at = (k + 0.5) / ticks - 0.5
+        mean += np.rint(belts + at * (before if at < 0.0 else after))
+    return np.asarray(np.linalg.solve(kinematics.matrix, mean.T * (steps.belt / ticks)).T)

@@ -22,7 +22,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 from tests.benchmarks.timing import fastest, seconds
 from tests.conftest import SAMPLES
 

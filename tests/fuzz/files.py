@@ -13,9 +13,8 @@ import numpy as np
 from scipy.io import savemat
 
 from hframe_post.arrays import Array
-from hframe_post.gcode.binary import as_binary
 from hframe_post.gcode.commands import DIALECTS
-from hframe_post.gcode.lines import lines_of
+from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.new_profile import from_klipper, text

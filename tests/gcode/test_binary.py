@@ -10,8 +10,7 @@ import pytest
 
 from hframe_post.conversion import files
 from hframe_post.errors import GcodeError, HframeError
-from hframe_post.gcode.binary import as_binary, as_text, is_binary
-from hframe_post.gcode.lines import lines_of
+from hframe_post.gcode.lines import as_binary, as_text, is_binary, lines_of
 from tests.command_line import run
 from tests.gcode_tools import follow
 from tests.slices import SLICES

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hframe_post.model.trapezoid import Trapezoid
+from hframe_post.model.constant_acceleration import Trapezoid
 
 LENGTHS = st.floats(0.01, 100.0)
 SHARES = st.floats(0.0, 1.0)

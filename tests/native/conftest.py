@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 import hframe_post
-from hframe_post.native import kernels
+from hframe_post import native
 
 SOURCES = Path(hframe_post.__file__).parent / "native"
 
 
 @pytest.fixture(scope="session")
-def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, kernels.Kernel]:
+def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, native.Kernel]:
     compiler = shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0])
     if compiler is None:
         pytest.skip("no C compiler here")
@@ -24,12 +24,12 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, kernels.Kerne
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O3", "-ffp-contract=off", "-fPIC"]
     sources = sorted(map(str, SOURCES.glob("*.c")))
     subprocess.run([compiler, *flags, "-shared", "-o", path, *sources, "-lm"], check=True)
-    found = kernels.loaded(path)
+    found = native.loaded(path)
     assert found is not None
     return found
 
 
 @pytest.fixture
-def compiled(library: dict[str, kernels.Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+def compiled(library: dict[str, native.Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
     """Use the compiled version of every loop."""
-    monkeypatch.setattr(kernels, "built", lambda: library)
+    monkeypatch.setattr(native, "built", lambda: library)

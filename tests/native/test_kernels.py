@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hframe_post import native
 from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware import decimate
-from hframe_post.native import kernels
-from hframe_post.native.kernels import Kernel
+from hframe_post.native import Kernel
 from hframe_post.planner import jerk_profile, sampling
 from hframe_post.prediction import contour
 from hframe_post.printer.settings import Printer
@@ -98,7 +98,7 @@ def test_the_whole_tool(
     options = Options("racking", ("none", "racking"))
     results = []
     for found in (None, library):
-        monkeypatch.setattr(kernels, "built", lambda found=found: found)
+        monkeypatch.setattr(native, "built", lambda found=found: found)
         conversion = GcodeConversion(lines, paper, options)
         text = b"".join(piece for piece in conversion if isinstance(piece, bytes))
         results.append((text, conversion.report().as_text()))
@@ -116,7 +116,7 @@ def test_another_type_or_layout_is_an_error(library: dict[str, Kernel]) -> None:
 def test_a_library_of_another_version_is_not_taken(tmp_path: Path) -> None:
     broken = tmp_path / "broken.so"
     broken.write_bytes(b"no library")
-    assert kernels.loaded(broken) is None
+    assert native.loaded(broken) is None
 
 
 @thorough

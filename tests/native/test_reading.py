@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hframe_post import native
 from hframe_post.errors import HframeError
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
-from hframe_post.native import kernels
-from hframe_post.native.kernels import Kernel
+from hframe_post.native import Kernel
 from hframe_post.printer.settings import Printer
 from tests.conftest import ROOT, SAMPLES
 
@@ -93,7 +93,7 @@ def test_an_error_of_the_source_comes_in_its_turn(library: dict[str, Kernel]) ->
         raise OSError("gone")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "built", lambda: library)
+        patch.setattr(native, "built", lambda: library)
         with pytest.raises(OSError, match="gone"):
             list(read(source(b"G1 X20\n"), ReadOptions(DIALECTS["klipper"])))
         with pytest.raises(HframeError, match="F"):
@@ -104,6 +104,6 @@ def same_either_way(lines: list[bytes], options: ReadOptions, library: dict[str,
     found = []
     for loops in (None, library):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(kernels, "built", lambda loops=loops: loops)
+            patch.setattr(native, "built", lambda loops=loops: loops)
             found.append(items(lines, options))
     assert found[0] == found[1]

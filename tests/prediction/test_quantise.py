@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.prediction.quantise import quantise, stepped
+from hframe_post.prediction.predict import quantise, stepped
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
 

@@ -26,7 +26,7 @@ from hframe_post.firmware.player import (
     coordinates,
     plain,
 )
-from hframe_post.model.trapezoid import Trapezoid
+from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Rests

@@ -10,7 +10,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.firmware import ramps
 from hframe_post.firmware.player import VELOCITY_HEADROOM
-from hframe_post.model import cornering
+from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Limits, Motors
 
@@ -82,8 +82,8 @@ class Ramped:
         a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
         top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
         a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
-        square = cornering.junction_deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
-        inner = cornering.junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
+        square = junction_deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
+        inner = junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
         corners = np.concatenate([[math.inf], inner, [after]])
         return cls(d, a, top, np.where(rest, 0.0, corners))
 

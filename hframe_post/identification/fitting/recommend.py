@@ -11,7 +11,7 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.simulation.reference_path import rectangle
 from hframe_post.studies.simulation.report import SimulationReport
 from hframe_post.studies.simulation.simulate import Study, simulate

@@ -31,7 +31,7 @@ from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.options import Bed
 from hframe_post.gcode.state import AXES, State
-from hframe_post.model import cornering
+from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
 
 EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
@@ -173,8 +173,8 @@ class _Reader:
         d = lengths(delta[:, :E])
         moves = (delta[:, :Z] != 0.0).any(axis=1)
         d = np.where(moves, d, 1.0)  # mm, any length
-        deviation = cornering.junction_deviation(self._limits["SQUARE_CORNER_VELOCITY"], a[0])
-        inner = cornering.junction_speeds(delta, d, a, deviation, EXTRUDER_CORNER_VELOCITY)
+        deviation = junction_deviation(self._limits["SQUARE_CORNER_VELOCITY"], a[0])
+        inner = junction_speeds(delta, d, a, deviation, EXTRUDER_CORNER_VELOCITY)
         inside = np.where(moves[1:] & moves[:-1], inner, 0.0)
         caps = np.concatenate([[math.inf], inside, [math.inf]])
         taken = ramps.durations(d, d / nominal, a, caps, math.inf)

@@ -18,7 +18,7 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.shapers import (
     KLIPPER,
     Shaping,

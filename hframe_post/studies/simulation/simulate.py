@@ -17,8 +17,7 @@ from hframe_post.conversion.meters import JUDGED_EVERY
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
-from hframe_post.prediction.predict import Judgement, judge
-from hframe_post.prediction.quantise import quantise
+from hframe_post.prediction.predict import Judgement, judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches

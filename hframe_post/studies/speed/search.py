@@ -27,7 +27,7 @@ from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer
-from hframe_post.resources import one_blas_thread, release_memory
+from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
 from hframe_post.studies.speed.trial import (

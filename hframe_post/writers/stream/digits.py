@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import HframeError
-from hframe_post.native.kernels import kernel
+from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]
 MINUS, POINT, ZERO = b"-.0"

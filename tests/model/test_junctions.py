@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.model import cornering
+from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 
 SQUARE = 100.0  # mm/s
 A = 2.5e5  # mm/s²
 EXTRUDER = 1.0  # mm/s
-DEVIATION = cornering.junction_deviation(SQUARE, A)
+DEVIATION = junction_deviation(SQUARE, A)
 
 
 def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
     delta = np.array([first, second], dtype=float)
     d = np.linalg.norm(delta[:, :3], axis=1)
-    (v,) = cornering.junction_speeds(delta, d, np.full(2, A), DEVIATION, EXTRUDER)
+    (v,) = junction_speeds(delta, d, np.full(2, A), DEVIATION, EXTRUDER)
     return float(v)
 
 
@@ -72,5 +72,5 @@ def test_sudden_change_of_extrusion_is_limited() -> None:
 def test_slower_of_two_accelerations_counts() -> None:
     delta = np.array([[50.0, 0, 0, 0], [0, 50.0, 0, 0]])
     for a in ([1e5, 2.5e5], [2.5e5, 1e5]):
-        (v,) = cornering.junction_speeds(delta, np.full(2, 50.0), np.array(a), DEVIATION, EXTRUDER)
+        (v,) = junction_speeds(delta, np.full(2, 50.0), np.array(a), DEVIATION, EXTRUDER)
         assert v == pytest.approx(SQUARE * math.sqrt(0.4))

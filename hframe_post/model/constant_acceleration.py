@@ -1,0 +1,104 @@
+"""Motion at constant acceleration, as firmware makes it: speeds at junctions, and trapezoids.
+
+Junction speeds are those of Klipper's ``toolhead`` (docs/Kinematics.md, "Look-ahead"), after Grbl's
+junction deviation: the corner is passed as if on an arc that is tangent to both moves and misses
+their vertex by the junction deviation. With θ the angle between the moves (180° is straight on),
+R = sin(θ/2)/(1 − sin(θ/2)):
+
+    v² ≤ R·deviation·a                  centripetal acceleration on the arc
+    v² ≤ ½·length·a·tan(θ/2)            the arc must fit into half of each move
+    v ≤ corner velocity / |Δ(e per mm)| sudden change of extrusion speed
+
+A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hframe_post.arrays import Array, E
+
+
+def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
+    """Return the junction deviation, mm, for a speed through a right angle; same shapes."""
+    squared = np.square(square_corner_velocity)
+    return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
+
+
+def junction_speeds(
+    delta: Array,
+    length: Array,
+    acceleration: Array,
+    deviations: Array | float,
+    extruder_corner_velocity: float,
+) -> Array:
+    """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
+
+    delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
+    deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
+    """
+    # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
+    unit = delta[:, :E] * (1.0 / length)[:, None]
+    x, y, z = (unit[:-1] * unit[1:]).T
+    cosine = np.clip(-(x + y + z), -1.0, 1.0)
+    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
+    turn, fit = deviations * acceleration, 0.5 * length * acceleration
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
+        v2 = np.fmin(v2, np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half)
+        extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
+    return np.asarray(np.fmin(np.sqrt(v2), extruder))
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoid:
+    """A motion: length (mm), limits of speed and acceleration; v_s, v_e: speeds at its ends."""
+
+    length: float
+    cruise: float
+    acceleration: float
+    v_s: float = 0.0
+    v_e: float = 0.0
+
+    @property
+    def peak(self) -> float:
+        """Return the greatest speed that is reached."""
+        mean = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0
+        return min(self.cruise, math.sqrt(self.length * self.acceleration + mean))
+
+    @property
+    def ramps(self) -> tuple[float, float]:
+        """Return how long it accelerates and brakes, s."""
+        peak = self.peak
+        return (peak - self.v_s) / self.acceleration, (peak - self.v_e) / self.acceleration
+
+    @property
+    def seconds(self) -> float:
+        """Return the duration of all of it."""
+        peak, a = self.peak, self.acceleration
+        ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
+        return (self.length + ramped) / peak
+
+    def slowed_to(self, seconds: float) -> Trapezoid:
+        """Return the same motion at the lower speed at which it takes so long, or itself if longer.
+
+        Solves length = v·T − [(v − v_s)² + (v − v_e)²]/2a for v no lower than v_s and v_e.
+        """
+        if seconds <= self.seconds:
+            return self
+        S = self.acceleration * seconds + self.v_s + self.v_e
+        c = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0 + self.acceleration * self.length
+        v = (S - math.sqrt(max(S * S - 4.0 * c, 0.0))) / 2.0
+        return replace(self, cruise=min(max(v, self.v_s, self.v_e), self.cruise))
+
+    def distance(self, t: Array) -> Array:
+        """Return the distance done (n,), mm, at times t (n,), s, after its beginning."""
+        up, down = self.ramps
+        t = np.clip(t, 0.0, self.seconds)
+        begun, ending = np.minimum(t, up), np.maximum(t - (self.seconds - down), 0.0)
+        lost = self.acceleration * ending * ending / 2.0
+        sped = begun * (self.v_s + self.acceleration * begun / 2.0)
+        return np.asarray(sped + self.peak * (t - begun) - lost)
