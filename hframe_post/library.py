@@ -41,7 +41,7 @@ from hframe_post.studies.speed.report import speed_as_json, speed_as_text
 from hframe_post.studies.speed.search import find_fastest
 from hframe_post.studies.tuning import tune as tuning
 from hframe_post.studies.tuning.tune import StopsTrial, Trial
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 

@@ -18,7 +18,7 @@ from hframe_post.batch.job import Job
 from hframe_post.batch.local import Conversion, Outcome
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 TIMEOUT = 10  # s for the scheduler to answer, and for a worker to appear
 

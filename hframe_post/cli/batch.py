@@ -29,7 +29,7 @@ from hframe_post.errors import HframeError
 from hframe_post.gcode.options import LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.profile import check_identified
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 CLEAR_LINE = "\r\x1b[K"
 

@@ -39,7 +39,7 @@ from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.profile import played_by
 from hframe_post.printer.settings import Printer
 from hframe_post.process import processor_count
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 
 class FirmwareChoice(click.Choice[str]):

@@ -13,7 +13,7 @@ from platformdirs import user_data_path
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load, shipped
 from hframe_post.process import own_command
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 NAME = "HframePost"  # of the file and its class: Cura finds one by the other
 MENU = 'Extensions, Post Processing, Modify G-Code, Add a script, "Compensate racking and ringing"'

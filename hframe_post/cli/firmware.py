@@ -10,7 +10,7 @@ from hframe_post.cli.options import files_read, old_option, printer_option, say
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
 from hframe_post.printer.profile import load
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 
 @click.command("klipper-macros")

@@ -134,7 +134,7 @@ def identify(
     from hframe_post.identification.report import IdentificationReport
     from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
-    from hframe_post.writers.files.atomic_file import Outputs
+    from hframe_post.writers.files import Outputs
 
     profile = load(printer)
     _check_usage(nozzle, bridge, L_G, band, axes)

@@ -16,7 +16,7 @@ from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.files.atomic_file import Outputs
+    from hframe_post.writers.files import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _CHOICE = "hframe_post.choice"  # in a context's meta

@@ -17,7 +17,7 @@ from hframe_post.paper import plots, results, tables
 from hframe_post.paper.widths import widths
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ from hframe_post.printer.choice import choose, config_file, set_default
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.new_profile import BASES, Known, from_klipper, text
 from hframe_post.printer.profile import load, parse, shipped
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 
 @click.group(invoke_without_command=True)

@@ -46,7 +46,7 @@ def write_motion(
     """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv."""
     from hframe_post.identification.recordings.excitation import command_csv
     from hframe_post.identification.recordings.sweep import gcode
-    from hframe_post.writers.files.atomic_file import Outputs
+    from hframe_post.writers.files import Outputs
     from hframe_post.writers.stream.print_time import write_output
 
     with Outputs(files_read(printer)) as outputs:

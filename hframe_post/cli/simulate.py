@@ -28,7 +28,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.studies.shapers.comparison import ShaperComparison, compare_shapers
 from hframe_post.studies.shapers.report import comparison_as_json, comparison_as_text
 from hframe_post.studies.simulation.reference_path import rectangle
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 
 @click.command()

@@ -40,7 +40,7 @@ from hframe_post.studies.tuning.report import (
     trials_table,
 )
 from hframe_post.studies.tuning.tune import EFFORTS, KNOTS, Trial
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 
 
 def weight(text: str) -> float:

@@ -95,7 +95,7 @@ def _judge(
     from hframe_post.identification.verification.verdict import judge
     from hframe_post.printer.edit import with_verification
     from hframe_post.printer.profile import load
-    from hframe_post.writers.files.atomic_file import Outputs
+    from hframe_post.writers.files import Outputs
 
     profile = load(printer)
     sources = [*files_read(printer), *plain, *compensated]

@@ -24,8 +24,7 @@ from hframe_post.gcode.lines import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.writers.files.atomic_file import Outputs
-from hframe_post.writers.files.compression import compressing
+from hframe_post.writers.files import Outputs, compressing
 from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
 from hframe_post.writers.steps.file import EVENTS_HEADER, inlined
 from hframe_post.writers.stream.print_time import write_output

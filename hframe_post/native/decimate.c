@@ -1,4 +1,4 @@
-/* The loops of firmware/decimate.py. */
+/* The loops of firmware/klipper/segments.py. */
 
 #include "kernels.h"
 

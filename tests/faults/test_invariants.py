@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream import machine, segments
 
 PART = (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.conversion.pipeline import TOLERANCE
-from hframe_post.firmware.decimate import E_WEIGHT, SHORT, breakpoints, fitted
+from hframe_post.firmware.klipper.segments import E_WEIGHT, SHORT, breakpoints, fitted
 from hframe_post.model.plant import Response
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples

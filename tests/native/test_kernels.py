@@ -14,7 +14,7 @@ from hframe_post import native
 from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
-from hframe_post.firmware import decimate
+from hframe_post.firmware.klipper import segments
 from hframe_post.native import Kernel
 from hframe_post.planner import jerk_profile, sampling
 from hframe_post.prediction import contour
@@ -44,9 +44,9 @@ def test_decimation(
     """Rounded points have many chords with equal errors."""
     points, forced = wander(seed, n, power)
     points = points.round(3) if coarse else points
-    ends = decimate.breakpoints(points, forced, tolerance)
-    same(ends, decimate._breakpoints(points, forced, tolerance))
-    same(decimate.fitted(points, ends), decimate._fitted(points, ends))
+    ends = segments.breakpoints(points, forced, tolerance)
+    same(ends, segments._breakpoints(points, forced, tolerance))
+    same(segments.fitted(points, ends), segments._fitted(points, ends))
 
 
 def walk(rng: np.random.Generator, n: int) -> Array:

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.writers.files import temporary
-from hframe_post.writers.files.atomic_file import Outputs
-from hframe_post.writers.files.temporary import give_up
+from hframe_post.writers import temporary
+from hframe_post.writers.files import Outputs
+from hframe_post.writers.temporary import give_up
 
 ROOT = os.geteuid() == 0
 only_root = pytest.mark.skipif(not ROOT, reason="only root gives files away")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.writers.files.atomic_file import Outputs
+from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import (
     SUMMARY,
     DeferredLine,

@@ -18,7 +18,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.files.compression import compressing
+from hframe_post.writers.files import compressing
 from hframe_post.writers.steps import reader as step_reader
 from hframe_post.writers.steps.file import (
     End,

@@ -10,12 +10,13 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.decimate import breakpoints, fitted
 from hframe_post.firmware.klipper.segments import (
     LATE,
     SQUARE_CORNER_VELOCITY,
     Ramped,
     StreamLimits,
+    breakpoints,
+    fitted,
     made_up,
     thinned,
 )

@@ -1,4 +1,11 @@
-"""Segments as Klipper plays them: limits of the stream, ramps, and what it would refuse."""
+"""Segments for Klipper: few of them, with its limits and ramps, and none that it would refuse.
+
+1. Neighbouring segments become one, those first that lose least by it, as long as every sample
+   stays within the tolerance of its chord (Keogh's bottom-up segmentation, all places at once).
+   A straight at constant speed becomes one segment, however long.
+2. Chords lie on one side of a bend. So the vertices leave the samples for where the squares of
+   what is missed are least.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
+from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z, lengths
 from hframe_post.firmware import ramps
 from hframe_post.firmware.player import VELOCITY_HEADROOM
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native import kernel
 from hframe_post.printer.settings import Limits, Motors
 
 SQUARE_CORNER_VELOCITY = 20.0  # mm/s; the stream makes its own corners
 LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
+SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
+E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
+ALIKE = 1e-6  # mm; losses this close count as equal, on every machine
+ROUNDS = 12  # of Jacobi's method, each of which at least halves the error
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,3 +150,110 @@ def made_up(T: Array, late: Array) -> Array:
     total = np.cumsum(late - taken)
     waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
     return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
+
+
+def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
+    """Return indices of the points to keep, ascending, without the first and with the last one.
+
+    points (n + 1, 4): x, y, z, e one sample apart; forced (n + 1,): points that must stay. The
+    chord of each segment is within ``tolerance`` (mm) of every sample between: of x and y
+    together, of z, and of e within a share 1/E_WEIGHT of it. A segment of n > SHORT samples is
+    within √(SHORT/n) of that.
+    """
+    n = len(points)
+    if (compiled := kernel("breakpoints")) is None:
+        return _breakpoints(points, forced, tolerance)
+    kept, room, flags = np.empty(n, np.int64), np.empty((3, n)), np.empty(n, np.uint8)
+    count = compiled(
+        np.ascontiguousarray(points), forced.view(np.uint8), n, tolerance, SHORT, E_WEIGHT**2,
+        ALIKE, kept, room, flags,
+    )  # fmt: skip
+    return kept[1:count]
+
+
+def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
+    kept = np.arange(len(points))
+    off = np.zeros(len(points) - 1)  # greatest distance of samples from each chord, or more
+    while len(kept) > 2:
+        off_merged = _merged(points[kept], kept, off)
+        cost = off_merged * np.sqrt(np.maximum((kept[2:] - kept[:-2]) / SHORT, 1.0))
+        cost[forced[kept[1:-1]] | (cost > tolerance)] = np.inf
+        chosen = _cheapest(np.rint(cost / ALIKE))
+        if not len(chosen):
+            break
+        off[chosen] = off_merged[chosen]
+        off, kept = np.delete(off, chosen + 1), np.delete(kept, chosen + 1)
+    return kept[1:]
+
+
+def _merged(vertices: Array, at: Integers, off: Array) -> Array:
+    """Return a bound on the distance of samples from the chord of each two segments, (k − 1,).
+
+    vertices (k + 1, 4) at samples ``at``; off (k,): the bound for each segment. A sample is no
+    farther from the new chord than from its old one and that from the new one together.
+    """
+    share = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+    apart = vertices[1:-1] - vertices[:-2]
+    apart -= share[:, None] * (vertices[2:] - vertices[:-2])
+    np.square(apart, out=apart)
+    xy = apart[:, X] + apart[:, Y]
+    z_e = np.maximum(apart[:, Z], E_WEIGHT**2 * apart[:, E])
+    farthest = np.sqrt(np.maximum(xy, z_e))
+    return np.asarray(np.maximum(off[:-1], off[1:]) + farthest)
+
+
+def _cheapest(cost: Array) -> Integers:
+    """Return the finite costs (k,) below their neighbours'; of equal ones the even."""
+    even = np.arange(len(cost)) % 2 == 0
+    left, right = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
+    least = (cost < left) | (even & (cost == left))
+    least &= (cost < right) | (even & (cost == right))
+    return np.flatnonzero(least & np.isfinite(cost))
+
+
+def fitted(points: Array, ends: Integers) -> Array:
+    """Return vertices (k, 4) at ``ends`` (k,) with the least squares of errors in x and y.
+
+    points (n + 1, 4) as for ``breakpoints``; the first and the last stay. No vertex
+    goes beyond the samples' least and greatest x and y; z and e are those of its sample.
+    """
+    n, k = len(points), len(ends)
+    if (compiled := kernel("fitted")) is None:
+        return _fitted(points, ends)
+    vertices = np.empty((k, 4))
+    compiled(np.ascontiguousarray(points), n, ends, k, ROUNDS, vertices, np.empty((6, k)))
+    return vertices
+
+
+def _fitted(points: Array, ends: Integers) -> Array:
+    xy = points[:, :Z]
+    start = np.append(0, ends[:-1])
+    length = ends - start
+    which = np.repeat(np.arange(len(ends)), length)  # the segment of each sample but the first
+    share = (np.arange(1, len(xy)) - start[which]) / length[which]
+    chord = xy[ends] - xy[start]
+    missed = xy[1:] - xy[start][which] - share[:, None] * chord[which]
+    later: Array = np.column_stack([np.bincount(which, share * off) for off in missed.T])
+    earlier: Array = np.column_stack([np.bincount(which, off) for off in missed.T]) - later
+    last, first, both = _weights(length)
+    diagonal = last + np.append(first[1:], 1.0)
+    wanted = later + np.vstack([earlier[1:], np.zeros(2)])
+    moved = np.zeros((len(ends), 2))
+    for _ in range(ROUNDS):
+        now = wanted.copy()
+        now[1:] -= both[1:, None] * moved[:-1]
+        now[:-1] -= both[1:, None] * moved[1:]
+        moved = now / diagonal[:, None]
+        moved[-1] = 0.0
+    vertices = points[ends]
+    vertices[:, :Z] = np.clip(vertices[:, :Z] + moved, xy.min(axis=0), xy.max(axis=0))
+    return vertices
+
+
+def _weights(length: Integers) -> tuple[Array, Array, Array]:
+    """Return sums of s², (1 − s)² and s(1 − s), (k,) each, over segments of these lengths (k,).
+
+    s goes from above 0 to 1 in each segment.
+    """
+    n = length.astype(float)
+    return (n + 1) * (2 * n + 1) / (6 * n), (n - 1) * (2 * n - 1) / (6 * n), (n * n - 1) / (6 * n)

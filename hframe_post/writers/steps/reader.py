@@ -12,7 +12,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import StepFileError
-from hframe_post.writers.files.compression import decompressing
+from hframe_post.writers.files import decompressing
 from hframe_post.writers.steps.file import MOTORS, NAMES, VERSION, Header
 
 BYTES_AT_ONCE = 1 << 20

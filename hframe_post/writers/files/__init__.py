@@ -1,1 +1,0 @@
-"""Output files that appear complete or not at all."""
