@@ -19,7 +19,7 @@ from hframe_post.prediction.contour import contour_error
 from hframe_post.prediction.predict import in_motion
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.inputs import rectangle
 from tests.simulator import Axis, Chip, Machine, Mode
 
 BAND = (3.0, 100.0)

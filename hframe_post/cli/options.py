@@ -205,7 +205,7 @@ def print_options(command: Command) -> Command:
 def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Iterable[bytes]]:
     """Yield the lines of the file; without one, of the paper's rectangle."""
     from hframe_post.gcode.lines import lines_of
-    from hframe_post.studies.simulation.reference_path import rectangle
+    from hframe_post.studies.inputs import rectangle
 
     if source is None:
         yield rectangle(printer)

@@ -25,9 +25,13 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.options import Extrusion, LimitSource
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.shapers.comparison import ShaperComparison, compare_shapers
-from hframe_post.studies.shapers.report import comparison_as_json, comparison_as_text
-from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.shaper_comparison import (
+    ShaperComparison,
+    compare_shapers,
+    comparison_as_json,
+    comparison_as_text,
+)
 from hframe_post.writers.files import Outputs
 
 

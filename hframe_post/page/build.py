@@ -13,12 +13,11 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.page.template import filled
+from hframe_post.page import filled
 from hframe_post.prediction.statistics import Figures
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.layer_view import LayerView, Segments
-from hframe_post.studies.simulation.report import SimulationReport
-from hframe_post.studies.simulation.simulate import Study, simulate
+from hframe_post.studies.layer_view import LayerView, Segments
+from hframe_post.studies.simulate import SimulationReport, Study, simulate
 from hframe_post.version import __version__
 
 LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries

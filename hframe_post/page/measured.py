@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.page.template import filled
+from hframe_post.page import filled
 from hframe_post.version import __version__
 
 MOST_POINTS = 1500  # of a line; no screen shows more

@@ -16,12 +16,11 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.conversion.pipeline import Options, planned, sampled
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
-from hframe_post.paper.appendix_c import windowed
-from hframe_post.paper.whole_trajectory import WholeTrajectory
+from hframe_post.paper.commands import WholeTrajectory, windowed
 from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.inputs import rectangle
 
 N_FIG_9 = 125  # control points, counted as the paper's n
 SHARES = (0.01, 0.05, 0.10, 0.15, 0.20, 0.25)  # n/E of Fig. 8

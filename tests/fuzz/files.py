@@ -19,7 +19,7 @@ from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.new_profile import from_klipper, text
 from hframe_post.printer.profile import load, parse
-from hframe_post.studies.comparison.compare import compare
+from hframe_post.studies.compare import compare
 from hframe_post.writers.steps import reader as step_reader
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations

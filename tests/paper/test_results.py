@@ -15,8 +15,7 @@ from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper import results, tables
-from hframe_post.paper.appendix_c import windowed
-from hframe_post.paper.whole_trajectory import WholeTrajectory, basis, knots
+from hframe_post.paper.commands import WholeTrajectory, basis, knots, windowed
 from hframe_post.paper.widths import widths
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples

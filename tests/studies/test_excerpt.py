@@ -11,7 +11,7 @@ from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves
-from hframe_post.studies.speed.excerpt import Piece, excerpt
+from hframe_post.studies.inputs import Piece, excerpt
 from tests.conftest import SAMPLES
 
 

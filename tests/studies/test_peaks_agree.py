@@ -8,7 +8,7 @@ import pytest
 
 from hframe_post import library
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.reference_path import rectangle
+from hframe_post.studies.inputs import rectangle
 from tests.random_printers import cube
 
 

@@ -13,7 +13,8 @@ from hframe_post.errors import HframeError
 from hframe_post.model.shapers import shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.studies.shapers.shapers import (
+from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.shapers import (
     KLIPPER,
     PIECES,
     AxisShaping,
@@ -25,7 +26,6 @@ from hframe_post.studies.shapers.shapers import (
     paths,
     shape,
 )
-from hframe_post.studies.simulation.reference_path import rectangle
 from tests.command_line import run
 from tests.conftest import SAMPLES
 

@@ -12,11 +12,10 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.simulation.reference_path import rectangle
-from hframe_post.studies.simulation.report import SimulationReport
-from hframe_post.studies.simulation.simulate import Study, simulate
-from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.tuning.tune import candidates, recommended, tune
+from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.simulate import SimulationReport, Study, simulate
+from hframe_post.studies.tune import candidates, recommended, tune
+from hframe_post.studies.uncertainty import draws
 
 
 @dataclass(frozen=True, slots=True)

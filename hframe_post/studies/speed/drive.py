@@ -26,7 +26,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.studies.speed.excerpt import Piece, excerpt, useful_feeds
+from hframe_post.studies.inputs import Piece, excerpt, useful_feeds
 from hframe_post.studies.speed.trial import (
     FIRST_LAYERS,
     JUDGED_EVERY,

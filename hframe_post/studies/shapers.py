@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from hframe_post.prediction.contour import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
-from hframe_post.studies.speed.excerpt import excerpt
+from hframe_post.studies.inputs import excerpt
 
 PIECES = 5  # of a print, of some seconds each, on which settings are compared
 HZ = np.geomspace(12.0, 120.0, 14)  # of the grid search
@@ -71,6 +72,17 @@ class Shaping:
                 f"damping_ratio_{axis}: {chosen.damping:.3f}",
             ]
         return "\n".join(lines)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the shapers of both axes, ready for ``json.dumps``."""
+        return {
+            axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}
+            for axis, s in (("x", self.x), ("y", self.y))
+        }
+
+    def as_text(self) -> list[str]:
+        """Return frequency and damping of x and of y."""
+        return [f"{axis.hz:.1f} ({axis.damping:.2f})" for axis in (self.x, self.y)]
 
 
 def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[Samples]:
@@ -215,3 +227,29 @@ def _smoothing(tried: Shaper) -> float:
     by_corner = float((tried.A * (KLIPPER_CORNER + half * T) * T)[late].sum())
     back = float((tried.A * half * T * T).sum())
     return max(by_corner * float(np.sqrt(2.0)), back)
+
+
+# ---------------------------------------------------------------------- reports
+
+
+def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
+    """Return the shapers, the best first, and the choice of Klipper's calibration; µm."""
+    *shapers, calibration = (
+        s.as_json() | {"contour_error_rms_um": round(s.rms * 1e3, 4)} for s in (*found, usual)
+    )
+    return {"shapers": shapers, "klipper_calibration": calibration}
+
+
+def shapings_as_text(found: list[Shaping], usual: Shaping) -> str:
+    """Return a table, and the section for printer.cfg."""
+    lines = [f"{'shaper':12s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
+    lines += [_row(s.x.name, s) for s in found]
+    names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
+    lines += [_row(f"Klipper's calibration: {names}", usual)]
+    best = next(s for s in found if s.x.name in KLIPPER)
+    return "\n".join([*lines, "", best.config()])
+
+
+def _row(name: str, s: Shaping) -> str:
+    (x, y), wrapped = s.as_text(), f"{name}\n{'':12s}" if len(name) > 12 else f"{name:12s}"
+    return f"{wrapped}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"

@@ -1,10 +1,8 @@
-"""Pieces of a minute or two in total that represent a whole print.
+"""What studies print: the paper's rectangle, or an excerpt of a print.
 
-    items ──► pieces of some seconds ──► those with features of which little has been kept
-
-The time kept of each kind of feature is a share of the whole, larger for rare kinds. Once too much
-is kept, every other piece is dropped and the share is halved, so that memory does not grow with the
-print.
+An excerpt is pieces of some seconds, a minute or two in total. The time kept of each kind of
+feature is a share of the whole, larger for rare kinds. Once too much is kept, every other piece is
+dropped and the share is halved, so that memory does not grow with the print.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Integers
 from hframe_post.planner.pacing import NAMES, Labeller, Start
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
 
@@ -172,3 +171,27 @@ def _durations(moves: Moves) -> Array:
 def _seconds(moves: Moves, kinds: Integers) -> dict[str, float]:
     seconds = np.bincount(kinds, _durations(moves), len(NAMES))
     return {NAMES[k]: float(seconds[k]) for k in np.flatnonzero(seconds)}
+
+
+WIDTH = 120  # mm
+CLEAR = 5  # mm to the ends of travel, which the command needs beyond its path
+
+
+def rectangle(printer: Printer) -> list[bytes]:
+    """Return the paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
+
+    It begins where racking does not move the nozzle, as in the paper, unless the bed is too
+    narrow for that, and is centred on the bed in y.
+    """
+    low, high = printer.travel.x
+    x = max(min(printer.plant.x_c, high - WIDTH - CLEAR), low + CLEAR)
+    y = round(sum(printer.travel.y) / 2.0) - 10
+    corners = ((x + WIDTH, y), (x + WIDTH, y + 20), (x, y + 20), (x, y))
+    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0"]
+    lines += ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=0"]  # what Klipper obeys of these two
+    lines += ["G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000", ";LAYER:0", ";TYPE:WALL-OUTER"]
+    lines += [
+        f"G1 X{x:g} Y{y:g} E{length:g}"
+        for (x, y), length in zip(corners, (4, 0.7, 4, 0.7), strict=True)
+    ]
+    return [line.encode() + b"\n" for line in lines]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from hframe_post.arrays import TS
 from hframe_post.conversion.meters import JUDGED_EVERY
@@ -19,7 +20,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers.shapers import (
+from hframe_post.studies.shapers import (
     KLIPPER,
     Shaping,
     calibrated_with,
@@ -27,6 +28,7 @@ from hframe_post.studies.shapers.shapers import (
     search,
     shape,
 )
+from hframe_post.writers.stream.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
 
@@ -73,3 +75,32 @@ def compare_shapers(
         ),
         key=lambda compared: compared.contour.rms,
     )
+
+
+def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
+    """Return the compared prints, the most accurate first; µm and s."""
+    return [
+        {
+            "name": compared.name,
+            "contour_error_um": compared.contour.micrometres(),
+            "print_time_s": round(compared.seconds, 3),
+            **({} if compared.shaping is None else compared.shaping.as_json()),
+        }
+        for compared in found
+    ]
+
+
+def comparison_as_text(found: list[ShaperComparison]) -> str:
+    lines = [
+        "",
+        f"{'comparison':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
+        f"{'µm RMS':>9s}{'95 %':>8s}{'peak':>7s}{'time':>13s}",
+    ]
+    for compared in found:
+        um = compared.contour.micrometres()
+        axes = ("", "") if compared.shaping is None else compared.shaping.as_text()
+        lines.append(
+            f"{compared.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
+            f"{um['peak']:7.0f}{duration(compared.seconds):>13s}"
+        )
+    return "\n".join(lines)

@@ -1,1 +1,0 @@
-"""Whether two files ask for the same motion."""

@@ -1,1 +1,0 @@
-"""Choice of window and effort."""
