@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hframe_post.batch.job import Job
-from hframe_post.batch.local import Conversion, Outcome
+from hframe_post.batch.jobs import Conversion, Job, Outcome
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs

@@ -10,10 +10,7 @@ import click
 
 from hframe_post import library
 from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.job import Job, jobs_for
-from hframe_post.batch.local import LocalProcesses
-from hframe_post.batch.run import Converter, run
-from hframe_post.batch.watch import watch_folder
+from hframe_post.batch.jobs import Converter, Job, LocalProcesses, jobs_for, run, watch_folder
 from hframe_post.cli.options import (
     files_read,
     force_option,

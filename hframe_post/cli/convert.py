@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hframe_post import library
-from hframe_post.cli import slicer
 from hframe_post.cli.options import (
     chosen_printer,
     dashed,
@@ -19,17 +20,20 @@ from hframe_post.cli.options import (
     force_option,
     json_option,
     limits_option,
+    log,
+    log_stages,
     on_limit_option,
     open_json,
     printer_option,
+    progress_bar,
     renamed_option,
     say,
+    verbose_option,
 )
-from hframe_post.cli.progress import log, log_stages, progress_bar, verbose_option
 from hframe_post.cli.speed import speed_from_options, speed_options
 from hframe_post.conversion.files import FORMATS, GCODE, chosen_format
 from hframe_post.conversion.pipeline import TOLERANCE, Retract
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, one_line
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.options import Extrusion, LimitSource
@@ -37,9 +41,12 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.profile import played_by
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Limits, Printer
 from hframe_post.process import processor_count
 from hframe_post.writers.files import Outputs
+
+# in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
+OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 
 
 class FirmwareChoice(click.Choice[str]):
@@ -141,9 +148,9 @@ def convert(
         _check_tolerance(tolerance, source, output, format_name, profile, firmware)
     choice = chosen_printer()
     head = [
-        *slicer.output_as_text(os.environ), choice.as_text(), verification_as_text(profile),
+        *_output_as_text(os.environ), choice.as_text(), verification_as_text(profile),
     ]  # fmt: skip
-    warnings = slicer.warnings(os.environ, profile.limits)
+    warnings = slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
     with (
         Outputs(files_read(source, printer)) as outputs,
@@ -170,7 +177,7 @@ def convert(
             force=force,
             jobs=jobs or processor_count(),
             page=report_file if html else None,
-            title=slicer.shown_name(os.environ, source),
+            title=_shown_name(os.environ, source),
             notes=[*head, *warnings],
             outputs=outputs,
             progress=advance,
@@ -211,3 +218,54 @@ def _check_tolerance(
         raise click.UsageError("--tolerance is for G-code")
     if not firmware_of(played_by(profile, firmware or profile.firmware.dialect)).decimates:
         raise click.UsageError("--tolerance is for Klipper")
+
+
+# ----------------------------------------- what slicers tell in variables SLIC3R_*
+
+
+def _output_as_text(environ: Mapping[str, str]) -> list[str]:
+    """Return a line for the summary with the slicer's name for the file, if it gives one."""
+    name = environ.get(OUTPUT_NAME)
+    return [f"file        {one_line(name)}"] if name else []
+
+
+def _shown_name(environ: Mapping[str, str], source: Path) -> str:
+    """Return the file's name as the user knows it."""
+    return one_line(Path(environ.get(OUTPUT_NAME) or source).name)
+
+
+def slicer_warnings(environ: Mapping[str, str], limits: Limits) -> list[str]:
+    """Return a warning if the slicer's accelerations exceed the profile's."""
+    excessive = {
+        name: value for name, value in _accelerations(environ).items()
+        if value > limits.acceleration
+    }  # fmt: skip
+    if not excessive:
+        return []
+    settings = ", ".join(f"{name} {value:g}" for name, value in sorted(excessive.items()))
+    return [
+        f"SLICER      asks for more acceleration than the profile's {limits.acceleration:g} mm/s² "
+        f"({settings}): the profile's is used"
+    ]
+
+
+def _accelerations(environ: Mapping[str, str]) -> dict[str, float]:
+    """Return mm/s² by setting; without zeros, which leave the choice to the firmware."""
+    found = {}
+    for variable, text in environ.items():
+        name = variable.removeprefix("SLIC3R_")
+        machine_limit = name.startswith("MACHINE_")
+        if name == variable or machine_limit or not name.endswith("_ACCELERATION"):
+            continue
+        values = [_number(part) for part in text.split(",")]  # one per extruder
+        if 0.0 < max(values) < math.inf:
+            found[name.lower()] = max(values)
+    return found
+
+
+def _number(text: str) -> float:
+    """Return the number; 0 for a percentage of another setting, and for any other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0

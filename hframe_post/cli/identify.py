@@ -20,7 +20,7 @@ from hframe_post.cli.options import (
     position,
     printer_option,
 )
-from hframe_post.cli.sensing import FILE, QUIET
+from hframe_post.cli.sweep import FILE, QUIET
 
 if TYPE_CHECKING:
     from hframe_post.identification.identify import Run
@@ -126,12 +126,11 @@ def identify(
     import numpy as np
 
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification.fitting.recommend import recommend
     from hframe_post.identification.identify import Settings
     from hframe_post.identification.identify import identify as identified
-    from hframe_post.identification.pages import identification_page
+    from hframe_post.identification.recommend import recommend
     from hframe_post.identification.recordings import accelerometer
-    from hframe_post.identification.report import IdentificationReport
+    from hframe_post.identification.report import IdentificationReport, identification_page
     from hframe_post.printer.edit import with_plant
     from hframe_post.printer.profile import load
     from hframe_post.writers.files import Outputs

@@ -29,9 +29,9 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "sweep": ("sweep.sweep", "Write the G-code that measures a printer."),
     "identify": ("identify.identify", "Compute a profile from the measurement."),
     "verify": ("verify.verify", "Measure whether a profile helps on the printer."),
-    "klipper-macros": ("firmware.klipper_macros", "Print macros for Klipper's printer.cfg."),
-    "calibrate-marlin": ("firmware.calibrate_marlin", "Find out a Marlin board's planner."),
-    "cura-script": ("cura.cura_script", "Install a post-processing script into Cura."),
+    "klipper-macros": ("integrations.klipper_macros", "Print macros for Klipper's printer.cfg."),
+    "calibrate-marlin": ("integrations.calibrate_marlin", "Find out a Marlin board's planner."),
+    "cura-script": ("integrations.cura_script", "Install a post-processing script into Cura."),
     "paper": ("paper.paper", "Reproduce the paper's tables and figures."),
 }
 

@@ -1,17 +1,18 @@
-"""Options and files that several commands share."""
+"""Options, types of values and output that several commands share."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from hframe_post.cli.progress import progress_bar
 from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
@@ -237,3 +238,47 @@ def check_figure(figure: Path | None) -> None:
         if figure.suffix not in (".png", ".svg"):
             raise click.UsageError("--figure must end in .png or .svg")
         plotting.canvas(1, 1, (1.0, 1.0))
+
+
+BAR_FROM = 2_000_000  # bytes; smaller files take no time
+START = time.monotonic()
+_VERBOSE = "hframe_post.verbose"  # in a context's meta
+
+
+@contextmanager
+def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] | None]:
+    """Show a progress bar on a terminal if the file is large.
+
+    Yields the function to call with each number of bytes read; None if there is no bar.
+    """
+    size = source.stat().st_size if source.is_file() else 0
+    if quiet or size < BAR_FROM or not sys.stderr.isatty():
+        yield None
+        return
+    with click.progressbar(
+        length=size, label=source.name, file=sys.stderr, update_min_steps=size // 200
+    ) as bar:
+        yield bar.update
+
+
+def _set_verbose(context: click.Context, _: click.Parameter, verbose: bool) -> None:
+    context.meta[_VERBOSE] = verbose
+
+
+verbose_option = click.option(
+    "-v", "--verbose", is_flag=True, expose_value=False, callback=_set_verbose,
+    help="Log stages and their duration to standard error.",
+)  # fmt: skip
+
+
+def log(text: str) -> None:
+    """Print a line with the seconds since the start, if the running command has ``-v``."""
+    if click.get_current_context().meta.get(_VERBOSE):
+        click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def log_stages(seconds: Mapping[str, float]) -> None:
+    """Log the processor time of each stage, over all threads and processes."""
+    total = sum(seconds.values())
+    for stage, spent in seconds.items():
+        log(f"  {stage:12s}{spent:8.3f} s of the processor{100.0 * spent / total:6.1f} %")

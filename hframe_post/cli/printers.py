@@ -12,8 +12,8 @@ from hframe_post.cli.options import old_option
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
+from hframe_post.printer.edit import BASES, Known, from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.new_profile import BASES, Known, from_klipper, text
 from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.writers.files import Outputs
 

@@ -16,7 +16,7 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.cli.sensing import (
+from hframe_post.cli.sweep import (
     FILE,
     QUIET,
     chips_option,
@@ -74,7 +74,7 @@ def verify(
 
 
 def _write(printer: str, target: Path, chips: tuple[str, ...], z: float | None) -> None:
-    from hframe_post.identification.verification.motion import runs
+    from hframe_post.identification.verification_motion import runs
     from hframe_post.printer.profile import check_identified, load
 
     profile = load(printer)
@@ -89,10 +89,10 @@ def _judge(
     report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     from hframe_post.errors import IdentificationError
-    from hframe_post.identification.pages import verification_page
     from hframe_post.identification.recordings.accelerometer import oriented, read
     from hframe_post.identification.recordings.excitation import read_command
-    from hframe_post.identification.verification.verdict import judge
+    from hframe_post.identification.report import verification_page
+    from hframe_post.identification.verdict import judge
     from hframe_post.printer.edit import with_verification
     from hframe_post.printer.profile import load
     from hframe_post.writers.files import Outputs

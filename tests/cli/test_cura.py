@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.cli.cura import script
+from hframe_post.cli.integrations import script
 from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.cli.slicer import warnings
+from hframe_post.cli.convert import slicer_warnings
 from hframe_post.printer.choice import choose
 from hframe_post.printer.settings import Printer
 from tests.command_line import RECTANGLE, run
@@ -94,6 +94,6 @@ def test_more_acceleration_than_in_the_profile_is_a_warning(paper: Printer) -> N
         "SLIC3R_MACHINE_MAX_ACCELERATION_X": "90000",
         "ACCELERATION": "1e9",
     }
-    (line,) = warnings(environ, paper.limits)
+    (line,) = slicer_warnings(environ, paper.limits)
     assert "10000 mm/s² (infill_acceleration 12000)" in line
-    assert not warnings({}, paper.limits)
+    assert not slicer_warnings({}, paper.limits)

@@ -16,8 +16,8 @@ from hframe_post.arrays import Array
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
+from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
-from hframe_post.printer.new_profile import from_klipper, text
 from hframe_post.printer.profile import load, parse
 from hframe_post.studies.compare import compare
 from hframe_post.writers.steps import reader as step_reader

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.diagnosis.along_x import ModeShift, find_mode_shift, position_spread
-from hframe_post.identification.diagnosis.uncertainty import with_noise
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.fitting.modal import Data, Structure, fit
-from hframe_post.identification.fitting.weighting import weights
-from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
+from hframe_post.identification.responses import FrequencyResponse, average, weights
+from hframe_post.identification.scatter import (
+    ModeShift,
+    find_mode_shift,
+    position_spread,
+    with_noise,
+)
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)

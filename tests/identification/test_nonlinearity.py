@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.diagnosis.nonlinearity import (
+from hframe_post.identification.nonlinearity import (
     AxisSweeps,
     LinearPrinter,
     Nonlinearity,
@@ -18,7 +18,7 @@ from hframe_post.identification.diagnosis.nonlinearity import (
     with_backlash,
 )
 from hframe_post.identification.recordings.alignment import acceleration, aligned
-from hframe_post.identification.responses.harmonics import harmonics
+from hframe_post.identification.responses import harmonics
 from hframe_post.model.transfer_function import TransferFunction
 from tests.random_printers import swept
 from tests.simulator import Axis, Chip, Machine, Mode

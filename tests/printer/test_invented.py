@@ -9,8 +9,7 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.errors import PrinterError
-from hframe_post.printer.edit import with_plant
-from hframe_post.printer.new_profile import BASES, Known, text
+from hframe_post.printer.edit import BASES, Known, text, with_plant
 from hframe_post.printer.profile import load, parse, shipped
 from tests.command_line import RECTANGLE, run
 

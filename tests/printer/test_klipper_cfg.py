@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
+from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
-from hframe_post.printer.new_profile import from_klipper, text
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL

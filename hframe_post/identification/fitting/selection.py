@@ -30,14 +30,15 @@ from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting import modal
 from hframe_post.identification.fitting.modal import Data, Modal, Structure
-from hframe_post.identification.fitting.weighting import (
+from hframe_post.identification.responses import (
     EXACT,
     NOISE_FLOOR,
     SENSOR,
+    FrequencyResponse,
+    average,
     mode_range,
     weights,
 )
-from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 
 MAX_POLES = 8
 TRIED = 300  # frequencies on which structures are compared; the chosen one is refined on all

@@ -1,1 +1,0 @@
-"""Whether a compensated print moves better on the real machine."""
