@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hframe_post.model.plant import Plant
     from hframe_post.model.transfer_function import TransferFunction
     from hframe_post.printer.settings import Printer, Speed
-    from hframe_post.writers.steps.reader import read as read_steps
+    from hframe_post.writers.step_file import read as read_steps
 
 __all__ = [
     "HframeError",
@@ -69,7 +69,7 @@ _ROOMS = {  # name → module, and the name in it if that differs
     "identify": "identification.identify",
     "load_printer": "library",
     "predict": "library",
-    "read_steps": "writers.steps.reader:read",
+    "read_steps": "writers.step_file:read",
     "simulate": "library",
     "tune": "library",
 }

@@ -14,8 +14,8 @@ from hframe_post.conversion.report import Report
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Event, Handling, ModalState, Passthrough, Pause, Samples
-from hframe_post.writers.steps.file import Note, Start, Stepped
-from hframe_post.writers.steps.stepper import StepCounts, Stepper
+from hframe_post.writers.step_file import Note, Start, Stepped
+from hframe_post.writers.steps import StepCounts, Stepper
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 

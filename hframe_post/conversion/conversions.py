@@ -37,8 +37,8 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers.samples import tabulate
-from hframe_post.writers.steps.file import MOTORS, Header, Note, StepFileWriter
-from hframe_post.writers.steps.stepper import Stepper
+from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
+from hframe_post.writers.steps import Stepper
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
 from hframe_post.writers.stream.print_time import SUMMARY, Output, later
 

@@ -26,7 +26,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files import Outputs, compressing
 from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
-from hframe_post.writers.steps.file import EVENTS_HEADER, inlined
+from hframe_post.writers.step_file import EVENTS_HEADER, inlined
 from hframe_post.writers.stream.print_time import write_output
 
 PACKED = (".gz",)

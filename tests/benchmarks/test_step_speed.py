@@ -18,9 +18,9 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.steps import reader as step_reader
-from hframe_post.writers.steps.file import Header, StepFileWriter
-from hframe_post.writers.steps.stepper import Stepper
+from hframe_post.writers import step_file
+from hframe_post.writers.step_file import Header, StepFileWriter
+from hframe_post.writers.steps import Stepper
 from tests.benchmarks.timing import fastest
 from tests.conftest import SAMPLES
 
@@ -86,7 +86,7 @@ def test_reading_against_gzip(
     text, lines = writing(prism, paper, "steps")()
     (tmp_path / "a.csv").write_bytes(text)
     last = benchmark.pedantic(  # type: ignore[no-untyped-call]
-        lambda: [block.xyze[-1] for block in step_reader.read(tmp_path / "a.csv")][-1], rounds=3
+        lambda: [block.xyze[-1] for block in step_file.read(tmp_path / "a.csv")][-1], rounds=3
     )
     assert np.isfinite(last).all()
     seconds = fastest(benchmark)

@@ -18,10 +18,9 @@ from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
+from hframe_post.writers import step_file, steps
 from hframe_post.writers.samples import COLUMNS, as_csv
-from hframe_post.writers.steps import reader as step_reader
-from hframe_post.writers.steps import stepper as steps
-from hframe_post.writers.steps.file import MOTORS, inlined
+from hframe_post.writers.step_file import MOTORS, inlined
 from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 
@@ -143,7 +142,7 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
 def test_last_position_is_that_of_the_file(paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(converted(TURN, paper, "steps"))
-    *_, last = step_reader.read(path)
+    *_, last = step_file.read(path)
     half = [0.0206 / 2, 0.0206 / 2, 0.0025 / 2, 0.0024 / 2]
     assert np.abs(last.xyze[-1] - [100.0, 101.0, 1.2, 0.2]) == pytest.approx(0.0, abs=max(half))
     assert (np.abs(last.xyze[-1] - [100.0, 101.0, 1.2, 0.2]) <= half).all()
@@ -171,7 +170,7 @@ def test_examples_step(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(converted(cube(1), load(name), "steps"))
     samples = list(SampleConversion(iter(cube(1)), load(name), Options("racking")))
-    *_, last = step_reader.read(path)
+    *_, last = step_file.read(path)
     end = samples[-1][-1]
     at = [end[COLUMNS.index(c)] for c in ("x_dm", "y_dm", "z", "e")]
     assert np.abs(last.xyze[-1] - at).max() <= 0.0125

@@ -20,7 +20,7 @@ from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.profile import load, parse
 from hframe_post.studies.compare import compare
-from hframe_post.writers.steps import reader as step_reader
+from hframe_post.writers import step_file
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
 from tests.slices import SLICES
@@ -88,7 +88,7 @@ def _binary(path: Path) -> object:
 
 READERS: dict[str, Reader] = {
     "bgcode": _binary, "npz": _recorded, "mat": _recorded, "cfg": _configured,
-    "steps": lambda path: [len(block.tick) for block in step_reader.read(path)],
+    "steps": lambda path: [len(block.tick) for block in step_file.read(path)],
     "compare": _compared,
 }  # fmt: skip
 SUFFIXES = {"steps": "csv", "compare": "gcode"}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.writers.steps.stepper import crossings, spaced
+from hframe_post.writers.steps import crossings, spaced
 
 SAMPLES = st.lists(
     st.floats(-40.0, 40.0) | st.sampled_from([0.0, 1.0, -1.0, 7.5]), min_size=4, max_size=40

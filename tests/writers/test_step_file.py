@@ -18,9 +18,9 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
+from hframe_post.writers import step_file
 from hframe_post.writers.files import compressing
-from hframe_post.writers.steps import reader as step_reader
-from hframe_post.writers.steps.file import (
+from hframe_post.writers.step_file import (
     End,
     Header,
     Item,
@@ -96,8 +96,8 @@ def test_positions_are_read_back(
     path.write_bytes(text)
     assert writer.lines == text.count(b"\n") - text.count(b"#event,")
     with pytest.MonkeyPatch.context() as patch:
-        file = step_reader.read(path)
-        patch.setattr(step_reader, "BYTES_AT_ONCE", size)
+        file = step_file.read(path)
+        patch.setattr(step_file, "BYTES_AT_ONCE", size)
         blocks = list(file)
     ticks, positions = expected(items)
     tick = np.concatenate([block.tick for block in blocks])
@@ -115,7 +115,7 @@ def test_positions_are_read_back(
 def test_header_is_read_back(tmp_path: Path) -> None:
     for kind in ("steps", "step-bits"):
         (tmp_path / "a.csv").write_bytes(text_of([End(0)], kind)[0])
-        got = step_reader.read(tmp_path / "a.csv").header
+        got = step_file.read(tmp_path / "a.csv").header
         assert got.text() == header(kind).text()
         assert (got.printer, got.settings, got.clock_hz) == ("mine, too", "abc", 40_000.0)
 
@@ -184,7 +184,7 @@ def test_broken_file_is_refused(
     path = tmp_path / "b.csv"
     path.write_bytes(change(good))
     with pytest.raises(StepFileError, match=cause) as caught:
-        for _ in step_reader.read(path):
+        for _ in step_file.read(path):
             pass
     assert str(path) in str(caught.value)
 
@@ -193,12 +193,12 @@ def test_ticks_of_the_other_kind_rise_strictly(tmp_path: Path, good: bytes) -> N
     text, _ = text_of([Start(0, (0,) * 4), Stepped(np.array([8, 16])), End(2)], "step-bits")
     (tmp_path / "b.csv").write_bytes(text.replace(b"2,1,0\n", b"1,1,0\n"))
     with pytest.raises(StepFileError, match="goes backwards"):
-        list(step_reader.read(tmp_path / "b.csv"))
+        list(step_file.read(tmp_path / "b.csv"))
 
 
 def test_missing_file_is_the_systems_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        step_reader.read(tmp_path / "none.csv")
+        step_file.read(tmp_path / "none.csv")
 
 
 def test_packed_files_are_unpacked_and_truncated_ones_refused(tmp_path: Path, good: bytes) -> None:
@@ -206,13 +206,13 @@ def test_packed_files_are_unpacked_and_truncated_ones_refused(tmp_path: Path, go
     with path.open("wb") as file, compressing(file, ".gz") as packed:
         packed.write(good)
     (tmp_path / "a.csv").write_bytes(good)
-    a, b = (list(step_reader.read(p)) for p in (path, tmp_path / "a.csv"))
+    a, b = (list(step_file.read(p)) for p in (path, tmp_path / "a.csv"))
     assert len(a) == len(b)
     for one, other in zip(a, b, strict=True):
         np.testing.assert_array_equal(one.xyze, other.xyze)
     path.write_bytes(path.read_bytes()[:-2000])
     with pytest.raises(StepFileError):
-        list(step_reader.read(path))
+        list(step_file.read(path))
 
 
 def test_packing_is_the_same_every_time_and_for_others_to_unpack(
@@ -230,7 +230,7 @@ def test_packing_is_the_same_every_time_and_for_others_to_unpack(
 def test_zst_is_refused_with_the_command_that_unpacks_it(tmp_path: Path) -> None:
     (tmp_path / "a.csv.zst").write_bytes(b"")
     with pytest.raises(HframeError, match="unpack it with 'zstd -d "):
-        step_reader.read(tmp_path / "a.csv.zst")
+        step_file.read(tmp_path / "a.csv.zst")
 
 
 # ---------------------------------------------------------------------- file → positions → plant
@@ -238,7 +238,7 @@ def test_zst_is_refused_with_the_command_that_unpacks_it(tmp_path: Path) -> None
 
 def at_milliseconds(path: Path, samples: int) -> Array:
     """x and y at the end of every millisecond, as the motors hold them between their steps."""
-    file = step_reader.read(path)
+    file = step_file.read(path)
     blocks = list(file)
     tick = np.concatenate([block.tick for block in blocks])
     xy = np.concatenate([block.xyze[:, :2] for block in blocks])

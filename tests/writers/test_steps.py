@@ -15,7 +15,7 @@ from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.types import Event, Handling, Mark, Pause, Standing
-from hframe_post.writers.steps import stepper as steps
+from hframe_post.writers import steps
 from tests.step_tools import Stepping, block, line, stepped
 
 TABLE = Steps(belt=0.02, z=0.0025, e=0.0024, clock_hz=40_000.0)

@@ -1,7 +1,7 @@
 """Samples → the steps of the motors, on the ticks of a stepping clock.
 
 Rules:
- 1. Between samples the command is a monotone cubic (``crossings``). A motor steps where it
+ 1. Between samples the command is a monotone cubic. A motor steps where it
     crosses the middle between two whole steps, on the next tick. Sample i is where the command
     stands at the end of millisecond i.
  2. A motor steps once a tick at most, and ``direction_setup`` after its last step when it
@@ -39,7 +39,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples
-from hframe_post.writers.steps.file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
+from hframe_post.writers.step_file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
 GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
 SAMPLES_AT_ONCE = 1 << 14
@@ -64,63 +64,19 @@ class StepCounts:
 
 
 class Stepper:
-    """Stage that turns a strategy's command into steps."""
+    """Stage that turns a strategy's command into steps.
 
-    def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
-        self._machine = _Machine(strategy, kinematics, table)
-
-    def step(self, chunks: Iterable[Samples]) -> Iterator[Item]:
-        """Yield the steps, with a ``Start`` after each release. Raises LimitError."""
-        for stretch in stretches(chunks):
-            for chunk in stretch:
-                yield from self._machine.chunk(chunk)
-            self._machine.known = False
-        yield from self._machine.end()
-
-    @property
-    def counts(self) -> StepCounts:
-        """Return the counts of all steps, once they have been yielded."""
-        m = self._machine
-        return StepCounts(m.steps.copy(), m.net.copy(), m.ticks, m.starts, m.passed)
-
-
-class _Motor:
-    """The last step of one motor: its tick and direction."""
-
-    def __init__(self, letter: str, table: Steps) -> None:
-        self._letter, self._clock = letter, table.clock_hz
-        self._gap = max(1, math.ceil(table.direction_setup * table.clock_hz - 1e-9))
-        self._latest = self._gap + math.ceil(LATEST * table.clock_hz)
-        self._last, self._heading = -self._gap, 0
-
-    def place(self, due: Integers, direction: Integers, line: Integers) -> Integers:
-        """Return the ticks (k,) of the next steps, k ≥ 1. Raises LimitError if one is late."""
-        ticks = spaced(due, direction, self._gap, self._last, self._heading)
-        late = ticks - due
-        if late.max() > self._latest:
-            k = int(np.argmax(late > self._latest))
-            raise LimitError(
-                f"delay of a step of motor {self._letter} (s)", int(late[k]) / self._clock,
-                self._latest / self._clock, int(line[k]),
-                "lower steps.direction_setup in the profile if the drivers allow it, or raise "
-                "effort in [compensation]",
-            )  # fmt: skip
-        self._last, self._heading = int(ticks[-1]), int(direction[-1])
-        return ticks
-
-
-class _Machine:
-    """All motors, the samples whose intervals are not finished, and steps not yet in order."""
+    Keeps the samples whose intervals are not finished, and steps that are not yet in order.
+    """
 
     def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
         self._strategy, self._kinematics = strategy, kinematics
-        self.steps = np.zeros(len(MOTORS), dtype=np.int64)
-        self.net = np.zeros(len(MOTORS), dtype=np.int64)
-        self.ticks, self.starts, self.passed = 0, 0, 0.0
+        self._steps, self._net = np.zeros((2, len(MOTORS)), dtype=np.int64)
+        self._ticks, self._starts, self._passed = 0, 0, 0.0
         self._lengths = np.array([table.belt, table.belt, table.z, table.e])
         self._per_sample, self._clock = table.clock_hz * TS, table.clock_hz
         self._motors = [_Motor(letter, table) for letter in MOTORS]
-        self.known = False  # whether the motors' positions are
+        self._known = False  # whether the motors' positions are
         self._u = np.zeros((0, len(MOTORS)))  # the sample before the first interval, and on
         self._line = np.zeros(0, dtype=np.int64)
         self._index = 0  # of the sample _u[1]
@@ -129,8 +85,24 @@ class _Machine:
         self._keys = np.zeros(0, dtype=np.int64)
         self._notes: list[Note] = []
 
-    def chunk(self, chunk: Samples) -> Iterator[Item]:
-        """Take a chunk; yield the items that are final."""
+    def step(self, chunks: Iterable[Samples]) -> Iterator[Item]:
+        """Yield the steps, with a ``Start`` after each release. Raises LimitError."""
+        for stretch in stretches(chunks):
+            for chunk in stretch:
+                yield from self._chunk(chunk)
+            self._known = False
+        yield from self._rest(self._end)
+        yield End(self._floor)
+        self._ticks = self._floor
+
+    @property
+    def counts(self) -> StepCounts:
+        """Return the counts of all steps, once they have been yielded."""
+        return StepCounts(
+            self._steps.copy(), self._net.copy(), self._ticks, self._starts, self._passed
+        )
+
+    def _chunk(self, chunk: Samples) -> Iterator[Item]:
         x, y = chunk.commands[self._strategy].T
         mm = np.column_stack([*self._kinematics.belts(x, y), chunk.xyze[:, Z:]])
         u = np.round(mm, GRAIN) / self._lengths + 0.5
@@ -144,72 +116,62 @@ class _Machine:
                 yield from self._take(u[done:at], chunk, done)
                 done = at
                 yield from self._rest(event.index)
-                released = event.action.handling is Handling.RELEASE
                 name = HANDLINGS[event.action.handling]
-                if released:
-                    self.passed += event.action.filament
+                if event.action.handling is Handling.RELEASE:
+                    self._passed += event.action.filament
                     name = name if event.action.text else "end"
                 self._notes.append(Note(self._floor, name, event.action.text))
         yield from self._take(u[done:], chunk, done)
 
-    def end(self) -> Iterator[Item]:
-        yield from self._rest(self._end)
-        yield End(self._floor)
-        self.ticks = self._floor
-
     def _tick(self, index: int) -> int:
-        """Return the tick at which the millisecond of the sample ``index`` begins."""
+        # at which the millisecond of this sample begins
         return math.ceil(index * self._per_sample)
 
     def _take(self, u: Array, chunk: Samples, row: int) -> Iterator[Item]:
-        """Take samples u (n, 4), of which the first is row ``row`` of the chunk."""
+        """Take samples u (n, 4) from row ``row`` of the chunk on."""
         if not len(u):
             return
         line = chunk.line[row : row + len(u)]
         self._end = chunk.first + row + len(u)
-        if not self.known:
-            self.known, self._index = True, chunk.first + row
+        if not self._known:
+            self._known, self._index = True, chunk.first + row
             self._u, self._line = np.repeat(u[:1], 2, axis=0), np.repeat(line[:1], 2)
             tick = max(self._tick(self._index), self._floor)
             yield from self._emit(tick + 1)  # what was noted on the way here
-            self.starts += 1
+            self._starts += 1
             yield Start(tick, tuple(np.floor(u[0]).astype(int).tolist()))
             u, line = u[1:], line[1:]
         for k in range(0, len(u), SAMPLES_AT_ONCE):
-            self._u = np.concatenate([self._u, u[k : k + SAMPLES_AT_ONCE]])
-            self._line = np.concatenate([self._line, line[k : k + SAMPLES_AT_ONCE]])
-            self._advance()
+            self._advance(u[k : k + SAMPLES_AT_ONCE], line[k : k + SAMPLES_AT_ONCE])
             yield from self._emit(self._tick(self._index + 1))
 
     def _rest(self, index: int) -> Iterator[Item]:
         """Yield everything up to sample ``index``, before which the machine stands."""
-        if self.known:
-            self._u = np.concatenate([self._u, self._u[-1:]])
-            self._line = np.concatenate([self._line, self._line[-1:]])
-            self._advance()
+        if self._known:
+            self._advance(self._u[-1:], self._line[-1:])
             self._u, self._line = self._u[1:], self._line[1:]
         last = self._keys.max(initial=0) >> KEY_BITS
         self._floor = max(self._floor, self._tick(index), int(last))
         yield from self._emit(None)
 
-    def _advance(self) -> None:
-        """Add the steps of the intervals that have a sample on either side."""
+    def _advance(self, u: Array, line: Integers) -> None:
+        """Add samples u (n, 4), and the steps of intervals that have a sample on either side."""
+        self._u, self._line = np.concatenate([self._u, u]), np.concatenate([self._line, line])
         n = len(self._u) - 3
         if n < 1:
             return
         self._check_speed()
         keys = [self._keys]
         for k, motor in enumerate(self._motors):
-            u = np.ascontiguousarray(self._u[:, k])
-            interval, share, direction = crossings(u)
+            interval, share, direction = crossings(np.ascontiguousarray(self._u[:, k]))
             if not len(interval):
                 continue
             time = (self._index + 1 + interval + share) * self._per_sample
             due = np.maximum(np.ceil(time).astype(np.int64), self._floor + 1)
             ticks = motor.place(due, direction, self._line[2:][interval])
             keys.append((ticks << KEY_BITS) + (2 * k + (direction > 0)))
-            self.steps[k] += len(ticks)
-            self.net[k] += int(direction.sum())
+            self._steps[k] += len(ticks)
+            self._net[k] += int(direction.sum())
         self._keys = np.sort(np.concatenate(keys), kind="stable")  # merges what is sorted
         self._u, self._line, self._index = self._u[n:], self._line[n:], self._index + n
 
@@ -242,6 +204,31 @@ class _Machine:
             yield Stepped(keys, notes)
 
 
+class _Motor:
+    """The last step of one motor: its tick and direction."""
+
+    def __init__(self, letter: str, table: Steps) -> None:
+        self._letter, self._clock = letter, table.clock_hz
+        self._gap = max(1, math.ceil(table.direction_setup * table.clock_hz - 1e-9))
+        self._latest = self._gap + math.ceil(LATEST * table.clock_hz)
+        self._last, self._heading = -self._gap, 0
+
+    def place(self, due: Integers, direction: Integers, line: Integers) -> Integers:
+        """Return the ticks (k,) of the next steps, k ≥ 1. Raises LimitError if one is late."""
+        ticks = spaced(due, direction, self._gap, self._last, self._heading)
+        late = ticks - due
+        if late.max() > self._latest:
+            k = int(np.argmax(late > self._latest))
+            raise LimitError(
+                f"delay of a step of motor {self._letter} (s)", int(late[k]) / self._clock,
+                self._latest / self._clock, int(line[k]),
+                "lower steps.direction_setup in the profile if the drivers allow it, or raise "
+                "effort in [compensation]",
+            )  # fmt: skip
+        self._last, self._heading = int(ticks[-1]), int(direction[-1])
+        return ticks
+
+
 def crossings(u: Array, close: float = 1e-3) -> tuple[Integers, Array, Integers]:
     """Return the steps between the inner n − 2 of n samples u (n,), in order: (k,) each.
 
@@ -262,13 +249,13 @@ def crossings(u: Array, close: float = 1e-3) -> tuple[Integers, Array, Integers]
     first = np.abs(at + (heading > 0) - start)
     slope = u[1:] - u[:-1]
     before, d, after = (slope[which + k] * heading for k in range(3))
-    m0, m1 = tangents(before, d), tangents(d, after)
+    m0, m1 = _tangents(before, d), _tangents(d, after)
     c2, c3 = 3.0 * d - 2.0 * m0 - m1, m0 + m1 - 2.0 * d
     c1, c2, c3, level = (np.repeat(column, count) for column in (m0, c2, c3, first))
     return interval, _solved(c1, c2, c3, level + nth, close), np.repeat(heading, count)
 
 
-def tangents(before: Array, after: Array) -> Array:
+def _tangents(before: Array, after: Array) -> Array:
     """Return m (n,) at samples between slopes before and after them, (n,) steps a sample each."""
     least = np.minimum(np.abs(before), np.abs(after))
     least *= 3.0  # monotone below (Fritsch and Carlson)

@@ -1,10 +1,14 @@
-"""Step files → positions of the motors."""
+"""Step files: their items, their text with one row a step or one row a tick, and its reader.
+
+docs/formats.md describes the format.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -13,13 +17,18 @@ import numpy as np
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import StepFileError
 from hframe_post.writers.files import decompressing
-from hframe_post.writers.steps.file import MOTORS, NAMES, VERSION, Header
+from hframe_post.writers.stream import digits
+
+MOTORS = "ABZE"
+VERSION = 1
+NAMES = {"steps": b"tick,motor,direction\n", "step-bits": b"tick,steps,directions\n"}
+KEY_BITS = 3  # of a key: two for the motor, one for the direction
 
 BYTES_AT_ONCE = 1 << 20
 MOST_DIGITS = 18  # of a tick
 NUMBER = rb"(-?\d{1,18}(?:\.\d{1,18})?(?:e[+-]?\d{1,3})?)"
-START = re.compile(rb"#start,(\d{1,18})" + rb",(-?\d{1,18})" * len(MOTORS))
-END = re.compile(rb"#end,(\d{1,18}),(\d{1,18})")
+START_LINE = re.compile(rb"#start,(\d{1,18})" + rb",(-?\d{1,18})" * len(MOTORS))
+END_LINE = re.compile(rb"#end,(\d{1,18}),(\d{1,18})")
 HEADER = re.compile(
     rb"#hframe-post (steps|step-bits),(\d+)\n"
     rb"#version,([^\n]*)\n#printer,([^\n]*)\n#settings,([^\n]*)\n"
@@ -28,6 +37,154 @@ HEADER = re.compile(
     rb"#belt,A," + NUMBER + rb"," + NUMBER + rb"\n#belt,B," + NUMBER + rb"," + NUMBER + rb"\n"
 )
 VALUES = {"steps": ("ABZE", "01"), "step-bits": ("0123456789abcdef",) * 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Header of a step file. matrix (2, 2): mm of belts A, B per mm of x, y."""
+
+    kind: str
+    version: str
+    printer: str
+    settings: str
+    clock_hz: float
+    step_mm: tuple[float, ...]
+    matrix: Array
+
+    def text(self) -> bytes:
+        rows = zip(MOTORS, self.matrix.tolist(), strict=False)
+        lines = [
+            f"#hframe-post {self.kind},{VERSION}",
+            f"#version,{self.version}",
+            f"#printer,{self.printer}",
+            f"#settings,{self.settings}",
+            f"#clock_hz,{self.clock_hz!r}",
+            f"#motors,{','.join(MOTORS)}",
+            f"#step_mm,{','.join(map(repr, self.step_mm))}",
+            *(f"#belt,{motor},{x:g},{y:g}" for motor, (x, y) in rows),
+        ]
+        return "".join(line + "\n" for line in lines).encode() + NAMES[self.kind]
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A line that is not motion; it comes after the steps of its tick."""
+
+    tick: int
+    handling: str
+    text: bytes
+
+    def line(self) -> bytes:
+        return b"%d,%s,%s\n" % (self.tick, self.handling.encode(), self.text)
+
+
+EVENTS_HEADER = b"#hframe-post events,%d\ntick,handling,text\n" % VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Position of the motors, (4,) whole steps from the origin, before the next steps."""
+
+    tick: int
+    position: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Stepped:
+    """Steps in order of tick, tick·8 + motor·2 + (1 if forwards), (n,), and notes among them."""
+
+    keys: Integers
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The end of the print."""
+
+    tick: int
+
+
+Item = Start | Stepped | End
+
+
+class StepFileWriter:
+    """Writer of a step file's text. rows, lines: of steps and of all lines, written so far."""
+
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._render = _Ticks() if header.kind == "step-bits" else _steps
+        self.rows, self.lines = 0, 0
+
+    def write(self, items: Iterable[Item]) -> Iterator[bytes | Note]:
+        """Yield the text, and the notes after the steps of their tick, for a file of events."""
+        head = self._header.text()
+        self.lines += head.count(b"\n")
+        yield head
+        for item in items:
+            if isinstance(item, Stepped):
+                yield from self._stepped(item)
+                continue
+            self.lines += 1
+            yield (
+                b"#end,%d,%d\n" % (item.tick, self.rows)
+                if isinstance(item, End)
+                else b"#start,%d,%d,%d,%d,%d\n" % (item.tick, *item.position)
+            )
+
+    def _stepped(self, item: Stepped) -> Iterator[bytes | Note]:
+        cuts = [int(np.searchsorted(item.keys, note.tick + 1 << KEY_BITS)) for note in item.notes]
+        for start, stop, note in zip([0, *cuts], [*cuts, None], [*item.notes, None], strict=True):
+            if len(keys := item.keys[start:stop]):
+                count, text = self._render(keys)
+                self.rows += count
+                self.lines += count
+                yield text
+            if note is not None:
+                yield note
+
+
+def inlined(pieces: Iterable[bytes | Note]) -> Iterator[bytes]:
+    """Yield one text, in which notes are lines."""
+    for piece in pieces:
+        yield b"#event," + piece.line() if isinstance(piece, Note) else piece
+
+
+def _steps(keys: Integers) -> tuple[int, bytes]:
+    """Return the number of rows and their text, a row for each step."""
+    return len(keys), digits.rows([digits.whole(keys >> KEY_BITS), _tails("ABZE", 2)[keys & 7]])
+
+
+class _Ticks:
+    """Text with a row for each tick with a step. Remembers each motor's last direction."""
+
+    def __init__(self) -> None:
+        self._headings = 0
+
+    def __call__(self, keys: Integers) -> tuple[int, bytes]:
+        tick = keys >> KEY_BITS
+        first = np.flatnonzero(np.diff(tick, prepend=-1))
+        stepped = np.bitwise_or.reduceat(1 << (keys >> 1 & 3), first)
+        forwards = np.bitwise_or.reduceat((keys & 1) << (keys >> 1 & 3), first)
+        headings = np.zeros_like(forwards)
+        for motor in range(len(MOTORS)):
+            bit = 1 << motor
+            steps = np.flatnonzero(stepped & bit)
+            kept = np.diff(steps, prepend=0, append=len(first))  # rows until the next step
+            known = np.concatenate([[self._headings & bit], forwards[steps] & bit])
+            headings |= np.repeat(known, kept)
+        self._headings = int(headings[-1])
+        tails = _tails("0123456789abcdef", 16)[stepped * 16 + headings]
+        return len(first), digits.rows([digits.whole(tick[first]), tails])
+
+
+@cache
+def _tails(names: str, values: int) -> digits.Bytes:
+    """Return the end of a row for each name and value, (names·values, 5)."""
+    rows = "".join(f",{name},{value:x}\n" for name in names for value in range(values))
+    return np.frombuffer(rows.encode(), dtype=np.uint8).reshape(-1, 5)
+
+
+# ---------------------------------------------------------------------- reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +220,7 @@ class StepFile:
                 yield from reader.lines(lines + newline)
                 if len(rest) > BYTES_AT_ONCE:
                     raise StepFileError("a line does not end", self.path)
-        reader.finish(rest)
+        reader.check_complete(rest)
 
 
 def read(path: str | Path) -> StepFile:
@@ -132,18 +289,18 @@ class _Reader:
                 yield self._rows_of(text[at:stop])
                 at = stop
 
-    def finish(self, rest: bytes) -> None:
+    def check_complete(self, rest: bytes) -> None:
         if rest or not self._ended:
             raise self._error("the file is incomplete")
 
     def _directive(self, line: bytes) -> Iterator[Positions]:
-        if match := START.fullmatch(line):
+        if match := START_LINE.fullmatch(line):
             tick, *position = (int(number) for number in match.groups())
             if tick < self._tick:
                 raise self._error("ticks go backwards")
             self._tick, self._position = tick, np.array(position)
             yield self._positions(np.array([tick]), self._position[None], fresh=True)
-        elif match := END.fullmatch(line):
+        elif match := END_LINE.fullmatch(line):
             if int(match[2]) != self._rows:
                 raise self._error(f"{self._rows} rows, but {int(match[2])} were written")
             self._ended = True

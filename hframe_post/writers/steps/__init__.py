@@ -1,1 +1,0 @@
-"""Samples to the step times of the motors."""
