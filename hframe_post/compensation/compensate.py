@@ -66,7 +66,6 @@ class _States:
             self._ready[name] = np.concatenate([ready, command]) if len(ready) else command
 
     def _release(self, n: int) -> Iterator[Samples]:
-        """Yield the first ``n`` waiting samples with their commands."""
         count = sum(map(len, self._waiting))
         if not self._waiting or (count and not n):
             return

@@ -154,7 +154,6 @@ class Guard:
 
 
 def _greatest(values: Array) -> float:
-    """Return the greatest magnitude, without a copy of the array."""
     return max(float(values.max()), -float(values.min()))
 
 
@@ -219,7 +218,6 @@ class Clamped:
     most: float = 0.0
 
     def joined(self, later: Clamped) -> Clamped:
-        """Return the total of this part of a stream and a later one."""
         return Clamped(
             self.samples + later.samples, self.line or later.line, max(self.most, later.most)
         )

@@ -139,7 +139,6 @@ class _Stretch:
         return window.end - 1 - BEFORE
 
     def _release(self, end: int) -> Iterator[Samples]:
-        """Yield the buffered samples before ``end``."""
         whole = join(self._buffered)
         n = min(end - whole.first, len(whole))
         if n <= 0 and len(whole):
@@ -183,7 +182,6 @@ class _Window:
 
     @property
     def end(self) -> int:
-        """Return the index of the sample after the last."""
         return self._first + len(self._path)
 
     def _rows(self, a: int, b: int) -> slice:
@@ -216,19 +214,16 @@ class _Window:
         self._first += n
 
     def commands(self, a: int, b: int) -> dict[str, Array]:
-        """Return every strategy's command at samples a … b − 1."""
         return {
             name: frozen(track.command[self._rows(a, b)] + self._origin)
             for name, track in self._tracks.items()
         }
 
     def put_on_path(self, a: int, b: int) -> None:
-        """Place every command on the path at samples a … b − 1."""
         for track in self._tracks.values():
             track.command[self._rows(a, b)] = self._path[self._rows(a, b)]
 
     def solve(self, stop: Stop) -> None:
-        """Change every strategy's command around a stop."""
         around = Surroundings(self._path, self._origin, self._extruding)
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
         local = stop.shifted(-self._first)

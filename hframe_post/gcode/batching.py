@@ -100,11 +100,9 @@ class ItemBuilder:
 
     @property
     def free(self) -> int:
-        """Return how many more moves complete an item."""
         return MOVES_PER_ITEM - self._count
 
     def add_move(self, number: int, start: Position, end: Position, speed: float) -> None:
-        """Add a move in which x or y changes, under the state's limits."""
         self._begin(start)
         self._count += 1
         state = self._state
@@ -163,7 +161,6 @@ class ItemBuilder:
         self.ready.append(item)
 
     def flush(self) -> None:
-        """Make one item of the collected moves, with the present axis limits. Raises GcodeError."""
         if not self._count:
             return
         self._tabulate()

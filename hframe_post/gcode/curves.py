@@ -86,7 +86,6 @@ class Arc:
 
     @property
     def length(self) -> float:
-        """Return the length in the plane, mm."""
         return abs(self.sweep) * sum(self.radii) / 2.0
 
     def chords(self) -> tuple[Array, Array]:

@@ -27,7 +27,6 @@ class Line(NamedTuple):
     text: bytes
 
     def error(self, cause: str) -> GcodeError:
-        """Return an error that names this line; the caller raises it."""
         return GcodeError(cause, self.number, self.text)
 
 

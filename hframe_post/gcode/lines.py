@@ -22,7 +22,6 @@ SUFFIX = ".bgcode"
 
 
 def is_binary(path: Path) -> bool:
-    """Return whether the first bytes of a file are those of binary G-code."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -59,7 +58,6 @@ def as_binary(target: IO[bytes]) -> Iterator[IO[bytes]]:
 
 
 def _convert(function: str, source: Path, target: Path, verify: bool = False) -> str | None:
-    """Convert a file; return the error message, if there is one."""
     bgcode = _library()
     opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
     try:
@@ -163,7 +161,6 @@ class Lines:
         return (self._text, self._offset) if self._offset < len(self._text) else (b"", 0)
 
     def skip(self, lines: int, size: int) -> None:
-        """Take so many lines and bytes of the ``upcoming`` text."""
         self._next, self._offset = self._next + lines, self._offset + size
         self._lines_read += lines
         self.number = self._lines_read

@@ -93,7 +93,6 @@ class _Reader:
         self.items = ItemBuilder(self._state)
 
     def apply_plain_moves(self) -> bool:
-        """Apply the plain moves that come next; return False if there are none."""
         start = self._state.position
         rows = self._plain_moves.take(self.items.free)
         if rows is None:
@@ -140,7 +139,6 @@ class _Reader:
     # ------------------------------------------------------------------ motion
 
     def _apply_motion(self, line: Line, name: str, words: Words) -> None:
-        """Apply G0, G1, G2, G3, G5 or G92."""
         state = self._state
         if "F" in words:
             state.set_feed(line, words.pop("F"))
@@ -173,7 +171,6 @@ class _Reader:
             state.position = end
 
     def _end(self, line: Line, words: Words) -> Position:
-        """Return where a move leads, on the bed or not."""
         state = self._state
         if "E" in words and not state.e_mode_known:
             state.set_e_mode(self._detect_absolute_e(line))
@@ -201,7 +198,6 @@ class _Reader:
         state.position = end
 
     def _stand(self, line: Line, end: Position, max_speed: float) -> None:
-        """Add a move in which x and y stand still."""
         state = self._state
         move = Standing(line.number, state.position, end, min(state.speed, max_speed))
         self.items.add_standing(move)
@@ -224,7 +220,6 @@ class _Reader:
     # ------------------------------------------------------------------ other commands
 
     def _apply_limit(self, line: Line, name: str, words: Words) -> None:
-        """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT."""
         source = self._options.limits
         if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
             if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
@@ -253,7 +248,6 @@ class _Reader:
             self._apply_other(line, name)
 
     def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
-        """Apply a command or macro that is neither motion, mode nor limit."""
         if name == KLIPPER_COMMAND:
             self._retraction.set(name, parameters(line, KLIPPER_PARAMETERS))
         elif name in MARLIN_WORDS:
@@ -324,7 +318,6 @@ class _Reader:
         )
 
     def _detect_absolute_e(self, line: Line) -> bool:
-        """Return whether E is absolute in a file that has not said so before its first E."""
         absolute = is_absolute(chain([line], self._source.ahead()))
         if absolute is False and self._ran_macro:
             return False

@@ -55,7 +55,6 @@ class State:
     # ------------------------------------------------------------------ place
 
     def target(self, words: Words) -> Position:
-        """Return where a move with these words leads."""
         px, py, pz, pe = self.position
         ox, oy, oz, oe = self.offset if self.absolute else self.position
         if not self.absolute_e:
@@ -120,7 +119,6 @@ class State:
     # ------------------------------------------------------------------ modes and limits
 
     def set_mode(self, name: str) -> None:
-        """Apply G90, G91, M82, M83, G20, G21, G17, G18 or G19."""
         if name in ("G90", "G91"):
             self.absolute = name == "G90"
             if self._dialect.g90_sets_e:
@@ -133,7 +131,6 @@ class State:
             self.xy_plane = name == "G17"
 
     def set_e_mode(self, absolute: bool) -> None:
-        """Set whether E is absolute from now on."""
         self.absolute_e, self.e_mode_known = absolute, True
 
     def set_feed(self, line: Line, value: float) -> None:
@@ -191,7 +188,6 @@ class State:
                 self.axes = replace(self.axes, velocity=(v, v, *self.axes.velocity[2:]))
 
     def modal_state(self) -> ModalState:
-        """Return what the file believes of the firmware."""
         e = self.position[3] - self.offset[3]
         return ModalState(self.absolute, self.absolute_e, e, self.feed, self.offset[:3])
 

@@ -65,7 +65,6 @@ class Trapezoid:
 
     @property
     def peak(self) -> float:
-        """Return the greatest speed that is reached."""
         mean = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0
         return min(self.cruise, math.sqrt(self.length * self.acceleration + mean))
 
@@ -77,7 +76,6 @@ class Trapezoid:
 
     @property
     def seconds(self) -> float:
-        """Return the duration of all of it."""
         peak, a = self.peak, self.acceleration
         ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
         return (self.length + ramped) / peak

@@ -47,7 +47,6 @@ class Kinematics:
 
     @property
     def z_is_separate(self) -> bool:
-        """Return whether z has a motor that x does not use."""
         return self.type != "corexz"
 
     @property

@@ -156,7 +156,6 @@ class StopSolver:
         return np.asarray(-np.linalg.solve(H, g))
 
     def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
-        """Return the command with what p adds."""
         a, b, k = stop.a, stop.b, len(self._reach)
         changed = command[a - BESIDE : b + BESIDE].copy()
         for axis in (X, Y):
@@ -214,7 +213,6 @@ class _BoundWeights:
 
     @classmethod
     def initial(cls, known: Array, bed: Array) -> _BoundWeights:
-        """Return weights that bound nothing yet."""
         nothing = np.zeros_like(known)
         return cls(np.ones(len(known) - 2), nothing, nothing, bed[:, 0], bed[:, 1])
 

@@ -69,7 +69,6 @@ class Stop:
     ends: int
 
     def shifted(self, n: int) -> Stop:
-        """Return the stop with its samples counted from n samples earlier."""
         return replace(self, a=self.a + n, b=self.b + n, ends=self.ends + n)
 
 
@@ -140,7 +139,6 @@ class Rows:
         return np.where(self.extruding, np.hypot(off[:, X], off[:, Y]), 0.0)
 
     def emphasised(self, off: Array) -> Rows:
-        """Return the same rows with more weight where the nozzle is FAR ``off`` (m,)."""
         return replace(self, weight=self.weight * reweighted(off / FAR, gain=1.5, most=10.0))
 
 
@@ -166,7 +164,6 @@ class Nozzle:
         return cls(np.column_stack([known_x, known_y]), x, across, y)
 
     def at(self, p: Array) -> Array:
-        """Return the places (r, 2)."""
         p_x, p_y = p.reshape(2, -1)
         moved = np.column_stack([self.x @ p_x, self.across @ p_x + self.y @ p_y])
         return np.asarray(self.known + moved)

@@ -60,12 +60,10 @@ class TransferFunction:
 
     @property
     def order(self) -> int:
-        """Return the number of poles, which is that of states."""
         return len(self.poles)
 
     @property
     def dc_gain(self) -> float:
-        """Return the gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)
 
     def response(self, omega: Array) -> Complex:
@@ -177,7 +175,6 @@ def _groups(poles: Complex) -> list[Complex]:
 
 
 def _monic(roots: Complex) -> Array:
-    """Return the real polynomial with these roots, in descending powers."""
     return np.atleast_1d(np.asarray(np.poly(roots).real, dtype=float))
 
 

@@ -49,7 +49,6 @@ def kernel(name: str) -> Kernel | None:
 
 @cache
 def built() -> dict[str, Kernel] | None:
-    """Return all compiled loops, or None if they were not built with the package."""
     folder = Path(__file__).parent
     paths = [folder / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES]
     return next((found for path in paths if path.exists() and (found := loaded(path))), None)

@@ -101,7 +101,6 @@ class _Queue:
         return None
 
     def stop(self) -> Iterator[Plan]:
-        """Yield all that is queued, ending at rest."""
         if self.count:
             moves = _joined(self._moves)
             caps = _junction_speeds(moves, self._limits)
@@ -138,11 +137,9 @@ class _Limited:
 
     @property
     def s(self) -> Array:
-        """Return the path length at the vertices, (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.length)])
 
     def part(self, start: int, stop: int) -> _Limited:
-        """Return moves start … stop − 1."""
         per_move = (self.length, self.cruise, self.acceleration, self.deviation)
         cut = (column[start:stop] for column in per_move)
         return _Limited(self.line[start:stop], self.points[start : stop + 1], *cut)

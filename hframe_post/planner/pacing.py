@@ -109,13 +109,11 @@ class Labeller:
         self._kind = NAMES.index(kind(start.place.feature))
 
     def mark(self, text: bytes) -> None:
-        """Read a line between moves."""
         if self._place.mark(text):
             self._kind = NAMES.index(kind(self._place.feature))
 
     @property
     def start(self) -> Start:
-        """Return the place of the next move."""
         return Start(replace(self._place), self._floor)
 
     def classify(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:

@@ -124,7 +124,6 @@ class _Output:
                 yield from self.flush()
 
     def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
-        """Yield what is buffered as one chunk with its events, unless there is nothing."""
         if not self._pieces and not self.events:
             return
         nothing = np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
@@ -156,7 +155,6 @@ class _Sampler:
     # ------------------------------------------------------------------ motion
 
     def run(self, plan: Plan) -> Iterator[Samples]:
-        """Add the samples of the runs of a plan."""
         yield from self._set_out(plan)
         phases, self._clock = self._profiler.phases(plan, self._limits.jerk, self._clock)
         stops = plan.speed[-1] == 0.0
@@ -225,7 +223,6 @@ class _Sampler:
     # ------------------------------------------------------------------ rest
 
     def mark(self, text: bytes) -> None:
-        """Add a pass-through line at the present sample, or to those that wait for rest."""
         self._labelled |= self._rests.needs_rest(text)
         if self._waiting_lines:
             self._waiting_lines.append(text)
@@ -233,7 +230,6 @@ class _Sampler:
             self.output.events.append(Mark(self.output.index, text))
 
     def wait(self, action: Passthrough) -> Iterator[Samples]:
-        """Add a pass-through line that needs the machine at rest."""
         self._labelled |= self._rests.needs_rest(action.text)
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
@@ -291,7 +287,6 @@ class _Sampler:
         return min(SPARED * self._rests.lift_speed, 0.05 * math.sqrt(acceleration))
 
     def halt(self) -> Iterator[Samples]:
-        """Bring the command to rest on the path."""
         yield from self._come_to_rest(aside=True)
 
     def _come_to_rest(self, aside: bool, needed: bool = True) -> Iterator[Samples]:

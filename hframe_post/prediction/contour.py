@@ -10,8 +10,6 @@ from hframe_post.native import kernel
 
 COARSE = 3  # samples from one candidate to the next in the first search
 STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
-SEARCHED = 128  # consecutive samples searched together
-ROWS_IN_CACHE = 32
 
 
 def contour_error(path: Array, actual: Array, at: Integers) -> Array:
@@ -33,26 +31,22 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
 
 
 def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> Array:
-    n, p = len(ax), len(px)
-    if not n:
-        return np.zeros(0)
-    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
+    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, len(px) - 1)
     turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
-    straight = turns[high] == turns[low + 1]  # no turn strictly between
     error = _to_segment(ax, ay, px[low], py[low], px[high], py[high])
-    rows = np.logical_or.reduceat(~straight, np.arange(0, n, SEARCHED))
-    which = np.flatnonzero(np.repeat(rows, SEARCHED)[:n])  # neighbours are searched together
-    if len(which):
-        ax, ay = ax[which], ay[which]
-        every = int(at[1] - at[0]) if n > 1 else 1
-        k = _nearest(px, py, ax, ay, at[which], every)
-        x, y = px[k], py[k]
-        before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
-        nearer = np.minimum(
-            _to_segment(ax, ay, x, y, px[before], py[before]),
-            _to_segment(ax, ay, x, y, px[after], py[after]),
-        )
-        error[which] = np.where(straight[which], error[which], nearer)
+    bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
+    ax, ay, at = ax[bent], ay[bent], at[bent]
+    coarse = _nearest(px, py, ax, ay, [at + k for k in range(-NEAREST, NEAREST + 1, COARSE)])
+    # next what was left out: around the result, and around the sample of the same time, which is
+    # right at sharp corners if the nozzle follows well
+    k = _nearest(px, py, ax, ay, [coarse - 1, coarse, coarse + 1, at - 1, at, at + 1])
+    k = np.clip(k, 0, len(px) - 1)
+    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, len(px) - 1)
+    x, y = px[k], py[k]
+    error[bent] = np.minimum(
+        _to_segment(ax, ay, x, y, px[before], py[before]),
+        _to_segment(ax, ay, x, y, px[after], py[after]),
+    )
     return np.sqrt(error)
 
 
@@ -67,49 +61,14 @@ def _turns(px: Array, py: Array) -> Flags:
     return turns
 
 
-def _nearest(px: Array, py: Array, ax: Array, ay: Array, at: Integers, every: int) -> Integers:
-    """Return the samples within NEAREST of ``at`` (q,) that are nearest to the points a (q,).
-
-    ``at`` consists of rows of SEARCHED samples, ``every`` apart; the last row may be shorter.
-    """
-    q, span = len(at), SEARCHED * every
-    width = span + 2 * NEAREST
-    rows = -(-q // SEARCHED)
-    window = np.clip(at[::SEARCHED, None] - NEAREST + np.arange(width), 0, len(px) - 1)
-    wx, wy = px[window], py[window]
-    here = np.zeros((2, rows, SEARCHED))
-    here[0].ravel()[:q], here[1].ravel()[:q] = ax, ay
-    nearest = np.zeros((rows, SEARCHED), dtype=np.int8)
-    for r in range(0, rows, ROWS_IN_CACHE):
-        some = slice(r, r + ROWS_IN_CACHE)
-        x, y, best = here[0, some], here[1, some], np.full(here[0, some].shape, np.inf)
-        dx, dy = np.empty_like(x), np.empty_like(y)
-        for shift in range(0, 2 * NEAREST + 1, COARSE):
-            np.subtract(x, wx[some, shift : shift + span : every], out=dx)
-            np.subtract(y, wy[some, shift : shift + span : every], out=dy)
-            np.multiply(dx, dx, out=dx)
-            np.multiply(dy, dy, out=dy)
-            np.add(dx, dy, out=dx)
-            np.copyto(nearest[some], shift, where=dx < best)
-            np.minimum(best, dx, out=best)
-    coarse = at - NEAREST + nearest.ravel()[:q]
-    return _refined(px, py, ax, ay, (coarse - 1, coarse, coarse + 1, at - 1, at, at + 1))
-
-
-def _refined(
-    px: Array, py: Array, ax: Array, ay: Array, candidates: tuple[Integers, ...]
-) -> Integers:
-    """Return the nearest of the candidate samples (each (q,)) to each point.
-
-    They are those the coarse search left out: around its result, and around the sample of the
-    same time, which is right at sharp corners if the nozzle follows well.
-    """
+def _nearest(px: Array, py: Array, ax: Array, ay: Array, candidates: list[Integers]) -> Integers:
+    """Return which of the candidate samples, (q,) each, is nearest to each of the points a (q,)."""
     nearest, best = candidates[0], np.full(len(ax), np.inf)
     for candidate in candidates:
         k = np.clip(candidate, 0, len(px) - 1)
         dx, dy = px[k] - ax, py[k] - ay
         distance2 = dx * dx + dy * dy
-        nearest = np.where(distance2 < best, k, nearest)
+        nearest = np.where(distance2 < best, candidate, nearest)
         np.minimum(best, distance2, out=best)
     return nearest
 

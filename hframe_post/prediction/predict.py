@@ -88,7 +88,6 @@ def in_motion(xyze: Array) -> tuple[Flags, Flags]:
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
-    """Yield the chunks with their commands in whole steps."""
     for stretch in stretches(chunks):
         for chunk, wide, where in with_neighbours(stretch, 1, 1):
             commands = {

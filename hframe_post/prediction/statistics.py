@@ -91,7 +91,6 @@ class ErrorStatistics:
             self.histogram += np.bincount(bins, minlength=BINS).astype(np.int32)
 
     def join(self, other: ErrorStatistics) -> None:
-        """Add the errors that another part of the stream has counted."""
         self.count += other.count
         self.squares += other.squares
         self.peak = max(self.peak, other.peak)
@@ -99,7 +98,6 @@ class ErrorStatistics:
 
     @property
     def rms(self) -> float:
-        """Return the root mean square, mm."""
         return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
 
     def percentile(self, share: float) -> float:
@@ -110,7 +108,6 @@ class ErrorStatistics:
         return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
 
     def micrometres(self) -> dict[str, float]:
-        """Return RMS, 95th percentile and peak in µm."""
         values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
 
@@ -137,7 +134,6 @@ class ContourErrors:
         self.all._add(errors, bins)
 
     def join(self, other: ContourErrors) -> None:
-        """Add the errors that another part of the stream has counted."""
         self.extruding.join(other.extruding)
         self.all.join(other.all)
 
@@ -148,11 +144,9 @@ class ContourErrors:
 
     @property
     def rms(self) -> float:
-        """Return the root mean square of the errors that are shown, mm."""
         return self.shown.rms
 
     def micrometres(self) -> dict[str, Any]:
-        """Return RMS, 95th percentile and peak in µm; those of all motion under ``all``."""
         return {**self.shown.micrometres(), "all": self.all.micrometres()}
 
 

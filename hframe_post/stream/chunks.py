@@ -33,7 +33,6 @@ def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
 
 
 def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """Yield the same samples in chunks of ``n``, the last one with the remainder."""
     waiting: list[Samples] = []
     for chunk in chunks:
         waiting.append(chunk)
@@ -49,7 +48,6 @@ def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
 
 
 def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """Yield the same stream in chunks of at most ``n`` samples."""
     for chunk in chunks:
         for start in range(0, len(chunk), n):
             yield part(chunk, start, min(start + n, len(chunk)))
@@ -92,7 +90,6 @@ def _last(chunks: list[Samples], n: int) -> Iterator[Samples]:
 
 
 def join(chunks: list[Samples]) -> Samples:
-    """Return contiguous chunks as one."""
     if len(chunks) == 1:
         return chunks[0]
     return Samples(
@@ -120,7 +117,6 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
 
 
 def shifted(chunk: Samples, samples: int) -> Samples:
-    """Return the chunk with all indices increased by ``samples``."""
     if not samples:
         return chunk
     events = tuple(replace(event, index=event.index + samples) for event in chunk.events)

@@ -67,7 +67,6 @@ class StageTimes:
 
 
 def joined(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-    """Return the sums of the seconds by stage."""
     stages = {**one, **other}
     return {stage: one.get(stage, 0.0) + other.get(stage, 0.0) for stage in stages}
 

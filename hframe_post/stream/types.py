@@ -208,7 +208,6 @@ class Samples:
 
     @property
     def end(self) -> int:
-        """Return the index of the sample after the last."""
         return self.first + len(self.xyze)
 
 
