@@ -30,7 +30,7 @@ from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.page.build import page as print_page
-from hframe_post.prediction import contour
+from hframe_post.prediction.predict import contour_error as contour_error_at
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
@@ -108,7 +108,7 @@ def contour_error(nozzle: ArrayLike, path: ArrayLike) -> Array:
             "path needs as many samples of rest before it as after it"
         )
     at = np.arange(len(desired))
-    return contour.contour_error(desired, actual[r : r + len(desired)], at)
+    return contour_error_at(desired, actual[r : r + len(desired)], at)
 
 
 # ---------------------------------------------------------------------- files

@@ -23,7 +23,7 @@ from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.verification_motion import QUIET, after_corners, motion_of
 from hframe_post.model.plant import Response
-from hframe_post.prediction.contour import contour_error
+from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 
 LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on

@@ -48,10 +48,12 @@ class Window:
 
     @property
     def L_C(self) -> int:
+        """Return the number of samples in a window."""
         return self.n_C * self.L
 
     @property
     def stride(self) -> int:
+        """Return the number of samples from one window to the next."""
         return self.n_up * self.L
 
 

@@ -60,10 +60,12 @@ class TransferFunction:
 
     @property
     def order(self) -> int:
+        """Return the number of poles, which is that of states."""
         return len(self.poles)
 
     @property
     def dc_gain(self) -> float:
+        """Return the gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)
 
     def response(self, omega: Array) -> Complex:

@@ -1,4 +1,4 @@
-/* The loops of prediction/contour.py. */
+/* The loops of prediction/predict.py. */
 
 #include "kernels.h"
 

@@ -1,4 +1,4 @@
-/* The loops of planner/sampling.py and planner/jerk_profile.py. */
+/* The loops of planner/sampling.py and planner/profiles.py. */
 
 #include "kernels.h"
 

@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import Options, planned, sampled
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.paper.commands import WholeTrajectory, windowed
-from hframe_post.prediction.contour import contour_error
+from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle

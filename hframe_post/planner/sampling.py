@@ -17,8 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
 from hframe_post.native import kernel
-from hframe_post.planner.jerk_profile import Profiler, samples_until
-from hframe_post.planner.standing import StandingProfile, TravelRetraction
+from hframe_post.planner.profiles import Profiler, StandingProfile, TravelRetraction, samples_until
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,

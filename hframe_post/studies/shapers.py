@@ -20,7 +20,7 @@ from hframe_post.model.plant import Plant, Response
 from hframe_post.model.shapers import SHAPERS, Shaper, shaper
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
-from hframe_post.prediction.contour import contour_error
+from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen

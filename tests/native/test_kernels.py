@@ -16,8 +16,8 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
 from hframe_post.native import Kernel
-from hframe_post.planner import jerk_profile, sampling
-from hframe_post.prediction import contour
+from hframe_post.planner import profiles, sampling
+from hframe_post.prediction import predict
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
 from hframe_post.writers.stream import digits
@@ -65,8 +65,8 @@ def test_contour_error(compiled: None, seed: int, n: int, every: int, power: flo
     at = np.arange(int(rng.integers(0, n)), n, every)
     actual = path[at] + rng.normal(0.0, 10.0**power, (len(at), 2))
     px, py, ax, ay = (np.ascontiguousarray(column) for column in (*path.T, *actual.T))
-    plain = contour._contour_error(px, py, ax, ay, at)
-    same(contour.contour_error(path, actual, at), plain)
+    plain = predict._contour_error(px, py, ax, ay, at)
+    same(predict.contour_error(path, actual, at), plain)
 
 
 @thorough
@@ -76,7 +76,7 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
     table = rng.normal(0.0, 10.0, (6, n))
     table[1] = rng.exponential(0.02, n)
     table[0] = np.cumsum(table[1]) - table[1]
-    phases, end = jerk_profile.Phases(table), float(rng.uniform(0.1, 10.0))
+    phases, end = profiles.Phases(table), float(rng.uniform(0.1, 10.0))
     plain = phases._path(1e-3 * np.arange(first, first + 400).astype(float), end)
     same(phases.path(first, 400, end), plain)
     s = np.concatenate([[0.0], np.cumsum(rng.exponential(1.0, n))])

@@ -10,8 +10,7 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.model.plant import Response
 from hframe_post.model.stop_cost import NEAREST
 from hframe_post.model.strategies import Compensator
-from hframe_post.prediction.contour import contour_error
-from hframe_post.prediction.predict import judge
+from hframe_post.prediction.predict import contour_error, judge
 from hframe_post.stream.types import Samples
 
 
