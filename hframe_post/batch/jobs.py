@@ -43,7 +43,6 @@ class Job:
         return self.state not in ("waiting", "running")
 
     def as_json(self) -> dict[str, Any]:
-        """Return the job without empty entries."""
         entries = {
             "source": str(self.source), "target": str(self.target), "state": self.state,
             "seconds": round(self.seconds, 3), "worker": self.worker, "error": self.error,
@@ -52,7 +51,6 @@ class Job:
         return {name: value for name, value in entries.items() if value not in ("", {})}
 
     def as_text(self) -> str:
-        """Return the result in one line."""
         line = f"{self.state:8s}{self.source}"
         if self.error:
             return f"{line}: {self.error}"
@@ -106,7 +104,6 @@ class Outcome:
     seconds: float
 
     def update(self, job: Job) -> Job:
-        """Return the job as done or failed."""
         if self.status == 0:
             return replace(job, state="done", seconds=self.seconds, summary=json.loads(self.output))
         return replace(job, state="failed", seconds=self.seconds, error=self._cause())
@@ -129,11 +126,9 @@ class Conversion:
         self._process = ChildProcess(command)
 
     def wait(self) -> Outcome:
-        """Wait for the end."""
         return Outcome(*self._process.wait(), time.monotonic() - self._start)
 
     def stop(self) -> None:
-        """Ask it to end."""
         self._process.stop()
 
 
@@ -158,7 +153,6 @@ class LocalProcesses:
         return outcome.update(job)
 
     def stop(self) -> None:
-        """Stop the running conversions and start no more."""
         self._stopped = True
         for conversion in list(self._running):
             conversion.stop()

@@ -12,6 +12,7 @@ from hframe_post import library
 from hframe_post.batch.cluster import Cluster
 from hframe_post.batch.jobs import Converter, Job, LocalProcesses, jobs_for, run, watch_folder
 from hframe_post.cli.options import (
+    compensation_option,
     files_read,
     force_option,
     json_option,
@@ -24,7 +25,6 @@ from hframe_post.cli.options import (
 )
 from hframe_post.errors import HframeError
 from hframe_post.gcode.options import LimitSource
-from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.profile import check_identified
 from hframe_post.writers.files import Outputs
 
@@ -32,7 +32,6 @@ CLEAR_LINE = "\r\x1b[K"
 
 
 def address(text: str) -> str:
-    """Return a scheduler's address unchanged. Raises BadParameter if it is none."""
     if not re.fullmatch(r"[a-z+]+://\S+:\d+", text):
         raise click.BadParameter(f"{text!r} is not an address such as tcp://farm:8786")
     return text
@@ -50,11 +49,7 @@ def address(text: str) -> str:
     help="Files to convert at a time. Default: one per processor, or per thread of the cluster.",
 )  # fmt: skip
 @printer_option
-@click.option(
-    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
-    help="Compensate racking and ringing (racking), ringing only (fbs), or nothing (none). "
-    "Default: compensation.strategy of the profile.",
-)  # fmt: skip
+@compensation_option
 @limits_option
 @on_limit_option
 @force_option

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, old_option, open_json
+from hframe_post.cli.options import files_read, json_option, number, old_option, open_json
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import dialect
 from hframe_post.studies.compare import Tolerance
@@ -29,17 +29,13 @@ def tolerance(text: str) -> Tolerance:
 def quantity(text: str, units: dict[str, float]) -> float:
     """Read a positive number with one of these units. Raises BadParameter."""
     unit = next((each for each in units if text.endswith(each)), "")
-    try:
-        value = float(text.removesuffix(unit)) * units.get(unit, 1.0)
-    except ValueError:
-        value = -1.0
+    value = number(text.removesuffix(unit)) * units.get(unit, 1.0)
     if not 0.0 < value < 1e3:
         raise click.BadParameter(f"{text!r} is not a positive number of {', '.join(units)}")
     return value
 
 
 def slack(text: str) -> float:
-    """Read the value of the old option --slack."""
     return quantity(text, TIMES)
 
 
@@ -51,9 +47,7 @@ def slack(text: str) -> float:
     help="Allowed difference in position and filament (nm, um, mm), and in the time at which a "
     "position is reached (us, ms, s).",
 )  # fmt: skip
-@old_option(
-    "--slack", "use --tolerance LENGTH,TIME", type=slack
-)  # fmt: skip
+@old_option("--slack", "use --tolerance LENGTH,TIME", type=slack)
 @click.option(
     "--firmware", type=click.Choice(tuple(FIRMWARES)), default="klipper", show_default=True,
     help="Firmware that reads the files. G90 and G91 affect E in Marlin, but not in Klipper.",

@@ -14,6 +14,7 @@ import click
 from hframe_post import library
 from hframe_post.cli.options import (
     chosen_printer,
+    compensation_option,
     dashed,
     extrusion_option,
     files_read,
@@ -22,6 +23,7 @@ from hframe_post.cli.options import (
     limits_option,
     log,
     log_stages,
+    number,
     on_limit_option,
     open_json,
     printer_option,
@@ -72,11 +74,7 @@ class FirmwareChoice(click.Choice[str]):
     "steps, .npz samples, .bgcode binary, any other G-code.",
 )  # fmt: skip
 @printer_option
-@click.option(
-    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
-    help="Compensate racking and ringing (racking), ringing only (fbs), or nothing (none). "
-    "Default: compensation.strategy of the profile.",
-)  # fmt: skip
+@compensation_option
 @click.option(
     "--firmware", type=FirmwareChoice(tuple(FIRMWARES)),
     help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
@@ -194,7 +192,6 @@ def convert(
 
 
 def _format(source: Path, output: Path | None, name: str | None) -> str:
-    """Return the format of an output file. Raises UsageError."""
     path = None if str(output) == "-" else output
     try:
         return chosen_format(path, name, source if output is None else None)
@@ -224,13 +221,11 @@ def _check_tolerance(
 
 
 def _output_as_text(environ: Mapping[str, str]) -> list[str]:
-    """Return a line for the summary with the slicer's name for the file, if it gives one."""
     name = environ.get(OUTPUT_NAME)
     return [f"file        {one_line(name)}"] if name else []
 
 
 def _shown_name(environ: Mapping[str, str], source: Path) -> str:
-    """Return the file's name as the user knows it."""
     return one_line(Path(environ.get(OUTPUT_NAME) or source).name)
 
 
@@ -257,15 +252,8 @@ def _accelerations(environ: Mapping[str, str]) -> dict[str, float]:
         machine_limit = name.startswith("MACHINE_")
         if name == variable or machine_limit or not name.endswith("_ACCELERATION"):
             continue
-        values = [_number(part) for part in text.split(",")]  # one per extruder
-        if 0.0 < max(values) < math.inf:
-            found[name.lower()] = max(values)
+        values = [number(part) for part in text.split(",")]  # one per extruder, or percentages
+        usable = [value for value in values if 0.0 < value < math.inf]
+        if usable:
+            found[name.lower()] = max(usable)
     return found
-
-
-def _number(text: str) -> float:
-    """Return the number; 0 for a percentage of another setting, and for any other text."""
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0

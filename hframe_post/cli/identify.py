@@ -35,7 +35,6 @@ NO_WINDOW = (
 
 
 def _columns(text: str) -> tuple[str, ...]:
-    """Return the four names in ``time,x,y,z``."""
     names = tuple(name.strip() for name in text.split(","))
     if len(names) != 4 or not all(names):
         raise click.BadParameter(f"{text!r} is not four names, of time, x, y and z")
@@ -43,7 +42,6 @@ def _columns(text: str) -> tuple[str, ...]:
 
 
 def _reading(text: str) -> tuple[float, float, float]:
-    """Return the last three numbers of a line such as ACCELEROMETER_QUERY prints."""
     numbers = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
     if len(numbers) < 3:
         raise click.BadParameter(f"{text!r} is not three numbers, of x, y and z")
@@ -189,7 +187,6 @@ def _check_usage(
 
 
 def _check_travel(runs: Sequence[Run], profile: Printer) -> None:
-    """Raise IdentificationError for a sweep that leaves the profile's travel."""
     from hframe_post.errors import IdentificationError
 
     for run in runs:

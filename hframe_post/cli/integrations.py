@@ -41,9 +41,7 @@ def klipper_macros(printer: str) -> None:
     metavar="CALIBRATION.GCODE", help="G-code to print without filament.",
 )  # fmt: skip
 @printer_option
-@old_option(
-    "--quiet", "redirect standard error instead", "-q", is_flag=True
-)  # fmt: skip
+@old_option("--quiet", "redirect standard error instead", "-q", is_flag=True)
 def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     """Write G-code whose duration shows which planner and timer a Marlin board has.
 
@@ -137,6 +135,5 @@ def program() -> str:
 
 
 def script(program: str, printer: str) -> str:
-    """Return the script's text with this program and default profile."""
     text = (resources.files(__package__) / f"{NAME}.py.in").read_text("utf-8")
     return text.replace("@PROGRAM@", repr(program)).replace("@PROFILE@", repr(printer))

@@ -125,7 +125,6 @@ def _fail(message: str) -> int:
 
 
 def _bug_report(error: Exception) -> str:
-    """Return one line from which the bug can be found."""
     frames = traceback.extract_tb(error.__traceback__)[-3:]
     places = ", ".join(f"{os.path.basename(f.filename)}:{f.lineno}" for f in reversed(frames))
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]

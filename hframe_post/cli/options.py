@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
@@ -76,7 +78,6 @@ def _choose_printer(context: click.Context, _: click.Parameter, requested: str |
 
 
 def chosen_printer() -> Choice:
-    """Return which profile the running command uses, and why."""
     choice: Choice = click.get_current_context().meta[_CHOICE]
     return choice
 
@@ -85,6 +86,12 @@ printer_option = click.option(
     "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
     help="Printer profile: the name of a shipped one, or a TOML file. Default: the variable "
     "HFRAME_PRINTER, then the profile set with 'hframe-post use', then 'paper'.",
+)  # fmt: skip
+
+compensation_option = click.option(
+    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
+    help="Compensate racking and ringing (racking), ringing only (fbs), or nothing (none). "
+    "Default: compensation.strategy of the profile.",
 )  # fmt: skip
 
 limits_option = click.option(
@@ -108,7 +115,6 @@ on_limit_option = click.option(
 
 
 def force_option(command: Command) -> Command:
-    """Add ``--force`` to a command."""
     command = renamed_option("--i-know", "--force", is_flag=True)(command)
     return click.option(
         "--force", is_flag=True,
@@ -162,23 +168,27 @@ def dashed(path: Path | None) -> Path | None:
     return None if str(path) == "-" else path
 
 
+def number(text: str) -> float:
+    """Return the number; nan for any other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def share(text: str) -> float:
     """Read ``5%`` or ``0.05`` as 0.05."""
-    try:
-        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
-    except ValueError:
-        value = -1.0
+    value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     if not 0.0 <= value < 1.0:
         raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
     return value
 
 
 def position(text: str) -> tuple[float, float]:
-    """Read ``X,Y`` in mm."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
+    values = [number(part) for part in text.split(",")]
+    if len(values) != 2 or any(map(math.isnan, values)):
+        raise click.BadParameter(f"{text!r} is not X,Y in mm")
+    x, y = values
     if not (abs(x) < 1e4 and abs(y) < 1e4):
         raise click.BadParameter(f"{text!r} is more than 10 m away")
     return round(x, 3), round(y, 3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import old_option
+from hframe_post.cli.options import number, old_option
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
@@ -90,7 +90,7 @@ def new(output: Path, config: Path | None, kinematics: str | None, description: 
 
 
 def _ask(kinematics: str | None, description: str | None, name: str) -> Known:
-    def number(question: str, default: float) -> float:
+    def asked(question: str, default: float) -> float:
         return float(click.prompt(question, default=f"{default:g}", value_proc=_positive))
 
     return Known(
@@ -102,31 +102,28 @@ def _ask(kinematics: str | None, description: str | None, name: str) -> Known:
         ),
         click.prompt("x from, to (mm)", default="0,250", value_proc=_range),
         click.prompt("y from, to (mm)", default="0,250", value_proc=_range),
-        number("Maximum speed (mm/s; max_velocity)", 300.0),
-        number("Maximum acceleration (mm/s²; max_accel)", 3000.0),
-        number("Speed in a square corner (mm/s; square_corner_velocity)", 5.0),
-        number("Maximum speed of z (mm/s; max_z_velocity)", 15.0),
-        number("Maximum acceleration of z (mm/s²; max_z_accel)", 100.0),
-        number("Maximum speed of retractions (mm/s; max_extrude_only_velocity)", 60.0),
-        number("Maximum acceleration of retractions (mm/s²; max_extrude_only_accel)", 2000.0),
+        asked("Maximum speed (mm/s; max_velocity)", 300.0),
+        asked("Maximum acceleration (mm/s²; max_accel)", 3000.0),
+        asked("Speed in a square corner (mm/s; square_corner_velocity)", 5.0),
+        asked("Maximum speed of z (mm/s; max_z_velocity)", 15.0),
+        asked("Maximum acceleration of z (mm/s²; max_z_accel)", 100.0),
+        asked("Maximum speed of retractions (mm/s; max_extrude_only_velocity)", 60.0),
+        asked("Maximum acceleration of retractions (mm/s²; max_extrude_only_accel)", 2000.0),
     )  # fmt: skip
 
 
 def _range(text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not two numbers such as 0,280") from None
+    values = [number(part) for part in text.split(",")]
+    if len(values) != 2 or any(map(math.isnan, values)):
+        raise click.BadParameter(f"{text!r} is not two numbers such as 0,280")
+    low, high = values
     if not -1e4 <= low < high <= 1e4:
         raise click.BadParameter(f"{text!r}: the first must be the smaller, both within ±10000 mm")
     return low, high
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number(text)
     if not 0.0 < value < 1e6:
         raise click.BadParameter(f"{text!r} is not a number above 0")
     return value

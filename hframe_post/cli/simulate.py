@@ -59,9 +59,7 @@ from hframe_post.writers.files import Outputs
     "Klipper's calibration would set them.",
 )  # fmt: skip
 @renamed_option("--against", "--shapers", value=True, type=click.Choice(["shapers"]))
-@old_option(
-    "--layers", "use --json or --report", is_flag=True
-)  # fmt: skip
+@old_option("--layers", "use --json or --report", is_flag=True)
 @json_option
 @click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),

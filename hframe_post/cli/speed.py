@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from hframe_post.cli.options import old_option, share
+from hframe_post.cli.options import number, old_option, share
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import KINDS
 from hframe_post.studies.speed.search import MAX_SPEED_UP
@@ -40,17 +40,13 @@ def error_bounds(text: str) -> dict[str, float]:
 
 def speed_factor(text: str) -> float:
     """Read a number from 1, or ``max``."""
-    try:
-        value = MAX_SPEED_UP if text == "max" else float(text)
-    except ValueError:
-        value = 0.0
+    value = MAX_SPEED_UP if text == "max" else number(text)
     if not 1.0 <= value <= MAX_SPEED_UP:
         raise click.BadParameter(f"{text!r} is neither 'max' nor from 1 to {MAX_SPEED_UP:g}")
     return value
 
 
 def speed_options(command: F) -> F:
-    """Add the options."""
     for option in (
         old_option(
             "--model-error", "set speed.model_error in the profile", type=share

@@ -14,6 +14,7 @@ from hframe_post.cli.options import (
     figure_option,
     files_read,
     json_option,
+    number,
     open_json,
     opened,
     print_options,
@@ -50,11 +51,7 @@ from hframe_post.writers.files import Outputs
 
 
 def weight(text: str) -> float:
-    """Read a number from 0 that a profile can hold."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
+    value = number(text)
     if not 0.0 <= value < LARGEST:
         raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
     return value
@@ -157,7 +154,6 @@ def tune(
 
 
 def _pieces(source: Path | None, profile: Printer) -> Any:
-    """Return the parts of the print on which acceleration and jerk are chosen."""
     if source is None:
         return pareto.pieces(rectangle(profile), profile)
     with source.open("rb") as lines:
@@ -176,7 +172,6 @@ def _recommend_shaper(
     lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
-    """Print the best input shaper, and next to it what Klipper's calibration would choose."""
     pieces = paths(lines, profile, options)
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)

@@ -72,7 +72,6 @@ class Measured:
 
     @property
     def runs(self) -> list[FrequencyResponse]:
-        """Return the responses without their positions."""
         return [response for _, response in self.places]
 
 
@@ -100,7 +99,6 @@ class Identified:
 
     @property
     def model_error(self) -> float:
-        """Return the share by which the printer may differ from the model."""
         shares = [one.share for name, one in self.uncertainties.items() if name != "Gxtheta"]
         if self.lever_arm_sd is not None:
             shares.append(min(2.0 * self.lever_arm_sd[1], MOST))
@@ -285,7 +283,6 @@ def _above_noise(arm: Line) -> bool:
 
 
 def _disagreement(arm: Line, bridge: Measured) -> list[str]:
-    """Return a warning if the bridge's sensors and the lever arm differ by more than 20 %."""
     by_bridge, by_arm = bridge.mean.H, arm.slope.H
     weight = arm.slope.power * arm.slope.coherence
     size = float((weight * np.abs(by_arm) ** 2).sum())
@@ -305,7 +302,6 @@ def _disagreement(arm: Line, bridge: Measured) -> list[str]:
 
 
 def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:
-    """Return a warning if the start of a recording is unknown by more than 1 ms."""
     bounds = [one.delay_bounds for one in measured.values()]
     widest = max(high - low for low, high in bounds) / 2.0
     if widest <= 1e-3:

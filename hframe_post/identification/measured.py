@@ -61,7 +61,6 @@ class Run:
 
     @property
     def place(self) -> float:
-        """Return the mean x of the run in mm."""
         return float(self.command[:, X].mean())
 
 

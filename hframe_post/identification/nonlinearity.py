@@ -79,12 +79,10 @@ class Nonlinearity:
 
     @property
     def share(self) -> float:
-        """Return the share of the worse axis."""
         return max(self.shares.values())
 
     @property
     def message(self) -> str:
-        """Return the finding with advice, as a sentence without its full stop."""
         advice = ADVICE[self.cause].format(size=self.size, microns=1e3 * self.size)
         where = " and ".join(f"{100 * s:.1f} % in {axis}" for axis, s in self.shares.items())
         return (

@@ -34,7 +34,6 @@ class Recommendation:
         return 1e3 * self.predicted.parts.whole[strategy].contour.rms
 
     def as_json(self) -> dict[str, Any]:
-        """Return the recommendation, ready for ``json.dumps``."""
         x, y = self.windows
         return {
             "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
@@ -42,12 +41,10 @@ class Recommendation:
         }
 
     def gain(self) -> str:
-        """Return the predicted contour error of the paper's rectangle for each strategy."""
         errors = ", ".join(f"{name} {self.rms(name):.1f}" for name in self.predicted.strategies)
         return f"contour error of a 120 × 20 mm rectangle, µm RMS: {errors}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return labelled lines for a person."""
         x, y = self.windows
         effort = f"effort = [{x.effort:g}, {y.effort:g}]"
         return [

@@ -19,7 +19,6 @@ from hframe_post.plotting import decibel, degrees
 
 
 def functions_table(identified: Identified) -> list[str]:
-    """Return a heading and a row for each transfer function."""
     lines = [f"{'':10s}{'order':>6s}{'fit error':>11s}{'variation':>13s}{'delay':>10s}   modes"]
     for name, found in identified.fits.items():
         measured = identified.measured[name]
@@ -93,13 +92,11 @@ class IdentificationReport:
         return f". At the ends of x the rectangle's contour error would be {worst:.0f} µm"
 
     def notes(self) -> list[str]:
-        """Return remarks that need no action."""
         if self.identified.racking_below_noise:
             return ["racking is below its measurement uncertainty; the profile has none"]
         return []
 
     def as_text(self) -> str:
-        """Return a table for a person, and below it a labelled line for each other result."""
         rows = []
         if "Gxtheta" in self.identified.fits:
             measured = "" if self.identified.x_c is not None else " (not measured)"
@@ -121,7 +118,6 @@ class IdentificationReport:
         return f"reads {', '.join(errors)}; removed from the model"
 
     def _uncertainties(self) -> list[str]:
-        """Return twice the standard deviations, a line for each function, and the model error."""
         found = self.identified
         lines = []
         for name, one in found.uncertainties.items():
@@ -133,7 +129,6 @@ class IdentificationReport:
         return [*lines, f"whole model, with day-to-day change: ±{100.0 * found.model_error:.1f} %"]
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for ``json.dumps``."""
         identified = self.identified
         uncertainty: dict[str, Any] = {"share": round(identified.model_error, 5)}
         for name, one in identified.uncertainties.items():
@@ -167,7 +162,6 @@ class IdentificationReport:
         }
 
     def origin(self) -> list[str]:
-        """Return the lines that the profile has above its plant."""
         rows = [
             f"{name}: order {found.order}, fit error {100 * found.residual:.2f} %, "
             f"{len(self.identified.measured[name].places)} runs"
@@ -178,7 +172,6 @@ class IdentificationReport:
 
 
 def identification_page(report: IdentificationReport, name: str) -> bytes:
-    """Return the page of an identification of the printer ``name``."""
     fits, measured = report.identified.fits, report.identified.measured
     cards = [
         Card(f"{name}: fit error", f"{100 * found.residual:.2f}", "%",
@@ -211,7 +204,6 @@ def _fact(measured: Measured, found: Fit) -> str:
 
 
 def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
-    """Return magnitude, phase, coherence and residual of a transfer function (Fig. 4 and 5)."""
     mean, hz = measured.mean, measured.mean.hz
     delay = np.exp(-2j * np.pi * hz * found.recording_delay)
     model = found.G.response(2.0 * np.pi * TS * hz) * delay
@@ -238,7 +230,6 @@ def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
 
 
 def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]]) -> bytes:
-    """Return the page of a verification of the printer ``name``; setup: labelled data."""
     measured, predicted, ringing = verdict.measured, verdict.predicted, verdict.ringing
     kind = "bad" if verdict.fault else "best"
     reduction = f"{100 * verdict.reduction:.0f}"

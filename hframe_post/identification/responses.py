@@ -182,7 +182,6 @@ class Harmonics:
 
     @classmethod
     def from_runs(cls, runs: Sequence[Harmonics]) -> Harmonics:
-        """Join the windows of all runs."""
         hz, amplitude, noise = (
             np.concatenate([getattr(run, part) for run in runs])
             for part in ("hz", "amplitude", "noise")
@@ -250,7 +249,6 @@ class Distortion:
     certain: float
 
     def at(self, hz: Array) -> Complex:
-        """Return the share interpolated at ``hz``."""
         real, imaginary = (np.interp(hz, self.hz, k) for k in (self.share.real, self.share.imag))
         return np.asarray(real + 1j * imaginary)
 

@@ -116,7 +116,6 @@ class ModeShift:
 
     @property
     def message(self) -> str:
-        """Return the finding as a sentence without its full stop."""
         return (
             f"the printer changes along x: a mode at {self.hz[0]:.1f} Hz for x = {self.x[0]:.0f} "
             f"mm lies at {self.hz[1]:.1f} Hz for x = {self.x[1]:.0f} mm"

@@ -57,13 +57,11 @@ class Verdict:
 
     @property
     def reduction(self) -> float:
-        """Return the share of the measured contour error that compensation removes."""
         plain, compensated = self.measured
         return 1.0 - compensated / plain
 
     @property
     def expected(self) -> float:
-        """Return the reduction that the model predicts."""
         plain, compensated = self.predicted
         return 1.0 - compensated / plain
 
@@ -115,7 +113,6 @@ class Verdict:
         return "\n".join([*lines, f"VERDICT     {verdict}"])
 
     def as_json(self) -> dict[str, object]:
-        """Return the verdict ready for ``json.dumps``."""
         pairs = {"measured_um": self.measured, "predicted_um": self.predicted,
                  "ringing": self.ringing}  # fmt: skip
         rounded = {
@@ -238,7 +235,6 @@ def _correction(a: Array, wanted: Array) -> Array:
 
 
 def _lag(a: Array, wanted: Array) -> float:
-    """Return the seconds by which a is late, by least squares over the phase."""
     n = next_fast_len(len(a))
     hz = rfftfreq(n, TS)
     inside = (hz > GAIN_HZ[0]) & (hz < 40.0)

@@ -62,7 +62,6 @@ def _begin(wanted: Array) -> int:
 
 
 def _framed(motion: Array, printer: Printer) -> Array:
-    """Return the motion between two marks, with rests."""
     limits = printer.limits
     left = min(room(printer, X, (float(p[X]), float(p[Y]))) for p in motion[[0, -1]])
     mark = alignment_mark(printer.sweep, limits.velocity, left)

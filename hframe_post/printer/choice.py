@@ -34,7 +34,6 @@ class Choice:
     why: str
 
     def as_text(self) -> str:
-        """Return a line for the summary."""
         return f"profile     {one_line(self.profile)} ({self.why})"
 
     def as_json(self) -> dict[str, str]:
@@ -42,12 +41,10 @@ class Choice:
 
 
 def config_file() -> Path:
-    """Return the file that holds the user's default."""
     return user_config_path("hframe-post", appauthor=False) / "config.toml"
 
 
 def set_default(profile: str) -> None:
-    """Make a profile the user's default."""
     path = config_file()
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")

@@ -21,7 +21,6 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import model_digest, parse, shipped, text_of
 
-CANNOT_CHANGE = "this file cannot be changed safely: extend a shipped profile in a new one"
 Windows = tuple[Window, Window]
 Tables = Mapping[str, dict[str, Any]]  # settings, by the names of their tables
 
@@ -34,7 +33,7 @@ def with_windows(
     limits: changes to [limits]. Raises PrinterError if the text cannot be changed safely.
     """
     tables = {"compensation": _settings(windows), **({"limits": dict(limits)} if limits else {})}
-    return _changed(name_or_path, tables, "")
+    return _changed(name_or_path, tables)
 
 
 def with_plant(
@@ -52,7 +51,7 @@ def with_plant(
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
     table = _plant(plant, notes, before.invented, uncertainty)
-    return _changed(name_or_path, tables, table)
+    return _changed(name_or_path, tables, table, ("plant", "verified"))
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -60,44 +59,36 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
 
     Raises PrinterError if the text cannot be changed safely.
     """
-    text, newline = _text_and_newline(name_or_path)
+    text, _ = _text_and_newline(name_or_path)
     firmware = parse(text, name_or_path).firmware.dialect
     mark = {"date": date, "reduction": round(reduction, 4), "firmware": firmware,
             "model": model_digest(text)}  # fmt: skip
+    changed = _changed(name_or_path, {}, tomlkit.dumps({"verified": mark}), ("verified",))
+    if parse(changed, name_or_path).verified is None:
+        raise PrinterError("the mark does not fit this model", "verified", name_or_path)
+    return changed
+
+
+def _changed(
+    name_or_path: str, tables: Tables, appended: str = "", dropped: Sequence[str] = ()
+) -> str:
+    """Return the profile's text with these settings, and with TOML that replaces some tables."""
+    text, newline = _text_and_newline(name_or_path)
     try:
-        document = tomlkit.parse(text)
-        document.pop("verified", None)
-        table = tomlkit.dumps({"verified": mark})
-        changed = f"{document.as_string().rstrip()}\n\n{table}"
-        if tomllib.loads(changed) != {**tomllib.loads(text), "verified": mark}:
+        before = tomllib.loads(text)
+        kept = {name: table for name, table in before.items() if name not in dropped}
+        settings = {name: {**before.get(name, {}), **new} for name, new in tables.items()}
+        changed = _edited(text, tables, appended, dropped)
+        if tomllib.loads(changed) != {**kept, **settings, **tomllib.loads(appended)}:
             raise ValueError("more was changed than intended")
     except (TOMLKitError, ValueError, RecursionError):
         advice = (
             "this file cannot be changed safely: start a new one that extends a shipped profile"
         )
-        raise PrinterError(advice, "verified", name_or_path) from None
-    if parse(changed, name_or_path).verified is None:
-        raise PrinterError("the mark does not fit this model", "verified", name_or_path)
-    return changed.replace("\n", newline)
-
-
-def _changed(name_or_path: str, tables: Tables, plant: str) -> str:
-    """Return the profile's text with these settings and, unless empty, this table ``plant``."""
-    text, newline = _text_and_newline(name_or_path)
-    try:
-        changed = _edited(text, tables, plant)
-        if tomllib.loads(changed) != _merged(text, tables, plant):
-            raise ValueError("more was changed than intended")
-    except (TOMLKitError, ValueError, RecursionError):
-        lines = ", ".join(
-            f"{key} = {value}" for settings in tables.values() for key, value in settings.items()
-        )
-        advice = f"write these lines yourself: {lines}"
-        if plant:
-            advice = (
-                "this file cannot be changed safely: start a new one that extends a shipped profile"
-            )
-        raise PrinterError(advice, next(iter(tables)), name_or_path) from None
+        if not appended:
+            lines = (f"{key} = {value}" for new in tables.values() for key, value in new.items())
+            advice = f"write these lines yourself: {', '.join(lines)}"
+        raise PrinterError(advice, next(iter(tables), "verified"), name_or_path) from None
     parse(changed, name_or_path)  # raises if it cannot be loaded
     return changed.replace("\n", newline)
 
@@ -118,7 +109,7 @@ def _settings(windows: Windows) -> dict[str, Any]:
     return {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": effort}
 
 
-def _edited(text: str, tables: Tables, plant: str) -> str:
+def _edited(text: str, tables: Tables, appended: str, dropped: Sequence[str]) -> str:
     document = tomlkit.parse(text)
     for name, settings in tables.items():
         if name not in document:
@@ -130,20 +121,11 @@ def _edited(text: str, tables: Tables, plant: str) -> str:
                     table[key][k] = number
             else:
                 table[key] = value
-    if not plant:
+    if not appended:
         return document.as_string()
-    document.pop("plant", None)
-    document.pop("verified", None)  # for another plant
-    return f"{document.as_string().rstrip()}\n\n{plant}"
-
-
-def _merged(text: str, tables: Tables, plant: str) -> dict[str, Any]:
-    """Return the contents that the changed text must have."""
-    before = tomllib.loads(text)
-    if plant:
-        before.pop("verified", None)
-    changed = {name: {**before.get(name, {}), **settings} for name, settings in tables.items()}
-    return {**before, **changed, **tomllib.loads(plant)}
+    for name in dropped:
+        document.pop(name, None)
+    return f"{document.as_string().rstrip()}\n\n{appended}"
 
 
 def _plant(

@@ -73,12 +73,10 @@ class KlipperConfig:
         return self._parser.has_section(section)
 
     def macro(self, name: str) -> bool:
-        """Return whether there is such a macro, in upper or lower case."""
         sections = (section.upper().split() for section in self._parser.sections())
         return ["GCODE_MACRO", name.upper()] in sections
 
     def text(self, section: str, key: str, default: str = "") -> str:
-        """Return a value as text."""
         return (self._parser.get(section, key, fallback=None) or default).strip()
 
     def number(self, section: str, key: str, default: float = math.nan) -> float:

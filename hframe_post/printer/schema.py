@@ -39,7 +39,6 @@ def not_negative(default: Any = MISSING, **bounds: float) -> Any:
 
 
 def within(least: float, most: float, default: Any = MISSING) -> Any:
-    """Return a field between two bounds, inclusive."""
     return field(default=default, metadata={"least": least, "most": most})
 
 

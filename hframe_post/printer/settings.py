@@ -134,7 +134,6 @@ class Compensation:
 
     @property
     def windows(self) -> tuple[Window, Window]:
-        """Return the windows of x and y, which differ in effort only."""
         x, y = (Window(self.L, self.n_C, self.n_up, e, self.degree) for e in self.effort)
         return x, y
 

@@ -122,7 +122,6 @@ class Modal:
 
     @property
     def delay(self) -> float:
-        """Return τ in s."""
         return self.parameters.delay
 
     @property
@@ -188,7 +187,6 @@ def fit(data: Data, structure: Structure, start: Modal | None = None) -> Modal:
 
 
 def _extended(data: Data, structure: Structure, parameters: Parameters) -> Modal:
-    """Return the best model with one mode or lag more than ``parameters`` has."""
     low, high = 2.0 * np.pi * np.array(data.mode_range_hz)
     first, last = data.delay_bounds
     count = 1 + int(np.ceil((last - first) / 1e-3))
@@ -212,7 +210,6 @@ def _extended(data: Data, structure: Structure, parameters: Parameters) -> Modal
 def _with(
     parameters: Parameters, structure: Structure, omega: float, delay: float
 ) -> Iterator[Parameters]:
-    """Yield starts with a mode more, or with a lag more if there are modes enough."""
     old = parameters
     if len(old.omega) == structure.modes:
         yield Parameters(old.omega, old.zeta, np.append(old.corner, omega), delay)
@@ -222,7 +219,6 @@ def _with(
 
 
 def refine(data: Data, structure: Structure, start: Parameters) -> Modal:
-    """Return the model of least cost near ``start``."""
     n, k = structure.modes, structure.lags
     low, high = np.log(2.0 * np.pi * np.array(data.mode_range_hz))
     early, late = np.array(data.delay_bounds) / TS
@@ -254,7 +250,6 @@ def refine(data: Data, structure: Structure, start: Parameters) -> Modal:
 
 
 def _columns(s: Complex, structure: Structure, parameters: Parameters) -> Complex:
-    """Return the responses of modes by position, by speed (if free), and of lags as columns."""
     p = s[:, None] / parameters.omega
     one = 1.0 / (p * p + 2.0 * parameters.zeta * p + 1.0)
     lags = 1.0 / (1.0 + s[:, None] / parameters.corner)

@@ -104,7 +104,6 @@ class Candidate:
 
     @property
     def structure(self) -> Structure:
-        """Return the structure of the model."""
         return self.model.structure
 
 
@@ -144,7 +143,6 @@ def select(case: Case) -> Modal:
 
 
 def _refined(case: Case, model: Modal) -> Modal:
-    """Refine a model on all frequencies."""
     data = case.data(case.whole, model.mode_range_hz)
     return modal.refine(data, model.structure, model.parameters)
 
@@ -204,7 +202,6 @@ def _simplest(case: Case, candidates: list[Candidate]) -> Candidate | None:
 
 
 def _fitted(data: Data, structure: Structure, fitted: dict[Structure, Modal]) -> Modal:
-    """Fit from the best model with a mode or lag less, and from a freer one of the same modes."""
     simpler = [
         model
         for other, model in fitted.items()

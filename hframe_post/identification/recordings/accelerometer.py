@@ -84,7 +84,6 @@ def _error(path: Path, table: Table, row: int | None, cause: str) -> Identificat
 
 
 def _check_samples(path: Path, table: Table) -> None:
-    """Raise IdentificationError unless these can be samples of a sensor."""
     if (bad := np.flatnonzero(~np.isfinite(table.values).all(axis=1))).size:
         raise _error(path, table, int(bad[0]), "not a finite number")
     t = table.values[:, 0]
@@ -107,7 +106,6 @@ def _check_samples(path: Path, table: Table) -> None:
 
 
 def _check_clipping(path: Path, table: Table, a: Array) -> None:
-    """Raise IdentificationError if a (n, 3), mm/s², reached the end of the sensor's range."""
     for axis, values in zip(AXES, a.T, strict=True):
         at = _clipped(values)
         if at is not None:
@@ -210,7 +208,6 @@ def axis_map(axes: str) -> Array:
 
 
 def _at_rest(recording: Recording, quiet: float) -> Array:
-    """Return the mean acceleration (3,) of the first ``quiet`` seconds."""
     count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
     return np.asarray(recording.a[: max(count, 1)].mean(axis=0))
 

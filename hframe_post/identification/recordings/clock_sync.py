@@ -262,7 +262,6 @@ def _within(track: Array, band: tuple[float, float]) -> Array:
 
 
 def not_found() -> IdentificationError:
-    """Return the error for a recording in which the command cannot be found."""
     return IdentificationError(
         "the recording does not follow the command. Check that the sweep was played, and that "
         "this is its recording, complete and from this sensor"

@@ -1,13 +1,12 @@
-"""Formats of accelerometer files: one function for each, and the table of all.
+"""Formats of accelerometer files.
 
-To support another format, write a function like ``_klipper`` that returns a Table, and add it to
-FORMATS with a test by which its files are recognised.
+To support another format, write a function that returns a Table, and call it in ``read_table``.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,46 +42,29 @@ class Table:
         return f"line {filled[row + 1]}"
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A format of files: how to recognise it, and how to read it.
-
-    recognise(path, content, columns) → whether the file has this format; read(path, content,
-    columns) → Table. columns: names of time and x, y, z if the user gave them.
-    """
-
-    recognise: Callable[[Path, bytes, Sequence[str] | None], bool]
-    read: Callable[[Path, bytes, Sequence[str] | None], Table]
-
-
 def read_table(path: Path, columns: Sequence[str] | None) -> Table:
-    """Read a file of any known format. Raise OSError or IdentificationError."""
+    """Read a file of any known format. columns: names of time, x, y, z if the user gave them.
+
+    Raises OSError or IdentificationError.
+    """
     content = path.read_bytes()
-    found = next(each for each in FORMATS if each.recognise(path, content, columns))
-    return found.read(path, content, columns)
+    if path.suffix in (".npz", ".mat"):
+        return Table(_named_arrays(path, _arrays(path, content), columns))
+    if columns is None and tuple(_header(content)[0]) == KLIPPER:  # always in mm/s²
+        return Table(_numbers(path, content, KLIPPER), content, "mm/s2", starts_with_command=True)
+    return _text(path, content, columns)
 
 
 # ---------------------------------------------------------------------- text
 
 
 def _header(content: bytes) -> tuple[list[str], str]:
-    """Return the names in a file's first line, and the delimiter between them."""
     line = content.lstrip().partition(b"\n")[0].decode("utf-8-sig", "replace").strip()
     delimiter = max(",;\t", key=line.count)
     return [name.strip().strip("\"'") for name in line.split(delimiter)], delimiter
 
 
-def _is_klipper(_: Path, content: bytes, columns: Sequence[str] | None) -> bool:
-    return columns is None and tuple(_header(content)[0]) == KLIPPER
-
-
-def _klipper(path: Path, content: bytes, _: Sequence[str] | None) -> Table:
-    """Read what ACCELEROMETER_MEASURE wrote, always in mm/s²."""
-    return Table(_numbers(path, content, KLIPPER), content, "mm/s2", starts_with_command=True)
-
-
 def _text(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
-    """Read text with one line of names and then numbers."""
     if not content.strip():
         raise IdentificationError(f"{path}: the file is empty")
     names, _ = _header(content)
@@ -100,7 +82,6 @@ def _text(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
 
 
 def _numbers(path: Path, content: bytes, columns: Sequence[str]) -> Array:
-    """Return the named columns, (n, 4)."""
     names, delimiter = _header(content)
     chosen = [_column(path, names, name) for name in columns]
     if b"\n" not in content.strip():
@@ -122,7 +103,6 @@ def _lines_to_names(content: bytes) -> int:
 def _bad_line(
     path: Path, content: bytes, delimiter: str, chosen: Sequence[int]
 ) -> IdentificationError:
-    """Return the error for the first line that does not hold numbers."""
     lines = content.splitlines()
     first = _lines_to_names(content)
     for number, line in enumerate(lines[first:], first + 1):
@@ -143,36 +123,23 @@ def _bad_line(
 # ---------------------------------------------------------------------- files of arrays
 
 
-def _npz(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
+def _arrays(path: Path, content: bytes) -> dict[str, Any]:
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except Exception as error:  # a broken file fails in many ways
-        raise _unreadable(path, error) from None
-    return Table(_named_arrays(path, arrays, columns))
+        if path.suffix == ".npz":
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                return dict(file)
+        from scipy.io import loadmat
 
-
-def _mat(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
-    from scipy.io import loadmat
-
-    try:
         arrays = loadmat(io.BytesIO(content))
-    except NotImplementedError:
-        raise IdentificationError(
-            f"{path}: MATLAB 7.3 files cannot be read. Save the file with -v7"
-        ) from None
+        return {name: value for name, value in arrays.items() if not name.startswith("__")}
     except Exception as error:  # a broken file fails in many ways
-        raise _unreadable(path, error) from None
-    found = {name: value for name, value in arrays.items() if not name.startswith("__")}
-    return Table(_named_arrays(path, found, columns))
-
-
-def _unreadable(path: Path, error: Exception) -> IdentificationError:
-    return IdentificationError(f"{path} cannot be read as {path.suffix}: {str(error)[:200]}")
+        cause = f" cannot be read as {path.suffix}: {str(error)[:200]}"
+        if path.suffix == ".mat" and isinstance(error, NotImplementedError):
+            cause = ": MATLAB 7.3 files cannot be read. Save the file with -v7"
+        raise IdentificationError(f"{path}{cause}") from None
 
 
 def _named_arrays(path: Path, arrays: Mapping[str, Any], columns: Sequence[str] | None) -> Array:
-    """Return the four named arrays side by side, (n, 4)."""
     if columns is None:
         raise IdentificationError(
             f"{path}: name the arrays of time and x, y, z: --columns time,x,y,z; "
@@ -192,7 +159,6 @@ def _named_arrays(path: Path, arrays: Mapping[str, Any], columns: Sequence[str] 
 
 
 def _column(path: Path, names: list[str], name: str) -> int:
-    """Return the index of a column. Raise IdentificationError unless there is exactly one."""
     if names.count(name) != 1:
         cause = f"there is no column {name}" if name not in names else f"{name} occurs twice"
         raise IdentificationError(f"{path}: {cause}; {_listed(names)}")
@@ -201,12 +167,3 @@ def _column(path: Path, names: list[str], name: str) -> int:
 
 def _listed(names: list[str]) -> str:
     return "the file has: " + ", ".join(name[:LONGEST_NAME] for name in names[:10])
-
-
-# In this order: the first that recognises a file reads it.
-FORMATS = (
-    Format(lambda path, content, columns: path.suffix == ".npz", _npz),
-    Format(lambda path, content, columns: path.suffix == ".mat", _mat),
-    Format(_is_klipper, _klipper),
-    Format(lambda path, content, columns: True, _text),
-)

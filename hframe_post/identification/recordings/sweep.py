@@ -73,7 +73,6 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Return the duration of the recording."""
         return (len(self.command) - 1) * TS
 
 
@@ -197,7 +196,6 @@ def gcode(
 
 
 def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:
-    """Yield the samples of each run: approach, standstill, the recorded motion, release."""
     first = 0
     for run in planned:
         x, y = (plain(p, 3) for p in run.position)
