@@ -17,15 +17,8 @@ class Dwelling(Enum):
     """What a dwell is next to."""
 
     MOTION = "motion in x and y"
-    BEFORE_LIFT = "before a lift"
-    AFTER_LIFT = "after a lift"
-    BEFORE_RETRACTION = "before a retraction"
-    AFTER_RETRACTION = "after a retraction"
-
-    @property
-    def lifts(self) -> bool:
-        """Return whether it is next to a lift."""
-        return self in (Dwelling.BEFORE_LIFT, Dwelling.AFTER_LIFT)
+    LIFT = "a lift"
+    RETRACTION = "a retraction"
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,9 +184,6 @@ def _tails(names: str, values: int) -> digits.Bytes:
     return np.frombuffer(rows.encode(), dtype=np.uint8).reshape(-1, 5)
 
 
-# ---------------------------------------------------------------------- reading
-
-
 @dataclass(frozen=True, slots=True)
 class Positions:
     """Positions of the motors after each of n rows, in order of tick.

@@ -20,13 +20,7 @@ from hframe_post.firmware.klipper.segments import (
     made_up,
     thinned,
 )
-from hframe_post.firmware.player import (
-    Dwelling,
-    Rejoined,
-    Stroke,
-    coordinates,
-    plain,
-)
+from hframe_post.firmware.player import Dwelling, Rejoined, Stroke, coordinates, plain
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
@@ -38,11 +32,6 @@ LABELS = re.compile(  # of objects: Klipper's commands, and lines that hosts rep
 )
 NUDGE = 0.001  # mm
 MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
-
-
-def labels_object(text: bytes) -> bool:
-    """Return whether a line starts or ends an object, whose moves Klipper may leave out."""
-    return LABELS.match(text.lstrip()) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +85,7 @@ class Klipper:
         corner = self.limits.lift_corner
         return Rests(
             lift_speed=corner if corner <= self.users_corner else 0.0,
-            needs_rest=labels_object,
+            needs_rest=self.labels_object,
             retract_acceleration=moving,
         )
 
@@ -119,25 +108,20 @@ class Klipper:
         if table.end_macro:
             stop = [table.end_macro]
         else:
-            stop = [
-                _limit(
-                    table.velocity, table.acceleration,
-                    table.square_corner_velocity, table.minimum_cruise_ratio,
-                )
-            ]  # fmt: skip
+            corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
+            stop = [_limit(table.velocity, table.acceleration, corner, cruise)]
             if table.shaper_freq_x or table.shaper_freq_y:
-                x, y = table.shaper_freq_x, table.shaper_freq_y
-                stop.append(
-                    f"SET_INPUT_SHAPER SHAPER_FREQ_X={plain(x, 6)} SHAPER_FREQ_Y={plain(y, 6)}"
-                )
+                x, y = plain(table.shaper_freq_x, 6), plain(table.shaper_freq_y, 6)
+                stop.append(f"SET_INPUT_SHAPER SHAPER_FREQ_X={x} SHAPER_FREQ_Y={y}")
         return [line.encode() for line in [STAND, *stop, *names, *_modes(state)]]
 
     def modes_after(self, name: str) -> bytes:
         # G90 leaves E as it is
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")
 
-    def labels_object(self, text: bytes) -> bool:
-        return labels_object(text)
+    @staticmethod
+    def labels_object(text: bytes) -> bool:
+        return LABELS.match(text.lstrip()) is not None
 
     def rejoin(self, at: Array, way: Array, T: float) -> Rejoined:
         """Return a nudge with the user's acceleration, in which Klipper catches up.
@@ -176,7 +160,6 @@ class Klipper:
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """Return speeds that allow for ramps; segments make up for late ones before them."""
         ramped = Ramped.from_moves(np.diff(at, axis=0), rest, self.limits, after)
         v = ramped.speeds(T, before)
         late = ramped.durations(v, before) - T
@@ -216,26 +199,20 @@ class Klipper:
 
         Without it Klipper would round the corner between lift and motion, and be early.
         """
-        if not beside.lifts and seconds < TS / 2.0:
+        if beside is not Dwelling.LIFT and seconds < TS / 2.0:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:
-    """Return SET_VELOCITY_LIMIT with all of its values."""
-    values = {
-        "VELOCITY": velocity,
-        "ACCEL": acceleration,
-        "SQUARE_CORNER_VELOCITY": corner,
-        "MINIMUM_CRUISE_RATIO": cruise_ratio,
-    }
-    words = (f"{name}={plain(value, 6)}" for name, value in values.items())
-    return " ".join(["SET_VELOCITY_LIMIT", *words])
+    return (
+        f"SET_VELOCITY_LIMIT VELOCITY={plain(velocity, 6)} ACCEL={plain(acceleration, 6)} "
+        f"SQUARE_CORNER_VELOCITY={plain(corner, 6)} MINIMUM_CRUISE_RATIO={plain(cruise_ratio, 6)}"
+    )
 
 
 def _modes(state: ModalState) -> list[str]:
-    """Return the commands that restore the modes and the E that the file expects."""
     lines = [f"G1 F{plain(state.feed * 60.0, 1)}"]
     if state.absolute_e:
         lines += ["M82", f"G92 E{plain(state.e, 5)}"]

@@ -100,14 +100,10 @@ class Ramped:
         return cls(d, a, top, np.where(rest, 0.0, corners))
 
     def speeds(self, T: Array, before: float) -> Array:
-        """Return the cruise speeds (k,) at which Klipper takes the time T (k,) for each segment.
-
-        before: speed of the segment that precedes.
-        """
+        """Return the cruise speeds (k,) for the times T (k,); before: of the segment before."""
         return ramps.speeds(self.d, T, self.a, self.caps, before)
 
     def durations(self, v: Array, before: float) -> Array:
-        """Return the time (k,) that Klipper takes at cruise speeds v (k,); see ``speeds``."""
         return ramps.durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
 
 
@@ -189,8 +185,8 @@ def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
 def _merged(vertices: Array, at: Integers, off: Array) -> Array:
     """Return a bound on the distance of samples from the chord of each two segments, (k − 1,).
 
-    vertices (k + 1, 4) at samples ``at``; off (k,): the bound for each segment. A sample is no
-    farther from the new chord than from its old one and that from the new one together.
+    vertices (k + 1, 4) at samples ``at``; off (k,): the bound for each segment. A sample's distance
+    is at most that from its old chord and that between both chords.
     """
     share = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
     apart = vertices[1:-1] - vertices[:-2]
@@ -235,7 +231,10 @@ def _fitted(points: Array, ends: Integers) -> Array:
     missed = xy[1:] - xy[start][which] - share[:, None] * chord[which]
     later: Array = np.column_stack([np.bincount(which, share * off) for off in missed.T])
     earlier: Array = np.column_stack([np.bincount(which, off) for off in missed.T]) - later
-    last, first, both = _weights(length)
+    # sums of s², (1 − s)² and s(1 − s) over each segment, in which s goes from above 0 to 1
+    m = length.astype(float)
+    last, first = (m + 1) * (2 * m + 1) / (6 * m), (m - 1) * (2 * m - 1) / (6 * m)
+    both = (m * m - 1) / (6 * m)
     diagonal = last + np.append(first[1:], 1.0)
     wanted = later + np.vstack([earlier[1:], np.zeros(2)])
     moved = np.zeros((len(ends), 2))
@@ -248,12 +247,3 @@ def _fitted(points: Array, ends: Integers) -> Array:
     vertices = points[ends]
     vertices[:, :Z] = np.clip(vertices[:, :Z] + moved, xy.min(axis=0), xy.max(axis=0))
     return vertices
-
-
-def _weights(length: Integers) -> tuple[Array, Array, Array]:
-    """Return sums of s², (1 − s)² and s(1 − s), (k,) each, over segments of these lengths (k,).
-
-    s goes from above 0 to 1 in each segment.
-    """
-    n = length.astype(float)
-    return (n + 1) * (2 * n + 1) / (6 * n), (n - 1) * (2 * n - 1) / (6 * n), (n * n - 1) / (6 * n)

@@ -15,13 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.marlin.planner import (
-    GENERATIONS,
-    Blocks,
-    Planner,
-    Timer,
-    make_planner,
-)
+from hframe_post.firmware.marlin.planner import GENERATIONS, Blocks, Planner, Timer, make_planner
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import plain
@@ -98,7 +92,6 @@ def _even(strokes: float) -> int:
 
 
 def _room(printer: Printer, marlin: Marlin) -> tuple[float, float]:
-    """Return x of both ends of the strokes, on whole steps."""
     belt = marlin.steps.belt
     left, right = printer.travel.x[0] + EDGE, printer.travel.x[1] - EDGE
     if right - left < 2.0 * EDGE:
@@ -108,7 +101,6 @@ def _room(printer: Printer, marlin: Marlin) -> tuple[float, float]:
 
 
 def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) -> float:
-    """Return the seconds of all strokes, without the wait before the first."""
     belt = marlin.steps.belt
     cells = np.rint(np.column_stack([part.x, np.zeros_like(part.x)]) / belt).astype(np.int64)
     n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)

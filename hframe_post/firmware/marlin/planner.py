@@ -17,8 +17,7 @@ ft-motion    as asked   (exact trapezoids in time)                    √(a/2) o
 which a ramp that falls after a cruise is ahead by half an interval, too. ft-motion is fixed-time
 motion of such builds, with the trapezoidal trajectory and no shaper.
 
-``SteppedPlanner`` serves the first three, each by its own function of block times;
-``FixedTimePlanner`` serves the last. Speeds and path lengths are in mm.
+Speeds and path lengths are in mm.
 """
 
 from __future__ import annotations
@@ -69,7 +68,6 @@ class Timer:
         return np.exp2(np.floor(np.log2(np.maximum(below, 1.0))))
 
     def ticks(self, rate: Array) -> Array:
-        """Return what the timer is set to for a number of interrupts (k,) a second."""
         return np.floor(self.hz / rate)
 
     def step(self, rate: Array) -> Array:
@@ -78,7 +76,6 @@ class Timer:
         return shares * self.seconds(self.ticks(rate * shares))
 
     def seconds(self, ticks: Array) -> Array:
-        """Return the seconds that intervals of these ticks take."""
         return (ticks + float(self.extra_tick)) / self.hz
 
 
@@ -189,9 +186,6 @@ def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Arr
     return np.asarray(np.floor(start + way * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)))
 
 
-# ---------------------------------------------------------------------- planners
-
-
 @dataclass(frozen=True, slots=True)
 class SteppedPlanner:
     """A planner whose ramps change the rate from step to step, by whole steps per second.
@@ -213,7 +207,7 @@ class SteppedPlanner:
         n = blocks.n
         T = np.minimum(T, n / (1.0 if self.development else 120.0))
         for _ in range(ROUNDS):
-            shortest = self._unrounded_times(blocks, FASTEST * n / T, before)
+            shortest = self._times(blocks, FASTEST * n / T, before)
             if (shortest <= T).all():
                 break
             T = np.maximum(T, shortest)
@@ -225,11 +219,11 @@ class SteppedPlanner:
         rate, lost = n / T, 0.0
         for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
             for _ in range(ROUNDS):
-                rate *= self._unrounded_times(blocks, rate, before) / (T * (1.0 - lost))
+                rate *= self._times(blocks, rate, before) / (T * (1.0 - lost))
                 rate = np.clip(rate, n / T / FASTEST, n / T * FASTEST)  # ramps may be too long
             whole = _dithered(rate, self.timer)
             v = (whole - 0.5) * d / n  # Marlin rounds up
-            late = self._times(blocks, v, whole, before, self.timer) - T
+            late = self._times(blocks, whole, before, v) - T
             # lateness of more than 5 % is not due to rounding, and a rate at its bound not free
             no_rate_fits = (np.abs(late) > 0.05 * T) | (rate > 0.9 * FASTEST * n / T)
             late[no_rate_fits] = 0.0
@@ -241,8 +235,7 @@ class SteppedPlanner:
 
         Whether the first begins at rest is not known, nor needed.
         """
-        n, d, *_ = blocks
-        return self._times(blocks, v, np.ceil(v * n / d), before, self.timer)
+        return self._times(blocks, np.ceil(v * blocks.n / blocks.d), before, v)
 
     def stroke(self, blocks: Blocks, joint: Array, v: Array) -> float:
         """Return the seconds of blocks at speeds v (k,), mm/s, between speeds joint (k + 1,)."""
@@ -257,15 +250,14 @@ class SteppedPlanner:
             return np.full(len(blocks.n), math.inf)
         return _development_entry(blocks) if self.development else np.zeros(len(blocks.n))
 
-    def _unrounded_times(self, blocks: Blocks, rate: Array, before: float) -> Array:
-        return self._times(blocks, rate * blocks.d / blocks.n, rate, before, UNROUNDED)
+    def _times(self, blocks: Blocks, rate: Array, before: float, v: Array | None = None) -> Array:
+        """Return the seconds (k,) of blocks at nominal rates (k,); the last ends at its own.
 
-    def _times(self, blocks: Blocks, v: Array, rate: Array, before: float, timer: Timer) -> Array:
-        """Return the seconds (k,) of blocks at speeds v and nominal rates (k,).
-
-        The last block ends at its own speed.
+        v (k,): speeds whose rates these are, rounded; None: nothing is rounded, nor the timer.
         """
         n, d, *_ = blocks
+        timer = UNROUNDED if v is None else self.timer
+        v = rate * d / n if v is None else v
         v_s, v_e = ramps.ends(v, blocks.corners, before, self._least_entry(blocks))
         per_mm = n / d if self.development else rate / v  # releases: of the rate as it is rounded
         return self.block_times(blocks, v_s * per_mm, rate, v_e * per_mm, timer, self.s_curve)
@@ -273,26 +265,22 @@ class SteppedPlanner:
 
 @dataclass(frozen=True, slots=True)
 class FixedTimePlanner:
-    """The planner of fixed-time motion: exact trapezoids in time, whatever the timer."""
+    """The planner of fixed-time motion: exact trapezoids in time; see ``SteppedPlanner``."""
 
     fixed_time = True
 
     def possible_times(self, blocks: Blocks, T: Array, before: float) -> Array:
-        """Return times (k,) as near to T (k,) as blocks can last."""
         return np.minimum(T, blocks.n)
 
     def feed_rates(self, blocks: Blocks, T: Array, before: float) -> Array:
-        """Return speeds (k,), mm/s, at which blocks take the time T (k,)."""
         n, d, a, corners = blocks
         return ramps.speeds(d, T, a * d / n, corners, before, _development_entry(blocks))
 
     def durations(self, blocks: Blocks, v: Array, before: float) -> Array:
-        """Return the seconds (k,) of blocks at speeds v (k,), mm/s."""
         n, d, a, corners = blocks
         return ramps.durations(d, v, a * d / n, corners, before, _development_entry(blocks))
 
     def stroke(self, blocks: Blocks, joint: Array, v: Array) -> float:
-        """Return the seconds of blocks at speeds v (k,), mm/s, between speeds joint (k + 1,)."""
         n, d, a, _ = blocks
         a = a * d / n
         v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))

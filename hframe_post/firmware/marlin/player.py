@@ -70,8 +70,6 @@ class Marlin:
     def rests(self) -> Rests:
         return Rests()  # lifts and retractions begin and end at rest
 
-    # ------------------------------------------------------------------ commands
-
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         motion = FIXED_TIME if self._planner.fixed_time else RAMPED
         a, v = plain(self._acceleration, 0), plain(self._velocity, 0)
@@ -164,13 +162,12 @@ class Marlin:
         v_s, v_e = self._stroke_ends(corner, v)
         ramped = ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)
         taken = (d + ramped) / v
-        if (
-            not self._planner.fixed_time
-        ):  # what rounding to whole ticks adds, where speed is constant
+        if not self._planner.fixed_time:
+            # what rounding to whole ticks adds, where speed is constant
             cruise = max(d - (2.0 * v * v - v_s * v_s - v_e * v_e) / (2.0 * a), 0.0)
             step = self._timer.step(np.ceil(v * blocks.n / blocks.d))
             taken += cruise * (float(step[0]) * n / d - 1.0 / v)
-        words = self._stroke_corners(True, lifts), self._stroke_corners(False, lifts)
+        words = (self._stroke_corners(users, lifts) for users in (True, False))
         lines = (f"M205 {word}\n".encode() if word else b"" for word in words)
         turned = 2.0**0.25  # both axes are at their limit where motion goes on
         return Stroke(v, taken, turned * corner, *lines)
@@ -185,22 +182,19 @@ class Marlin:
         return begin, max(corner, 11.0) if self._planner.fixed_time else begin
 
     def _stroke_corners(self, users: bool, lifts: bool) -> str:
-        """Return the words of M205 that a retraction or a lift needs other than the stream's."""
+        # what M205 needs for a retraction or a lift, other than the stream's
         if not self.table.classic_jerk:
             return self._corners(users)
         return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK, 3)}"
 
     def _retract(self, users: bool) -> str:
         """Return the word of M204 for the acceleration that retractions are planned with."""
-        retract = self.table.retract_acceleration
-        return (
-            f" R{plain(retract if users else self.limits.extruder_acceleration, 3)}"
-            if retract
-            else ""
-        )
+        if not self.table.retract_acceleration:
+            return ""
+        limits = self.table.retract_acceleration, self.limits.extruder_acceleration
+        return f" R{plain(limits[0] if users else limits[1], 3)}"
 
     def _corners(self, users: bool) -> str:
-        """Return the words of M205 that set the limits of corners."""
         table = self.table
         if not table.classic_jerk:
             return f"J{plain(table.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
@@ -215,8 +209,6 @@ class Marlin:
     def _velocity(self) -> float:
         return VELOCITY_HEADROOM * self.motors.belt_velocity
 
-    # ------------------------------------------------------------------ segments
-
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
         cells = np.rint(points[:, :Z] / self.steps.belt).astype(np.int64)
@@ -228,8 +220,6 @@ class Marlin:
         at = points[ends]
         at[:, :Z] = cells[ends] * self.steps.belt
         return ends, at
-
-    # ------------------------------------------------------------------ feed rates
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """Return times no longer than the slowest steps, no shorter than the first from rest."""
@@ -258,7 +248,6 @@ class Marlin:
         return Timer(table.timer_hz, table.timer_extra_tick, table.adaptive_step_smoothing)
 
     def _blocks(self, at: Array) -> Blocks:
-        """Return the blocks of segments between positions at (k + 1, 4)."""
         cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)
         motors = motor_steps(cells, self.kinematics)
         xy = most_steps(motors)
@@ -286,11 +275,11 @@ class Marlin:
         straight back, where Marlin stops.
         """
         straight = 0.999999  # cosine of the angle between two blocks
-        free = np.full(1, math.inf)
         if self.table.classic_jerk or len(way) < 2:
             return np.full(len(way) + 1, math.inf)
         unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
         cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
         sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -straight, straight)))
         v2 = JUNCTION_DEVIATION * a[1:] * sin_half / (1.0 - sin_half)
-        return np.concatenate([free, np.where(cosine > straight, 0.0, np.sqrt(v2)), free])
+        inner = np.where(cosine > straight, 0.0, np.sqrt(v2))
+        return np.concatenate([[math.inf], inner, [math.inf]])

@@ -12,7 +12,7 @@ from hframe_post.errors import HframeError
 from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]
-MINUS, POINT, ZERO = b"-.0"
+MINUS, ZERO = b"-0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
 GROUP = 4  # digits looked up at once
 

@@ -24,8 +24,8 @@ from hframe_post.arrays import E, Integers, Z
 from hframe_post.firmware.player import Player
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.stream import digits
-from hframe_post.writers.stream.machine import Machine, Text
-from hframe_post.writers.stream.pace import Pace, Settings, TimedCommand, TimedMotion, TimedMove
+from hframe_post.writers.stream.machine import Machine, Settings, StandingMove, Text
+from hframe_post.writers.stream.pace import Pace, TimedCommand, TimedMotion, TimedMove
 from hframe_post.writers.stream.print_time import DeferredLine, Output
 from hframe_post.writers.stream.segments import Units
 
@@ -100,12 +100,12 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
             case Settings():
                 yield command.text
                 feed, revert = 0, b""
-            case TimedMove():
-                if command.after and not revert:
-                    yield command.before
-                    revert = command.after
-                feed = command.feed
-                yield _standing_line(command, units)
+            case TimedMove(move, stroke):
+                if stroke.after and not revert:
+                    yield stroke.before
+                    revert = stroke.after
+                feed = round(stroke.speed * units.per_feed)
+                yield _standing_line(move, feed, units)
             case TimedMotion():
                 yield from _motion(command, feed, Text(revert), units)
                 feed, revert = int(command.feeds[-1]), b""
@@ -113,7 +113,6 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
 
 
 def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Iterator[Output]:
-    """Yield the rows of the segments with the lines between them."""
     rows, ends = _lines(motion.at, motion.feeds, feed, units)
     between = sorted([(1, revert), *motion.between], key=lambda item: item[0])
     written = 0
@@ -139,12 +138,12 @@ def _lines(at: Integers, feeds: Integers, feed: int, units: Units) -> tuple[byte
     return digits.command_lines(b"G1", b"XYZEF", values, decimals, np.vstack([shown.T, changed]))
 
 
-def _standing_line(move: TimedMove, units: Units) -> bytes:
+def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:
     """Return the line of a retraction or a lift; empty where nothing moves."""
     dz, de = int(move.end[Z] - move.start[Z]), int(move.end[E] - move.start[E])
     if not (dz or de):
         return b""
-    values = np.array([[move.end[Z]], [de], [move.feed]])
+    values = np.array([[move.end[Z]], [de], [feed]])
     decimals = (units.decimals[Z], units.decimals[E], units.feed_decimals)
     shown = np.array([[dz != 0], [de != 0], [True]])
     return digits.command_lines(b"G1", b"ZEF", values, decimals, shown)[0]

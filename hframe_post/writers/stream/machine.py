@@ -72,13 +72,13 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Release:
-    """Lines with which the machine goes back to the user's limits and modes."""
+class Settings:
+    """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
 
     text: bytes
 
 
-Command = Text | Motion | StandingMove | Wait | Stop | Release
+Command = Text | Motion | StandingMove | Wait | Stop | Settings
 
 
 class Machine:
@@ -136,8 +136,7 @@ class Machine:
         if not len(points):
             return
         if self._at is None:  # the first sample may have extruded on its way here
-            here = np.append(points[0, :E], self.ledger.filament)
-            self._at = self._units.rounded(here)
+            self._at = self._units.rounded(np.append(points[0, :E], self.ledger.filament))
         self._buffer.add(points, index, np.asarray(self._at / self._units.per_mm))
         while len(self._buffer) > SAMPLES_AT_ONCE:
             if batch := self._buffer.batch(last=False):
@@ -162,8 +161,6 @@ class Machine:
         places = np.array([pause.action.start, pause.action.end])
         return self._player.lift_corner(places, pause.action.speed)
 
-    # ------------------------------------------------------------------ in motion
-
     def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
         """Yield the commands for a batch, whose motion may end at a speed, mm/s."""
         assert self._at is not None
@@ -175,11 +172,8 @@ class Machine:
             at = np.vstack([self._at, made.at])
             check_filament(batch, made.ends, at[:, E] / self._units.per_mm[E], still)
             rows = np.searchsorted(made.ends, batch.marked, side="right").tolist()
-            between = tuple(
-                (row, text)
-                for row, mark in zip(rows, batch.marks, strict=True)
-                for text in self._passed_on(mark)
-            )
+            marks = zip(rows, batch.marks, strict=True)
+            between = tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
             stops = batch.last and not (speed and not self._still)
             self.ledger.moved(batch.first + made.ends, int(at[-1, E] - at[0, E]))
             self._at = made.at[-1]
@@ -200,16 +194,15 @@ class Machine:
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
             yield Text(self._player.modes_after(coded.name))
 
-    # ------------------------------------------------------------------ at standstill
-
     def _pause(self, pause: Pause) -> Iterator[Command]:
         action = pause.action
         if isinstance(action, Standing):
             yield from self._standing(pause, action)
             return
-        if action.handling is Handling.RELEASE:
+        releases = action.handling is Handling.RELEASE
+        if releases:
             yield self._release(action)
-        if action.text or action.handling is not Handling.RELEASE:
+        if action.text or not releases:
             yield Text(action.text + b"\n", self._player.labels_object(action.text))
 
     def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
@@ -231,13 +224,13 @@ class Machine:
         if self.ledger.is_count_due():
             yield Text(self._player.reset_extruder())
 
-    def _release(self, action: Passthrough) -> Release:
+    def _release(self, action: Passthrough) -> Settings:
         end: list[bytes] = []
         if self._inside and self._at is not None:
             end = self._player.end(action.state, self._at / self._units.per_mm)
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
-        return Release(b"".join(line + b"\n" for line in end))
+        return Settings(b"".join(line + b"\n" for line in end))
 
 
 class Ledger:
@@ -262,7 +255,6 @@ class Ledger:
             self._second, self.busiest = second, max(self.busiest, self._lines)
 
     def passed(self, filament: float) -> None:
-        """Add the filament, mm, of a line of the file."""
         self._passed += filament
 
     def is_count_due(self) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from hframe_post.firmware.player import Dwelling, Player, Stroke
 from hframe_post.writers.stream.machine import (
     Command,
     Motion,
-    Release,
+    Settings,
     StandingMove,
     Stop,
     Text,
@@ -34,37 +35,13 @@ class TimedMotion:
 
 @dataclass(frozen=True, slots=True)
 class TimedMove:
-    """A retraction or a lift with its F. before, after: see ``Stroke``."""
+    """A retraction or a lift, and how it is asked for."""
 
-    start: Integers
-    end: Integers
-    feed: int
-    before: bytes
-    after: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
-
-    text: bytes
+    move: StandingMove
+    stroke: Stroke
 
 
 TimedCommand = Text | TimedMotion | TimedMove | Settings
-
-
-@dataclass(frozen=True, slots=True)
-class _Lift:
-    """A lift that passes into the next motion, and its stroke at the greatest speed there.
-
-    places (2, 4), mm; wanted: seconds left for it; entry: speed at which it begins, mm/s.
-    """
-
-    move: StandingMove
-    places: Array
-    wanted: float
-    entry: float
-    stroke: Stroke
 
 
 class Pace:
@@ -83,7 +60,8 @@ class Pace:
         self._fresh = True  # nothing has moved since the machine was taken over
         self._ending: tuple[Array, Array, Flags, float] | None = None  # last segment of a batch
         self._may_be_elsewhere = False  # moves may have been left out since the last motion
-        self._lift: _Lift | None = None  # waits for the speed of the next motion
+        # a lift that waits for the speed of the next motion, and its stroke at a lower one
+        self._lift: tuple[TimedMove, Callable[[float], Stroke]] | None = None
         self._after_lift: list[Text] = []  # lines between both
 
     def timed(self, commands: Iterable[Command]) -> Iterator[TimedCommand]:
@@ -91,7 +69,11 @@ class Pace:
         for command in commands:
             match command:
                 case Text():
-                    yield from self._line(command)
+                    self._may_be_elsewhere |= command.labels
+                    if self._lift is None:
+                        yield command
+                    else:
+                        self._after_lift.append(command)
                 case Motion():
                     yield from self._motion(command)
                 case StandingMove():
@@ -102,18 +84,9 @@ class Pace:
                 case Stop():
                     yield from self._leave(0.0)
                     self._before = 0.0
-                case Release():
-                    yield Settings(command.text)
+                case Settings():
+                    yield command
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
-
-    def _line(self, text: Text) -> Iterator[TimedCommand]:
-        self._may_be_elsewhere |= text.labels
-        if self._lift is None:
-            yield text
-        else:
-            self._after_lift.append(text)
-
-    # ------------------------------------------------------------------ in motion
 
     def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
         motion = yield from self._rejoined(motion)
@@ -195,46 +168,40 @@ class Pace:
         entry = float(v[-2]) if len(v) > 1 else self._before
         self._ending = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
 
-    # ------------------------------------------------------------------ at standstill
-
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         yield from self._leave(0.0)
-        pause, lifts = move.pause, move.lifts
+        pause, beside = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
         if not pause.entry:
             self._before = 0.0
         if self._before == 0.0:
-            yield from self._dwell(0, Dwelling.BEFORE_LIFT if lifts else Dwelling.BEFORE_RETRACTION)
+            yield from self._dwell(0, beside)
         places = np.stack([move.start, move.end]) / self._units.per_mm
         planned = pause.samples * TS
-        wanted, entry = planned - self.lag, self._before
-        leaving = self._player.lift_corner(places, move.speed) if pause.leaving else 0.0
-        stroke = self._player.stroke(places, move.speed, pause.exact, wanted, entry, leaving)
+        left_for_it = planned - self.lag
+        stroke_to = partial(
+            self._player.stroke, places, move.speed, pause.exact, left_for_it, self._before
+        )
+        stroke = stroke_to(self._player.lift_corner(places, move.speed) if pause.leaving else 0.0)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
         if pause.leaving:
-            self._lift = _Lift(move, places, wanted, entry, stroke)
+            self._lift = TimedMove(move, stroke), stroke_to
             return
-        yield self._timed_move(move, stroke)
-        yield from self._dwell(0, Dwelling.AFTER_LIFT if lifts else Dwelling.AFTER_RETRACTION)
+        yield TimedMove(move, stroke)
+        yield from self._dwell(0, beside)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
         if self._lift is None:
             return
-        lift, self._lift = self._lift, None
-        move, stroke = lift.move, lift.stroke
-        if speed < stroke.left:
-            stroke = self._player.stroke(
-                lift.places, move.speed, move.pause.exact, lift.wanted, lift.entry, speed
-            )
-            self.lag += stroke.seconds - lift.stroke.seconds
-        yield self._timed_move(move, stroke)
+        (lift, stroke_to), self._lift = self._lift, None
+        if speed < lift.stroke.left:
+            slower = stroke_to(speed)
+            self.lag += slower.seconds - lift.stroke.seconds
+            lift = TimedMove(lift.move, slower)
+        yield lift
         yield from self._after_lift
         self._after_lift = []
-
-    def _timed_move(self, move: StandingMove, stroke: Stroke) -> TimedMove:
-        feed = round(stroke.speed * self._per_feed)
-        return TimedMove(move.start, move.end, feed, stroke.before, stroke.after)
 
     def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Text]:
         """Yield the line for a standstill, less what the machine is late, if one is made."""
