@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import Dialect
-from hframe_post.gcode.lexer import Line, Words, command, numbers_among
+from hframe_post.gcode.lexer import Line, command, numbers_among, parameters
 from hframe_post.printer.settings import Retraction
 
 
@@ -77,7 +77,6 @@ def _extruding_moves(lines: Iterable[Line]) -> Iterator[tuple[float, float, floa
 
 
 DEFAULT_DURATION = 0.06  # s; half or twice of it is better than 0
-KLIPPER_COMMAND = "SET_RETRACTION"
 KLIPPER_PARAMETERS = (
     "RETRACT_LENGTH", "RETRACT_SPEED", "UNRETRACT_EXTRA_LENGTH", "UNRETRACT_SPEED", "Z_HOP_HEIGHT",
 )  # fmt: skip
@@ -102,12 +101,19 @@ class FirmwareRetraction:
         """Mark the firmware's state as unknown, since a macro may have retracted."""
         self._firmware_is_unretracted = False
 
-    def set(self, name: str, words: Words) -> None:
-        """Apply SET_RETRACTION, M207 or M208, which the firmware obeys, too."""
-        old = self._settings
-        if old is None or (name == KLIPPER_COMMAND) != (self._dialect.name == "klipper"):
+    def apply(self, line: Line, name: str, arguments: bytes) -> None:
+        """Apply SET_RETRACTION, M207 or M208, which the firmware obeys, too; ignore the others."""
+        for_klipper = name == "SET_RETRACTION"
+        if for_klipper:
+            words = parameters(line, KLIPPER_PARAMETERS)
+        elif name in MARLIN_WORDS:
+            words = numbers_among(line, arguments, MARLIN_WORDS[name])
+        else:
             return
-        if name == KLIPPER_COMMAND:
+        old = self._settings
+        if old is None or for_klipper != (self._dialect.name == "klipper"):
+            return
+        if for_klipper:
             new = Retraction(
                 length=words.get("RETRACT_LENGTH", old.length),
                 extra=words.get("UNRETRACT_EXTRA_LENGTH", old.extra),

@@ -12,13 +12,17 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any
+from typing import IO
 
 from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode.lexer import Line
 
 MAGIC = b"GCDE"
 SUFFIX = ".bgcode"
+MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
+MAX_LINES_AHEAD = 4000  # that can be seen before their turn
+MAX_BYTES_AHEAD = 1 << 20
+BYTES_PER_READ = 1 << 18
 
 
 def is_binary(path: Path) -> bool:
@@ -58,7 +62,14 @@ def as_binary(target: IO[bytes]) -> Iterator[IO[bytes]]:
 
 
 def _convert(function: str, source: Path, target: Path, verify: bool = False) -> str | None:
-    bgcode = _library()
+    """Convert a file; return the error message, if there is one."""
+    try:
+        import pybgcode as bgcode
+    except ImportError:
+        raise HframeError(
+            "this is binary G-code: run pip install 'hframe-post[bgcode]' to read and write it, "
+            "or turn off 'Supports binary G-code' in the slicer's printer settings and slice again"
+        ) from None
     opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
     try:
         result = getattr(bgcode, function)(*opened, *((True,) if verify else ()))
@@ -70,23 +81,6 @@ def _convert(function: str, source: Path, target: Path, verify: bool = False) ->
     if result == bgcode.EResult.Success:
         return None
     return str(bgcode.translate_result(result))
-
-
-def _library() -> Any:
-    try:
-        import pybgcode
-    except ImportError:
-        raise HframeError(
-            "this is binary G-code: run pip install 'hframe-post[bgcode]' to read and write it, "
-            "or turn off 'Supports binary G-code' in the slicer's printer settings and slice again"
-        ) from None
-    return pybgcode
-
-
-MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
-MAX_LINES_AHEAD = 4000  # that can be seen before their turn
-MAX_BYTES_AHEAD = 1 << 20
-BYTES_PER_READ = 1 << 18
 
 
 def lines_of(file: IO[bytes]) -> Iterator[bytes]:

@@ -26,17 +26,9 @@ from hframe_post.gcode.batching import (
     ItemBuilder,
     PlainMoves,
 )
-from hframe_post.gcode.commands import Effect
 from hframe_post.gcode.curves import FARTHEST, check_curve, curve
-from hframe_post.gcode.extrusion import (
-    KLIPPER_COMMAND,
-    KLIPPER_PARAMETERS,
-    MARLIN_WORDS,
-    FirmwareRetraction,
-    is_absolute,
-)
+from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lexer import (
-    Command,
     Line,
     Words,
     command,
@@ -68,9 +60,8 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
     ready = reader.items.ready
     for line in source:
         reader.apply(line)
-        if ready:
-            yield from ready
-            ready.clear()
+        yield from ready
+        ready.clear()
         while reader.apply_plain_moves():
             yield from ready
             ready.clear()
@@ -123,7 +114,7 @@ class _Reader:
             if name != "G20":  # the output is in mm, and Klipper has no inches
                 self._pass_through(line, Handling.CARRY)
         elif name == "G4":
-            self._apply_dwell(line, coded)
+            self._apply_dwell(line, arguments)
         else:
             self._apply_other(line, name, arguments)
 
@@ -226,8 +217,8 @@ class _Reader:
                 self.items.flush()  # these limits hold for all moves of an item
             self._state.set_limits(line, name, words)
 
-    def _apply_dwell(self, line: Line, coded: Command) -> None:
-        seconds = self._dialect.dwell(numbers_among(line, coded.arguments, "PS"))
+    def _apply_dwell(self, line: Line, arguments: bytes) -> None:
+        seconds = self._dialect.dwell(numbers_among(line, arguments, "PS"))
         if not 0.0 <= seconds <= MAX_DWELL:
             raise line.error(f"a dwell must last from 0 to {MAX_DWELL / 3600.0:g} h")
         self._pass_through(line, Handling.REST, seconds)
@@ -248,20 +239,17 @@ class _Reader:
             self._apply_other(line, name)
 
     def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
-        if name == KLIPPER_COMMAND:
-            self._retraction.set(name, parameters(line, KLIPPER_PARAMETERS))
-        elif name in MARLIN_WORDS:
-            self._retraction.set(name, numbers_among(line, arguments, MARLIN_WORDS[name]))
+        self._retraction.apply(line, name, arguments)
         retracts = name in ("G10", "G11") and not arguments.strip()
         if retracts and self._apply_retraction(line, name):
             return
         effect = self._options.vocabulary.effect(name, arguments)
         if name == "M486" and self._dialect.rejoins_after_object:
-            effect = Effect.WAITS  # S starts an object, which the firmware may skip
-        waits = name in ("G10", "G11") and effect is Effect.WAITS
+            effect = commands.Effect.WAITS  # S starts an object, which the firmware may skip
+        waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
         self._pass_through(line, effect.handling, seconds)
-        if effect is not Effect.UNKNOWN:
+        if effect is not commands.Effect.UNKNOWN:
             return
         self._cause = name[:40]
         self._retraction.forget()

@@ -41,7 +41,7 @@ class State:
         self.scale = 1.0
         self.position: Position = (0.0, 0.0, 0.0, 0.0)
         self.offset: Position = (0.0, 0.0, 0.0, 0.0)
-        self.known = (False, False, False)
+        self.known = [False, False, False]
         self.feed = DEFAULT_FEED
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
@@ -79,7 +79,7 @@ class State:
         self.position = position
         if self.absolute:
             x, y, z = self.known
-            self.known = (x or "X" in words, y or "Y" in words, z or "Z" in words)
+            self.known = [x or "X" in words, y or "Y" in words, z or "Z" in words]
 
     def add_filament(self, filament: float) -> None:
         """Move e by a firmware retraction, which the file's own count does not include."""
@@ -90,7 +90,7 @@ class State:
     def forget(self, axes: Iterable[int] = range(3), homed: bool = False) -> None:
         """Mark axes as unknown; homing also drops their offsets from G92."""
         for axis in axes:
-            self._set_known(axis, False)
+            self.known[axis] = False
             if homed:
                 self.offset = _replaced(self.offset, axis, 0.0)
 
@@ -106,15 +106,11 @@ class State:
             raise line.error("G92 names known and unknown positions at once; use two lines")
         for axis, value in axes.items():
             if axis < 3 and not self.known[axis]:
-                self._set_known(axis, True)
+                self.known[axis] = True
                 self.position = _replaced(self.position, axis, value)
                 self.offset = _replaced(self.offset, axis, 0.0)
             else:
                 self.offset = _replaced(self.offset, axis, self.position[axis] - value)
-
-    def _set_known(self, axis: int, known: bool) -> None:
-        x, y, z = (known if k == axis else old for k, old in enumerate(self.known))
-        self.known = x, y, z
 
     # ------------------------------------------------------------------ modes and limits
 

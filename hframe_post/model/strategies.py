@@ -149,17 +149,13 @@ class _Axis:
         return x_dm[:n]
 
 
-def _without_racking(plant: Plant) -> Plant:
-    return replace(plant, Gxtheta=None)
-
-
 STRATEGIES = {
     strategy.name: strategy
     for strategy in (
         Strategy("none", "no compensation", "#888888", _Uncompensated, lambda plant: None),
         Strategy(
             "fbs", "ringing only (fbs)", "#c05020",
-            partial(FilteredSplines, False), _without_racking,
+            partial(FilteredSplines, False), lambda plant: replace(plant, Gxtheta=None),
         ),
         Strategy("racking", "ringing and racking", "#2060a0", partial(FilteredSplines, True)),
     )

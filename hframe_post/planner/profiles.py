@@ -41,13 +41,11 @@ class Phases:
 
         Between two phases the path stands where the earlier one ended.
         """
-        if (compiled := kernel("path_lengths")) is None:
-            return self._path(TS * np.arange(first, first + n).astype(float), end)
-        s = np.empty(n)
-        compiled(self.table, self.table.shape[1], first, n, TS, end, s)
-        return s
-
-    def _path(self, t: Array, end: float) -> Array:
+        if (compiled := kernel("path_lengths")) is not None:
+            lengths = np.empty(n)
+            compiled(self.table, self.table.shape[1], first, n, TS, end, lengths)
+            return lengths
+        t = TS * np.arange(first, first + n).astype(float)
         time, duration, *_ = self.table
         phase = np.clip(np.searchsorted(time, t, side="right") - 1, 0, None)
         _, _, s, v, a, j = self.table[:, phase]
@@ -178,12 +176,10 @@ def _exclusive(cumulative: Array) -> Array:
 class StandingProfile:
     """How the firmware, which has no limit on jerk, makes one move while x and y stand still.
 
-    trapezoid: of z, or of the filament if z stands too. seconds: exact duration; samples: until
-    the next whole one.
+    trapezoid: of z, or of the filament if z stands too; samples: until the next whole one.
     """
 
     trapezoid: Trapezoid
-    seconds: float
     samples: int
 
     @classmethod
@@ -207,7 +203,7 @@ class StandingProfile:
         samples = samples_until(trapezoid.seconds)
         if any(ends):  # no standstill next to it can fill up the last sample
             trapezoid = trapezoid.slowed_to(samples * TS)
-        return cls(trapezoid, trapezoid.seconds, samples)
+        return cls(trapezoid, samples)
 
     def share(self, samples: Integers) -> Array:
         """Return the share of the move, (n, 1), done after each number of samples (n,)."""

@@ -54,7 +54,7 @@ def sample(
         elif isinstance(item, Standing):
             yield from sampler.stand(item, motion)
         elif isinstance(item, Halt):
-            yield from sampler.halt()
+            yield from sampler.come_to_rest(aside=True)
         elif item.handling is Handling.CARRY:
             sampler.mark(item.text)
         else:
@@ -232,7 +232,7 @@ class _Sampler:
         self._labelled |= self._rests.needs_rest(action.text)
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
-        yield from self._come_to_rest(released or n >= self._rests.long_from)
+        yield from self.come_to_rest(released or n >= self._rests.long_from)
         out.line = action.line
         if out.last is None:  # nothing to sample where the position is unknown
             out.events.append(Pause(out.index, 0, action))
@@ -264,9 +264,10 @@ class _Sampler:
         if long := profile.samples >= self._rests.long_from:
             profile = StandingProfile.from_move(move, self._limits)
         entry, leaving = profile.trapezoid.v_s, profile.trapezoid.v_e
-        yield from self._come_to_rest(long, needed=entry == 0.0)
+        exact = profile.trapezoid.seconds
+        yield from self.come_to_rest(long, needed=entry == 0.0)
         out.line = move.line
-        out.events.append(Pause(out.index, profile.samples, move, profile.seconds, entry, leaving))
+        out.events.append(Pause(out.index, profile.samples, move, exact, entry, leaving))
         start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
         for first in range(0, profile.samples, out.size):
             n = min(profile.samples - first, out.size)
@@ -285,10 +286,7 @@ class _Sampler:
         """
         return min(SPARED * self._rests.lift_speed, 0.05 * math.sqrt(acceleration))
 
-    def halt(self) -> Iterator[Samples]:
-        yield from self._come_to_rest(aside=True)
-
-    def _come_to_rest(self, aside: bool, needed: bool = True) -> Iterator[Samples]:
+    def come_to_rest(self, aside: bool, needed: bool = True) -> Iterator[Samples]:
         """Give the command time to come to rest if that is needed and it has had none."""
         if needed and not self._rested and self.output.last is not None:
             samples = self._rests.long_rest if aside else self._rests.before
@@ -311,14 +309,10 @@ class _Sampler:
 def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:
     """Return x, y, z, e at path lengths ``s`` (n,), and the move that each lies on."""
     n, moves = len(s), len(plan.line)
-    if (compiled := kernel("follow")) is None:
-        return _follow_in_numpy(plan, s)
-    xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
-    compiled(plan.s, np.ascontiguousarray(plan.points), moves, s, n, xyze, move)
-    return xyze, move
-
-
-def _follow_in_numpy(plan: Plan, s: Array) -> tuple[Array, Integers]:
+    if (compiled := kernel("follow")) is not None:
+        xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
+        compiled(plan.s, np.ascontiguousarray(plan.points), moves, s, n, xyze, move)
+        return xyze, move
     move = np.clip(np.searchsorted(plan.s, s, side="right") - 1, 0, len(plan.line) - 1)
     start = plan.points[move]
     share = (s - plan.s[move]) / (plan.s[move + 1] - plan.s[move])

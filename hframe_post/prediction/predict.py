@@ -130,16 +130,12 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
     """
     px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
     ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
-    if (compiled := kernel("contour_error")) is None:
-        return _contour_error(px, py, ax, ay, at)
     n, p = len(ax), len(px)
-    error = np.empty(n)
-    compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, error, np.empty(p + 1, np.int64))
-    return error
-
-
-def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> Array:
-    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, len(px) - 1)
+    if (compiled := kernel("contour_error")) is not None:
+        error, room = np.empty(n), np.empty(p + 1, np.int64)
+        compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, error, room)
+        return error
+    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
     turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
     error = _to_segment(ax, ay, px[low], py[low], px[high], py[high])
     bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
@@ -148,8 +144,8 @@ def _contour_error(px: Array, py: Array, ax: Array, ay: Array, at: Integers) -> 
     # next what was left out: around the result, and around the sample of the same time, which is
     # right at sharp corners if the nozzle follows well
     k = _nearest(px, py, ax, ay, [coarse - 1, coarse, coarse + 1, at - 1, at, at + 1])
-    k = np.clip(k, 0, len(px) - 1)
-    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, len(px) - 1)
+    k = np.clip(k, 0, p - 1)
+    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
     x, y = px[k], py[k]
     error[bent] = np.minimum(
         _to_segment(ax, ay, x, y, px[before], py[before]),

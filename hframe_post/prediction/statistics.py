@@ -81,10 +81,9 @@ class ErrorStatistics:
 
     def add(self, errors: Array) -> None:
         """Add the next errors, (n,), none negative."""
-        self._add(errors, _bins(errors))
-
-    def _add(self, errors: Array, bins: Integers) -> None:
         if len(errors):
+            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
+            bins = np.minimum(bins.astype(np.int64), BINS - 1)
             self.count += len(errors)
             self.squares += float(errors @ errors)
             self.peak = max(self.peak, float(errors.max()))
@@ -112,11 +111,6 @@ class ErrorStatistics:
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
 
 
-def _bins(errors: Array) -> Integers:
-    bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
-    return np.minimum(bins.astype(np.int64), BINS - 1)
-
-
 @dataclass
 class ContourErrors:
     """Contour errors (mm) while extruding, which a part shows, and of all motion.
@@ -129,9 +123,8 @@ class ContourErrors:
 
     def add(self, errors: Array, extruding: Flags) -> None:
         """Add the next errors of motion, (n,), and whether each was made while extruding, (n,)."""
-        bins = _bins(errors)
-        self.extruding._add(errors[extruding], bins[extruding])
-        self.all._add(errors, bins)
+        self.extruding.add(errors[extruding])
+        self.all.add(errors)
 
     def join(self, other: ContourErrors) -> None:
         self.extruding.join(other.extruding)

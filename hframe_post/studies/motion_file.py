@@ -74,7 +74,7 @@ class _Reader:
     def __init__(self, source: Lines, dialect: Dialect) -> None:
         self._dialect = dialect
         self._state = State(dialect, "absolute")
-        self._state.known = (True, True, True)  # both files treat an unhomed machine alike
+        self._state.known = [True, True, True]  # both files treat an unhomed machine alike
         self._plain_moves = PlainMoves(source, self._state, Bed(None))
         self._limits: Words = {}  # by SET_VELOCITY_LIMIT so far
         self._begin()
@@ -112,7 +112,7 @@ class _Reader:
         elif name == "G28":
             homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
             state.forget(homed or range(3), homed=True)
-            state.known = (True, True, True)
+            state.known = [True, True, True]
         return False
 
     def _apply_motion(self, line: Line, name: str, words: Words) -> bool:

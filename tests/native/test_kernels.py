@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
 from hframe_post.native import Kernel
 from hframe_post.planner import profiles, sampling
-from hframe_post.prediction import predict
+from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
 from hframe_post.writers.stream import digits
@@ -34,6 +36,13 @@ def same(one: Array | Integers, other: Array | Integers) -> None:
     assert one.dtype == other.dtype
     assert one.shape == other.shape
     assert one.tobytes() == other.tobytes()
+
+
+def in_numpy(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a function computes without the compiled loops."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native, "built", lambda: None)
+        return function(*arguments)
 
 
 @thorough
@@ -64,9 +73,8 @@ def test_contour_error(compiled: None, seed: int, n: int, every: int, power: flo
     path = walk(rng, n)
     at = np.arange(int(rng.integers(0, n)), n, every)
     actual = path[at] + rng.normal(0.0, 10.0**power, (len(at), 2))
-    px, py, ax, ay = (np.ascontiguousarray(column) for column in (*path.T, *actual.T))
-    plain = predict._contour_error(px, py, ax, ay, at)
-    same(predict.contour_error(path, actual, at), plain)
+    plain = in_numpy(contour_error, path, actual, at)
+    same(contour_error(path, actual, at), plain)
 
 
 @thorough
@@ -77,15 +85,14 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
     table[1] = rng.exponential(0.02, n)
     table[0] = np.cumsum(table[1]) - table[1]
     phases, end = profiles.Phases(table), float(rng.uniform(0.1, 10.0))
-    plain = phases._path(1e-3 * np.arange(first, first + 400).astype(float), end)
-    same(phases.path(first, 400, end), plain)
+    same(phases.path(first, 400, end), in_numpy(phases.path, first, 400, end))
     s = np.concatenate([[0.0], np.cumsum(rng.exponential(1.0, n))])
     points, nothing = rng.normal(0.0, 100.0, (n + 1, 4)), np.zeros(0)
     plan = Plan(np.arange(n), points, s, np.zeros(0, np.int64), *(nothing,) * 3, ())
     lengths = np.sort(rng.uniform(0.0, s[-1], 300)) + rng.normal(0.0, 1e-9, 300)
     lengths = np.concatenate([np.clip(lengths, 0.0, s[-1]), s])  # decreasing once, too
     xyze, move = sampling._follow(plan, lengths)
-    plain_xyze, plain_move = sampling._follow_in_numpy(plan, lengths)
+    plain_xyze, plain_move = in_numpy(sampling._follow, plan, lengths)
     same(xyze, plain_xyze)
     same(move, plain_move)
 
