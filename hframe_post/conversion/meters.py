@@ -25,7 +25,7 @@ _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 # ---------------------------------------------------------------------- the file
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class InputSummary:
     """What a file holds: lines, moves at known positions, filament (mm).
 
@@ -42,29 +42,25 @@ class InputMeter:
     """Counts the lines of a file and what the reader made of them."""
 
     def __init__(self) -> None:
-        self._lines, self._moves, self._filament, self._retractions = 0, 0, 0.0, 0
+        self.summary = InputSummary()
 
     def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
-        for self._lines, line in enumerate(lines, 1):
+        for self.summary.lines, line in enumerate(lines, 1):
             yield line
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        summary = self.summary
         for item in items:
             if isinstance(item, Moves):
-                self._moves += len(item.line)
-                self._filament += float(item.points[-1, E] - item.points[0, E])
+                summary.moves += len(item.line)
+                summary.filament += float(item.points[-1, E] - item.points[0, E])
             elif isinstance(item, Standing):
-                self._moves += 1
-                self._filament += item.end[E] - item.start[E]
+                summary.moves += 1
+                summary.filament += item.end[E] - item.start[E]
             else:
-                self._filament += item.filament
-                self._retractions += _RETRACTION.match(item.text) is not None
+                summary.filament += item.filament
+                summary.firmware_retractions += _RETRACTION.match(item.text) is not None
             yield item
-
-    @property
-    def summary(self) -> InputSummary:
-        """Return the summary of what has passed so far."""
-        return InputSummary(self._lines, self._moves, self._filament, self._retractions)
 
 
 @dataclass
@@ -192,7 +188,6 @@ class MotionSummary:
 
     @property
     def time(self) -> PrintTime:
-        """Return the print time."""
         return PrintTime((self.samples - self.resting) * TS, self.samples * TS)
 
     def join(self, later: MotionSummary) -> None:
@@ -246,14 +241,14 @@ class FilamentMeter:
 
 
 class ErrorMeter:
-    """Predicts how far the nozzle is off the path: ``contour``, by strategy."""
+    """Predicts how far the nozzle is off the path at some samples: ``contour``, by strategy."""
 
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
+    def __init__(self, plant: Plant, every: int = JUDGED_EVERY) -> None:
+        self._plant, self._every = plant, every
         self.contour: dict[str, ContourErrors] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        for judgement in judge(chunks, self._plant, JUDGED_EVERY):
+        for judgement in judge(chunks, self._plant, self._every):
             for name, errors in judgement.contour.items():
                 contour = self.contour.setdefault(name, ContourErrors())
                 contour.add(errors, judgement.extruding)

@@ -13,21 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from hframe_post.arrays import TS
-from hframe_post.conversion.meters import JUDGED_EVERY
+from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers import (
-    KLIPPER,
-    Shaping,
-    calibrated_with,
-    paths,
-    search,
-    shape,
-)
+from hframe_post.studies.shapers import KLIPPER, Shaping, calibrated_with, paths, search, shape
 from hframe_post.writers.stream.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
@@ -58,23 +50,20 @@ def compare_shapers(
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
     source = Commands(lines(), printer, options, tuple(STRATEGIES))
-    contours: dict[str, ContourErrors] = {}
-    for judgement in judge(shape(source, shapings), printer.plant, JUDGED_EVERY):
-        for name, errors in judgement.contour.items():
-            contours.setdefault(name, ContourErrors()).add(errors, judgement.extruding)
+    meter = ErrorMeter(printer.plant)
+    for _ in meter.samples(shape(source, shapings)):
+        pass
     time = source.report().time
     durations = {name: time.before if name == "none" else time.after for name in STRATEGIES}
     durations |= {
         name: time.before + TS * max(s.x.shaper.reach, s.y.shaper.reach)
         for name, s in shapings.items()
     }
-    return sorted(
-        (
-            ShaperComparison(name, shapings.get(name), contour, durations[name])
-            for name, contour in contours.items()
-        ),
-        key=lambda compared: compared.contour.rms,
+    compared = (
+        ShaperComparison(name, shapings.get(name), contour, durations[name])
+        for name, contour in meter.contour.items()
     )
+    return sorted(compared, key=lambda one: one.contour.rms)
 
 
 def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:

@@ -15,13 +15,13 @@ import numpy as np
 
 from hframe_post.arrays import Integers
 from hframe_post.compensation.guard import check_prediction
-from hframe_post.conversion.meters import JUDGED_EVERY
+from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.predict import Judgement, judge, quantise
+from hframe_post.prediction.predict import judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
@@ -35,12 +35,12 @@ Group = dict[str, Figures]  # strategy → figures of one part of the print
 LAYERS_SHOWN = 5  # the worst ones, unless all are asked for
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Uncertainty:
     """Printers whose parameters are off by up to ``share``: contour errors by strategy."""
 
     share: float
-    printers: list[dict[str, ContourErrors]] = field(default_factory=list)
+    printers: list[dict[str, ContourErrors]]
 
     def rms(self, strategy: str) -> list[float]:
         """Return the RMS contour error (mm) of each printer."""
@@ -185,11 +185,6 @@ class SimulationReport(Report):
         return lines if len(lines) > 1 else []
 
 
-def report_fields(report: Report) -> dict[str, Any]:
-    """Return the fields of a conversion's report as arguments for a simulation's."""
-    return {field.name: getattr(report, field.name) for field in fields(Report)}
-
-
 def _figures(group: Group) -> dict[str, Any]:
     return {name: group[name].as_json() for name in STRATEGIES if name in group}
 
@@ -223,12 +218,9 @@ class Study:
 
 
 def simulate(
-    lines: Iterable[bytes],
-    printer: Printer,
-    options: Options,
-    study: Study,
+    lines: Iterable[bytes], printer: Printer, options: Options, study: Study,
     view: LayerView | None = None,
-) -> SimulationReport:
+) -> SimulationReport:  # fmt: skip
     """Simulate the options' strategies; memory does not grow with the print.
 
     view: collects a picture of the layers. Raises HframeError, also if the model predicts an
@@ -242,46 +234,29 @@ def simulate(
     count = 1 + sum(map(len, study.drawn.values()))
     streams = iter(branches(commands, count))
     judged = judge(next(streams), study.plant, JUDGED_EVERY)
-    drawn: list[Iterator[None]] = []
+    drawn: list[Iterator[Samples]] = []
     for share, plants in study.drawn.items():
-        uncertainty = Uncertainty(share)
-        uncertainties.append(uncertainty)
-        for plant in plants:
-            contour: dict[str, ContourErrors] = {}
-            uncertainty.printers.append(contour)
-            drawn.append(_drawn(judge(next(streams), plant, DRAWS_JUDGED_EVERY), contour))
+        meters = [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
+        uncertainties.append(Uncertainty(share, [meter.contour for meter in meters]))
+        drawn += [meter.samples(next(streams)) for meter in meters]
     labels = Labels()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
         layer, feature = labels.number(judgement.chunk)
-        _add_errors(judgement, layer, feature, labels, parts)
+        for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
+            for name, errors in judgement.contour.items():
+                off = judgement.tracking(name)[which]
+                figures = group.setdefault(name, Figures())
+                figures.add_errors(errors[which], off, judgement.extruding[which])
         if view is not None:
             view.add(judgement, layer, feature, labels)
     contour = {name: figures.contour for name, figures in parts.whole.items()}
     if "none" in contour:
         check_prediction(contour["none"].rms)
+    report = replace(source.report(), contour=contour)
     return SimulationReport(
-        **report_fields(replace(source.report(), contour=contour)), plant=study.name,
+        **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),
     )  # fmt: skip
-
-
-def _drawn(judged: Iterable[Judgement], contour: dict[str, ContourErrors]) -> Iterator[None]:
-    """Add the contour errors of one random printer, a chunk at a time."""
-    for judgement in judged:
-        for name, errors in judgement.contour.items():
-            contour.setdefault(name, ContourErrors()).add(errors, judgement.extruding)
-        yield
-
-
-def _add_errors(
-    judgement: Judgement, layer: Integers, feature: Integers, labels: Labels, parts: Parts
-) -> None:
-    for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
-        for name, contour in judgement.contour.items():
-            figures = group.setdefault(name, Figures())
-            figures.add_errors(
-                contour[which], judgement.tracking(name)[which], judgement.extruding[which]
-            )
 
 
 def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:

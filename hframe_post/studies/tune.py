@@ -8,20 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
+from itertools import product, zip_longest
 from statistics import median
 
 import numpy as np
 
-from hframe_post.arrays import TS, X, Y, Z
+from hframe_post.arrays import TS, Z
 from hframe_post.compensation.guard import check_model, max_deviation
-from hframe_post.conversion.meters import JUDGED_EVERY, Clock
+from hframe_post.conversion.meters import Clock, ErrorMeter
 from hframe_post.conversion.pipeline import Options, Stages, planned, sampled
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
@@ -86,17 +85,10 @@ def candidates(
     x, y = compensation.effort
     ratio = y / x if x > 0.0 and y > 0.0 else 1.0
     grid = []
-    for L in knots:
+    for L, effort in product(knots, efforts):
         n_C = -(-PREVIEW // L)
-        for effort in efforts:
-            pair = (effort, float(f"{ratio * effort:.4g}"))
-            sizes = (L, n_C, n_C // 2)
-            grid.append(
-                (
-                    Window(*sizes, pair[X], compensation.degree),
-                    Window(*sizes, pair[Y], compensation.degree),
-                )
-            )
+        window = Window(L, n_C, n_C // 2, effort, compensation.degree)
+        grid.append((window, replace(window, effort=float(f"{ratio * effort:.4g}"))))
     return grid
 
 
@@ -141,16 +133,11 @@ def tried(
             compensators.append((trial, Compensator(printer.plant, trial.windows)))
         except ValueError as error:
             trial.refused = str(error)
-    running = [
-        *in_step,
-        *(
-            _tried(trial, compensator, branch, printer, drawn)
-            for (trial, compensator), branch in zip(
-                compensators, branches(samples, len(compensators)), strict=True
-            )
-        ),
-    ]
-    for _ in zip_longest(*running):  # in step: no chunk is held for a branch far behind
+    running = (
+        _tried(*pair, branch, printer, drawn)
+        for pair, branch in zip(compensators, branches(samples, len(compensators)), strict=True)
+    )
+    for _ in zip_longest(*in_step, *running):  # no chunk is held for a branch far behind
         pass
     furthest = max_deviation(printer.plant, printer.limits)
     for trial in trials:
@@ -173,23 +160,20 @@ def recommended(trials: list[Trial], motors: Motors) -> Trial | None:
 
 
 def _tried(
-    trial: Trial,
-    compensator: Compensator,
-    samples: Iterable[Samples],
-    printer: Printer,
+    trial: Trial, compensator: Compensator, samples: Iterable[Samples], printer: Printer,
     drawn: list[Plant],
-) -> Iterator[None]:
+) -> Iterator[None]:  # fmt: skip
     commands = Stages(printer, RACKING, compensator).compensated(samples)
-    standing = _rated(commands, trial, printer.kinematics)
-    trial.drawn = [ContourErrors() for _ in drawn]
-    plants, statistics = [printer.plant, *drawn], [trial.contour, *trial.drawn]
-    streams = branches(standing, len(plants))
-    judged = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
-    for judgements in zip(*judged, strict=True):
-        for judgement, errors in zip(judgements, statistics, strict=True):
-            for contour in judgement.contour.values():  # none where nothing moves
-                errors.add(contour, judgement.extruding)
+    meters = [ErrorMeter(plant) for plant in (printer.plant, *drawn)]
+    streams = branches(_rated(commands, trial, printer.kinematics), len(meters))
+    judged = (meter.samples(stream) for meter, stream in zip(meters, streams, strict=True))
+    for _ in zip(*judged, strict=True):
         yield
+    trial.contour, *trial.drawn = map(_contour, meters)
+
+
+def _contour(meter: ErrorMeter) -> ContourErrors:
+    return meter.contour.get("racking", ContourErrors())  # none if nothing moves
 
 
 def _stopped(
@@ -198,12 +182,10 @@ def _stopped(
     printer = replace(printer, compensation=replace(printer.compensation, stops=trial.name))
     samples = sampled(items, printer, RACKING)
     commands = Stages(printer, RACKING, compensator).compensated(samples)
-    clock = Clock()
-    for judgement in judge(clock.samples(commands), printer.plant, JUDGED_EVERY):
-        for contour in judgement.contour.values():
-            trial.contour.add(contour, judgement.extruding)
-        trial.samples, trial.resting = clock.end, clock.resting
+    clock, meter = Clock(), ErrorMeter(printer.plant)
+    for _ in meter.samples(clock.samples(commands)):
         yield
+    trial.samples, trial.resting, trial.contour = clock.end, clock.resting, _contour(meter)
 
 
 def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:

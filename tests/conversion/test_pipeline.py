@@ -201,7 +201,7 @@ def test_clamp_compensates_less_where_the_belts_cannot_follow(paper: Printer) ->
 def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     class Forgetful(InputMeter):
         def items(self, items: Iterable[Item]) -> Iterator[Item]:
-            self._filament += 1.0
+            self.summary.filament += 1.0
             return super().items(items)
 
     monkeypatch.setattr(pipeline, "InputMeter", Forgetful)
