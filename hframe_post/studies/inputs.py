@@ -7,13 +7,14 @@ dropped and the share is halved, so that memory does not grow with the print.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers
+from hframe_post.arrays import Array, E
 from hframe_post.planner.pacing import NAMES, Labeller, Start
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
@@ -32,36 +33,6 @@ class Piece:
     seconds: dict[str, float]
 
 
-@dataclass
-class _Kept:
-    """Pieces kept so far, their share of the print, and seconds seen and kept by feature."""
-
-    seconds: tuple[float, float]
-    pieces: list[Piece] = field(default_factory=list)
-    share: float = 1.0
-    seen: dict[str, float] = field(default_factory=dict)
-    kept: dict[str, float] = field(default_factory=dict)
-
-    def take(self, piece: Piece) -> None:
-        """Keep the piece if it has 0.2 s of a feature of which little was kept."""
-        _add(self.seen, piece)
-        total = sum(self.seen.values())
-        if any(
-            seconds > 0.2
-            and self.kept.get(name, 0.0) < self.share * np.sqrt(self.seen[name] * total)
-            for name, seconds in piece.seconds.items()
-        ):
-            self.pieces.append(piece)
-            _add(self.kept, piece)
-        least, most = self.seconds
-        enough = min(max(SHARE * sum(self.seen.values()), least), most)
-        while sum(self.kept.values()) > 2.0 * enough and len(self.pieces) > 1:
-            self.pieces, self.share = self.pieces[::2], self.share / 2.0
-            self.kept.clear()
-            for left in self.pieces:
-                _add(self.kept, left)
-
-
 def excerpt(
     items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = (40.0, 100.0)
 ) -> list[Piece]:
@@ -69,10 +40,24 @@ def excerpt(
 
     seconds: least and most to keep; up to twice as much may be kept.
     """
-    kept = _Kept(seconds)
+    pieces, share = list[Piece](), 1.0
+    seen, kept = defaultdict[str, float](float), defaultdict[str, float](float)
     for piece in _pieces(items, first_layers):
-        kept.take(piece)
-    return kept.pieces
+        _add(seen, piece.seconds)
+        total = sum(seen.values())
+        if any(  # it has 0.2 s of a feature of which little was kept
+            here > 0.2 and kept.get(name, 0.0) < share * np.sqrt(seen[name] * total)
+            for name, here in piece.seconds.items()
+        ):
+            pieces.append(piece)
+            _add(kept, piece.seconds)
+        enough = min(max(SHARE * total, seconds[0]), seconds[1])
+        while sum(kept.values()) > 2.0 * enough and len(pieces) > 1:
+            pieces, share = pieces[::2], share / 2.0
+            kept.clear()
+            for left in pieces:
+                _add(kept, left.seconds)
+    return pieces
 
 
 def useful_feeds(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, float]:
@@ -96,31 +81,30 @@ def useful_feeds(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[
                 for k in np.unique(kinds).tolist():
                     rows = np.stack([factor, length])[:, kinds == k]
                     factors.setdefault(NAMES[k], []).append(rows)
-    return {name: _nearly_greatest(np.concatenate(rows, axis=1)) for name, rows in factors.items()}
+    useful = {}
+    for name, parts in factors.items():
+        rows = np.concatenate(parts, axis=1)
+        factor, length = rows[:, np.argsort(rows[0])]
+        way = np.cumsum(length)
+        useful[name] = float(factor[np.searchsorted(way, 0.98 * way[-1])])
+    return useful
 
 
-def _nearly_greatest(rows: Array) -> float:
-    """Return the factor below which 98 % of the length is, from rows (2, n) of both."""
-    factor, length = rows[:, np.argsort(rows[0])]
-    way = np.cumsum(length)
-    return float(factor[np.searchsorted(way, 0.98 * way[-1])])
-
-
-def _add(total: dict[str, float], piece: Piece) -> None:
-    for name, seconds in piece.seconds.items():
-        total[name] = total.get(name, 0.0) + seconds
+def _add(total: defaultdict[str, float], seconds: dict[str, float]) -> None:
+    for name, more in seconds.items():
+        total[name] += more
 
 
 def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
     """Yield the print in pieces. Lines that the machine must take at rest are between them."""
     labeller = Labeller(Start())
-    start, collected, seconds = labeller.start, list[Item](), dict[str, float]()
+    start, collected, seconds = labeller.start, list[Item](), defaultdict[str, float](float)
 
     def ended() -> Iterator[Piece]:
         nonlocal start, collected, seconds
         if any(name != TRAVEL for name in seconds):
-            yield Piece(start, tuple(collected), seconds)
-        start, collected, seconds = labeller.start, [], {}
+            yield Piece(start, tuple(collected), dict(seconds))
+        start, collected, seconds = labeller.start, [], defaultdict(float)
 
     for item in items:
         if isinstance(item, Moves):
@@ -130,8 +114,8 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
                     yield from ended()
                     continue
                 collected.append(part)
-                for name, more in _seconds(part, kinds).items():
-                    seconds[name] = seconds.get(name, 0.0) + more
+                present = np.bincount(kinds, _durations(part), len(NAMES))
+                _add(seconds, {NAMES[k]: float(present[k]) for k in np.flatnonzero(present)})
                 if sum(seconds.values()) >= PIECE:
                     yield from ended()
         elif isinstance(item, Passthrough):
@@ -168,15 +152,6 @@ def _durations(moves: Moves) -> Array:
     return np.asarray(length / moves.speed)
 
 
-def _seconds(moves: Moves, kinds: Integers) -> dict[str, float]:
-    seconds = np.bincount(kinds, _durations(moves), len(NAMES))
-    return {NAMES[k]: float(seconds[k]) for k in np.flatnonzero(seconds)}
-
-
-WIDTH = 120  # mm
-CLEAR = 5  # mm to the ends of travel, which the command needs beyond its path
-
-
 def rectangle(printer: Printer) -> list[bytes]:
     """Return the paper's Fig. 7: 120 × 20 mm at 150 mm/s and 1e4 mm/s², at rest at the corners.
 
@@ -184,9 +159,10 @@ def rectangle(printer: Printer) -> list[bytes]:
     narrow for that, and is centred on the bed in y.
     """
     low, high = printer.travel.x
-    x = max(min(printer.plant.x_c, high - WIDTH - CLEAR), low + CLEAR)
+    width, clear = 120, 5  # mm; the command needs some travel beyond its path
+    x = max(min(printer.plant.x_c, high - width - clear), low + clear)
     y = round(sum(printer.travel.y) / 2.0) - 10
-    corners = ((x + WIDTH, y), (x + WIDTH, y + 20), (x, y + 20), (x, y))
+    corners = ((x + width, y), (x + width, y + 20), (x, y + 20), (x, y))
     lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0"]
     lines += ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=0"]  # what Klipper obeys of these two
     lines += ["G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000", ";LAYER:0", ";TYPE:WALL-OUTER"]

@@ -71,7 +71,6 @@ class LayerView:
             self._coarsen()
 
     def _table(self, judgement: Judgement, feature: Integers) -> Array:
-        """Return a row for each sample with the columns of ``Segments``."""
         chunk, at = judgement.chunk, judgement.at
         xy = chunk.xyze[:, :Z]
         steps = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T)
@@ -81,7 +80,6 @@ class LayerView:
         return np.column_stack([xy[at], chunk.line[at], feature, steps[at] / TS, begins, *errors])
 
     def _coarsen(self) -> None:
-        """Make all layers coarser by a step."""
         self.coarser += 1
         for number, tables in self._layers.items():
             self._layers[number] = [self._simplified(np.concatenate(tables))]
@@ -122,10 +120,7 @@ def _starts(rows: Array, length: float) -> Integers:
 def _pairs(rows: Array, length: float, near: float) -> Integers:
     """Return rows that may be joined to the one before: same feature, about the same direction."""
     ends, begins = rows[:, :2], rows[:, 5] != 0.0
-    step, turn = (
-        np.diff(ends, axis=0),
-        np.zeros(len(rows)),
-    )  # turn: k off the chord
+    step, turn = np.diff(ends, axis=0), np.zeros(len(rows))  # turn: k off the chord
     chord = np.hypot(*(ends[2:] - ends[:-2]).T)
     area = np.abs(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0])
     onward = (step[:-1] * step[1:]).sum(axis=1) >= 0.0

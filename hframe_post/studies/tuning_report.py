@@ -22,13 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 from hframe_post.plotting import canvas
 
-WHY_FAST = (
-    "fast is the default: exact is visibly better on few prints and takes more time on all of them"
-)
 
-
-def trial_as_json(trial: Trial) -> dict[str, Any]:
-    """Return one candidate, ready for ``json.dumps``."""
+def _trial_as_json(trial: Trial) -> dict[str, Any]:
     x, y = trial.windows
     values: dict[str, Any] = {
         "L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort],
@@ -53,19 +48,18 @@ def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
     }
 
 
-def point_as_json(point: Point) -> dict[str, Any]:
-    """Return one way to plan and to compensate, ready for ``json.dumps``."""
+def _point_as_json(point: Point) -> dict[str, Any]:
     return {
         "acceleration": point.acceleration, "jerk": point.jerk,
-        "seconds": round(point.trial.seconds, 3), **trial_as_json(point.trial),
+        "seconds": round(point.trial.seconds, 3), **_trial_as_json(point.trial),
     }  # fmt: skip
 
 
 def pace_as_json(pace: Pareto) -> dict[str, Any]:
     """Return the trials that no other beats in both time and error, the quickest first."""
     return {
-        "pareto": [point_as_json(point) for point in pace.front],
-        "chosen": point_as_json(pace.chosen) if pace.chosen else None,
+        "pareto": [_point_as_json(point) for point in pace.front],
+        "chosen": _point_as_json(pace.chosen) if pace.chosen else None,
     }
 
 
@@ -89,13 +83,16 @@ def pace_table(pace: Pareto) -> str:
             f"{x.L:4d}{f'{x.effort:g}, {y.effort:g}':>14s}{f'+{longer:.1f} %':>9s}"
             f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:13.2f}"
         )
-    x, y = chosen.trial.windows
-    lines += [
-        "",
-        f"recommended: acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, L = {x.L}, "
-        f"n_C = {x.n_C}, n_up = {x.n_up}, effort = [{x.effort:g}, {y.effort:g}]",
-    ]
-    return "\n".join(lines)
+    limits = f"acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, "
+    return "\n".join([*lines, "", _recommendation(chosen.trial, limits)])
+
+
+def _recommendation(trial: Trial, limits: str = "") -> str:
+    x, y = trial.windows
+    return (
+        f"recommended: {limits}L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+        f"effort = [{x.effort:g}, {y.effort:g}]"
+    )
 
 
 def summary(
@@ -106,8 +103,8 @@ def summary(
     return {
         "model_error": model_error if draws else 0.0,
         "draws": draws,
-        "trials": [trial_as_json(trial) for trial in trials],
-        "recommended": trial_as_json(best) if best else None,
+        "trials": [_trial_as_json(trial) for trial in trials],
+        "recommended": _trial_as_json(best) if best else None,
         "stops": [stops_as_json(trial) for trial in stops],
     }
 
@@ -130,12 +127,7 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
                 f"{trial.velocity:10.0f}{trial.acceleration:11.0f}"
             )
     if best is not None:
-        x, y = best.windows
-        lines += [
-            "",
-            f"recommended: L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
-            f"effort = [{x.effort:g}, {y.effort:g}]",
-        ]
+        lines += ["", _recommendation(best)]
     return "\n".join(lines)
 
 
@@ -150,7 +142,11 @@ def stops_table(stops: Sequence[StopsTrial], chosen: str) -> str:
             f"{'→' if trial.name == chosen else '':2s}{trial.name:8s}{duration(seconds):>12s}"
             f"{more:>+9.1%}{um['rms']:24.1f}{um['p95']:8.1f}{um['peak']:8.0f}"
         )
-    return "\n".join([*lines, WHY_FAST])
+    lines.append(
+        "fast is the default: exact is visibly better on few prints and takes more time on all of "
+        "them"
+    )
+    return "\n".join(lines)
 
 
 def trade_off(

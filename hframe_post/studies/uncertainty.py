@@ -14,8 +14,6 @@ from hframe_post.arrays import Complex
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 
-STANDING = 1e-6  # distance from z = 1 of a zero that makes the gain at rest vanish
-
 
 def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
     """Return ``count`` random plants, parameters off by up to ``share`` (0.05: ±5 %), uniformly.
@@ -74,5 +72,5 @@ def _at_rest(G: TransferFunction, gain: float) -> TransferFunction:
 
 def _slope(G: TransferFunction) -> float:
     """Return the gain at rest without the zeros at z = 1: θ per velocity."""
-    moving = G.zeros[np.abs(G.zeros - 1.0) > STANDING]
+    moving = G.zeros[np.abs(G.zeros - 1.0) > 1e-6]
     return float((G.gain * np.prod(1.0 - moving) / np.prod(1.0 - G.poles)).real)

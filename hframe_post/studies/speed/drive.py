@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import (
     planned,
     prepared,
     sampled,
-)
+)  # fmt: skip
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
@@ -173,12 +173,6 @@ class LayerTimes:
     """The least time of each layer by its number, s. No layer is slowed below the file's speed."""
 
     least: dict[int, float]
-
-    @classmethod
-    def from_original(cls, original: Original, min_layer_time: float) -> LayerTimes:
-        """Require the minimum of each layer, or its time in the file if that is shorter."""
-        layers = original.layers.items()
-        return cls({layer: min(seconds, min_layer_time) for layer, seconds in layers if layer})
 
     def short(self, layers: dict[int, float]) -> dict[int, float]:
         """Return the layers that take less than 98 % of their least time: their share of it."""

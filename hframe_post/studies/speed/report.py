@@ -18,14 +18,7 @@ CAUSES = {
     "motors": "motors",
     "error": "permitted error",
 }
-VISIBLE = (
-    "outer-wall",
-    "inner-wall",
-    "skin",
-    "infill",
-    "support",
-    "other",
-)  # the most visible first
+VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the most first
 
 
 def speed_as_json(found: Fastest) -> dict[str, Any]:

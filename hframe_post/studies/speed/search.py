@@ -107,13 +107,9 @@ def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
 
 @one_blas_thread()
 def search(
-    lines: Lines,
-    printer: Printer,
-    options: Options,
-    bound: Bound,
-    freedom: Freedom | None = None,
-    near: tuple[Plant, ...] = (),
-) -> Fastest:
+    lines: Lines, printer: Printer, options: Options, bound: Bound,
+    freedom: Freedom | None = None, near: tuple[Plant, ...] = (),
+) -> Fastest:  # fmt: skip
     """Return the fastest print within the bound, or raise HframeError.
 
     freedom: by default, feed rates are not raised. near: plants in addition to the printer's on
@@ -122,7 +118,8 @@ def search(
     freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom)
     original = drive.original()
-    least = LayerTimes.from_original(original, freedom.min_layer_time)
+    layers = original.layers.items()
+    least = LayerTimes({k: min(seconds, freedom.min_layer_time) for k, seconds in layers if k})
     pieces = _PieceSearch(drive, bound, (printer.plant, *near), freedom.speed_up)
     settings, plants = pieces.fastest()
     settings = least.planned(drive, settings)
@@ -131,13 +128,9 @@ def search(
 
 
 def _fastest_whole(
-    drive: Drive,
-    bound: Bound,
-    settings: SpeedSettings,
-    plants: tuple[Plant, ...],
-    least: LayerTimes,
-    may_clamp: bool,
-) -> Trial:
+    drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
+    least: LayerTimes, may_clamp: bool,
+) -> Trial:  # fmt: skip
     """Return the fastest of a few prints of the whole file within the bound, or raise HframeError.
 
     Each round corrects the settings by the outcome of the one before.
@@ -158,8 +151,11 @@ def _fastest_whole(
             return min(accepted, key=lambda t: t.seconds)
         if not within or not short:  # more acceleration would make further layers short
             gains = _gains(shares, aims)
-            settings = _accelerated(settings, gains, drive.max_acceleration)
-            settings = _with_lower_feeds(settings, gains)
+            feed = {
+                name: max(gains[name] * now, MIN_FEED) if gains.get(name, 1.0) < 1.0 else now
+                for name, now in settings.feed.items()
+            }
+            settings = _accelerated(replace(settings, feed=feed), gains, drive.max_acceleration)
         if clamped and number < ROUNDS:
             milder = {name: 0.93 * a for name, a in settings.acceleration.items()}
             settings = replace(settings, acceleration=milder)
@@ -219,15 +215,6 @@ def _accelerated(settings: SpeedSettings, gains: dict[str, float], most: float) 
     }
     least = min(changed.values(), default=8e3)
     return replace(settings, acceleration={name: changed.get(name, least) for name in present})
-
-
-def _with_lower_feeds(settings: SpeedSettings, gains: dict[str, float]) -> SpeedSettings:
-    """Return settings with lower feed rates for features whose gain is below 1."""
-    feed = {
-        name: max(present * gains[name], MIN_FEED) if gains.get(name, 1.0) < 1.0 else present
-        for name, present in settings.feed.items()
-    }
-    return replace(settings, feed=feed)
 
 
 def _gentler(settings: SpeedSettings) -> SpeedSettings:
@@ -302,19 +289,13 @@ class _PieceSearch:
         for step in range(1, 20):
             shares = self._bound.shares(best)
             least = {name: MIN_FEED if shares.get(name, 0.0) > 1.0 else 1.0 for name in feeds}
-            feed = {
-                name: max(self._max_feed[name] * 0.8**step, least[name])
-                if name in improving
-                else present
-                for name, present in feeds.items()
-            }
+            lower = {name: self._max_feed[name] * 0.8**step for name in improving}
+            feed = feeds | {name: max(value, least[name]) for name, value in lower.items()}
             if feed == feeds:
                 break
             trial = self._try(replace(self._corrected(best), feed=feed), plants)
             now = self._times(trial)
-            improving = {
-                name for name in improving if now.get(name, np.inf) < QUICKER * times[name]
-            }
+            improving = {n for n in improving if now.get(n, np.inf) < QUICKER * times[n]}
             if not improving:
                 break
             best = trial
