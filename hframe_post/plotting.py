@@ -59,8 +59,7 @@ def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, 
 
 def decibel(H: Complex) -> Array:
     """Return the magnitude of ``H`` in dB."""
-    decibel: Array = 20.0 * np.log10(np.maximum(np.abs(H), 1e-12))
-    return decibel
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(H), 1e-12)))
 
 
 def degrees(H: Complex) -> Array:

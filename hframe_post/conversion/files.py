@@ -16,7 +16,7 @@ from hframe_post.conversion.conversions import (
     GcodeConversion,
     SampleConversion,
     StepConversion,
-)
+)  # fmt: skip
 from hframe_post.conversion.pipeline import Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
@@ -28,8 +28,6 @@ from hframe_post.writers.files import Outputs, compressing
 from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
 from hframe_post.writers.step_file import EVENTS_HEADER, inlined
 from hframe_post.writers.stream.print_time import write_output
-
-PACKED = (".gz",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +63,9 @@ class Format:
 
 @one_blas_thread()
 def convert(
-    lines: Iterable[bytes],
-    target: Target | None,
-    printer: Printer,
-    options: Options,
-    kind: str = "gcode",
-    jobs: int = 1,
-) -> Report:
+    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options,
+    kind: str = "gcode", jobs: int = 1,
+) -> Report:  # fmt: skip
     """Convert lines and write the target, which appears with its outputs.
 
     Raises HframeError, OSError.
@@ -95,9 +89,7 @@ def convert(
 def chosen_format(output: Path | None, asked: str | None, source: Path | None = None) -> str:
     """Return the format for the file ``output``, or for None: standard output.
 
-    Raises HframeError.
-
-    source: the input if it is to be replaced; binary G-code stays binary.
+    source: the input if it is to be replaced; binary G-code stays binary. Raises HframeError.
     """
     if asked is not None and asked not in FORMATS:
         raise HframeError(f"unknown format {asked!r}; known formats are {', '.join(FORMATS)}")
@@ -118,7 +110,7 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
 def _suffixes(path: Path | None) -> tuple[str, str]:
     """Return the suffix that chooses the format, and that of the compression."""
     suffixes = path.suffixes if path is not None else []
-    packing = suffixes.pop() if suffixes and suffixes[-1] in PACKED else ""
+    packing = suffixes.pop() if suffixes and suffixes[-1] == ".gz" else ""
     return (suffixes[-1] if suffixes else ""), packing
 
 
@@ -133,9 +125,8 @@ def _save_binary(conversion: GcodeConversion, target: Target, _: str) -> None:
 
 def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
     write_output(
-        file, conversion, lambda: conversion.duration,
-        lambda: conversion.report().as_text(),
-    )  # fmt: skip
+        file, conversion, lambda: conversion.duration, lambda: conversion.report().as_text()
+    )
 
 
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:

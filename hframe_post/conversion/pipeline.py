@@ -26,7 +26,7 @@ from hframe_post.compensation.guard import (
     check_model,
     check_prediction,
     max_deviation,
-)
+)  # fmt: skip
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Report
@@ -108,13 +108,9 @@ class Stages:
     """
 
     def __init__(
-        self,
-        printer: Printer,
-        options: Options,
-        compensator: Compensator,
-        strategies: tuple[str, ...] = (),
-        at_stops: dict[str, StopSolver] | None = None,
-    ) -> None:
+        self, printer: Printer, options: Options, compensator: Compensator,
+        strategies: tuple[str, ...] = (), at_stops: dict[str, StopSolver] | None = None,
+    ) -> None:  # fmt: skip
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or stop_solvers(compensator, self._strategies, printer)
@@ -215,13 +211,9 @@ class Commands:
     """
 
     def __init__(
-        self,
-        lines: Iterable[bytes],
-        printer: Printer,
-        options: Options,
-        strategies: tuple[str, ...] = (),
-        compensator: Compensator | None = None,
-    ) -> None:
+        self, lines: Iterable[bytes], printer: Printer, options: Options,
+        strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
+    ) -> None:  # fmt: skip
         self._source = Source(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
         self.check_filament = self._source.check_filament

@@ -13,7 +13,7 @@ from hframe_post.conversion.meters import (
     PathSummary,
     PrintTime,
     Uncompensated,
-)
+)  # fmt: skip
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.stream.print_time import duration
@@ -64,7 +64,17 @@ class Report:
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
         }
-        limited = self._limits_as_json()
+        path = self.path
+        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
+        limited = {
+            name: {
+                "path_percent": round(100.0 * limit.path / path.path, 2),
+                "least": round(limit.least, 3),
+                "greatest": round(limit.greatest, 3),
+            }
+            for name, limit in limits.items()
+            if limit.path
+        }
         return {
             "compensation": self.strategy,
             "moves": self.read.moves,
@@ -192,19 +202,6 @@ class Report:
                 }
                 for cause, part in self._largest()
             },
-        }
-
-    def _limits_as_json(self) -> dict[str, Any]:
-        path = self.path
-        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
-        return {
-            name: {
-                "path_percent": round(100.0 * limited.path / path.path, 2),
-                "least": round(limited.least, 3),
-                "greatest": round(limited.greatest, 3),
-            }
-            for name, limited in limits.items()
-            if limited.path
         }
 
     def _largest(self) -> list[tuple[str, Uncompensated]]:

@@ -14,10 +14,9 @@ from hframe_post.arrays import Array
 from hframe_post.conversion.pipeline import Options
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
-from hframe_post.prediction.statistics import Figures
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.layer_view import LayerView, Segments
-from hframe_post.studies.simulate import SimulationReport, Study, simulate
+from hframe_post.studies.simulate import Group, SimulationReport, Study, simulate
 from hframe_post.version import __version__
 
 LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries
@@ -28,13 +27,9 @@ PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
 
 
 def page(
-    lines: Iterable[bytes],
-    printer: Printer,
-    options: Options,
-    name: str,
-    notes: list[str],
+    lines: Iterable[bytes], printer: Printer, options: Options, name: str, notes: list[str],
     simulated: Printer | None = None,
-) -> bytes:
+) -> bytes:  # fmt: skip
     """Return the HTML page for a file, simulated with all strategies. Raises HframeError.
 
     name: the title; notes: the lines of the summary. simulated: the printer whose plant is
@@ -62,7 +57,7 @@ def page(
             {
                 "name": names.layers[number],
                 "count": len(each.line),
-                "rms": _rms_of(report, names.layers[number]),
+                "rms": _rms_of(report.parts.layers.get(names.layers[number], {})),
             }
             for number, each in layers.items()
         ],
@@ -108,20 +103,18 @@ class _Kept:
         return b"".join(self._parts or ())
 
 
-def _rms_of(report: SimulationReport, layer: str) -> list[float]:
-    group = report.parts.layers.get(layer, {})
-    return [_rms(group.get(name)) for name in STRATEGIES]
-
-
-def _rms(figures: Figures | None) -> float:
-    return round(figures.contour.rms * 1e3, 3) if figures is not None else 0.0
+def _rms_of(group: Group) -> list[float]:
+    return [
+        round(group[name].contour.rms * 1e3, 3) if name in group else 0.0 for name in STRATEGIES
+    ]
 
 
 def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
     """Return for each feature its share of the time and the errors of each strategy."""
+    groups = report.parts.features
     counts = {
         name: max(each.contour.all.count for each in group.values())
-        for name, group in report.parts.features.items()
+        for name, group in groups.items()
         if group
     }
     whole = sum(counts.values()) or 1
@@ -129,11 +122,12 @@ def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
         {
             "name": name,
             "share": count / whole,
-            "rms": [_rms(report.parts.features[name].get(each)) for each in STRATEGIES],
+            "rms": _rms_of(groups[name]),
             "peak": [
-                round(figures.contour.shown.peak * 1e3, 1) if figures is not None else 0.0
+                round(groups[name][each].contour.shown.peak * 1e3, 1)
+                if each in groups[name]
+                else 0.0
                 for each in STRATEGIES
-                for figures in (report.parts.features[name].get(each),)
             ],
         }
         for name, count in sorted(counts.items(), key=lambda each: -each[1])
@@ -170,10 +164,7 @@ def _printer(printer: Printer, options: Options) -> list[list[str]]:
         ["highest speed", f"{limits.velocity:g} mm/s"],
         ["highest acceleration", f"{limits.acceleration:g} mm/s²"],
         ["square corner", f"{limits.square_corner_velocity:g} mm/s"],
-        [
-            "belts",
-            f"{motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} mm/s²",
-        ],
+        ["belts", f"{motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} mm/s²"],
         ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
         ["limits of the file", str(options.limits)],
         ["beyond a limit", "clamped" if options.clamp else "an error"],

@@ -135,22 +135,13 @@ def _coupled(axes: _Axes, x_d: Array, y_d: Array, D: Array) -> tuple[Array, Arra
     x, y, theta = axes.x, axes.y, axes.theta
     zero = np.zeros_like(x.N_C)
     N_r = np.block(
-        [
-            [x.N_C, zero],
-            [D[:, None] * theta.N_C, y.N_C],
-            [x.effort_C, zero],
-            [zero, y.effort_C],
-        ]
+        [[x.N_C, zero], [D[:, None] * theta.N_C, y.N_C], [x.effort_C, zero], [zero, y.effort_C]]
     )
-    rest = np.concatenate(
-        [
-            x_d - x.free(x.p_P),
-            y_d - D * theta.free(x.p_P) - y.free(y.p_P),
-            -x.effort_P @ x.p_P,
-            -y.effort_P @ y.p_P,
-        ]
+    y_rest = y_d - D * theta.free(x.p_P) - y.free(y.p_P)
+    efforts = -x.effort_P @ x.p_P, -y.effort_P @ y.p_P
+    p_x, p_y = np.split(
+        _least_squares(N_r, np.concatenate([x_d - x.free(x.p_P), y_rest, *efforts])), 2
     )
-    p_x, p_y = np.split(np.linalg.lstsq(N_r, rest, rcond=None)[0], 2)
     return p_x, p_y
 
 

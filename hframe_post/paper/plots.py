@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.paper.results import (
-    N_FIG_9,
-    Approximation,
-    FrequencyResponses,
-    TimeResponse,
-)
+from hframe_post.paper.results import N_FIG_9, Approximation, FrequencyResponses, TimeResponse
 from hframe_post.paper.widths import Widths
 
 if TYPE_CHECKING:
@@ -65,8 +60,8 @@ def corner(responses: Sequence[TimeResponse]) -> Figure:
     for response in responses:
         shown = STRATEGIES[response.name]
         label = f"{shown.label}: {response.rms * 1e3:.0f} µm RMS"
-        x, y = (response.nozzle - response.nozzle[0]).T
-        axis.plot(x, y, color=shown.colour, lw=1.6, label=label)
+        nozzle = response.nozzle - response.nozzle[0]
+        axis.plot(*nozzle.T, color=shown.colour, lw=1.6, label=label)
     axis.set(xlim=(112.5, 121.6), ylim=(-0.9, 3.3), xlabel="x, mm", ylabel="y, mm", aspect="equal")
     axis.set_title(
         "the nozzle at a corner, to the right and then up, 150 mm/s, simulated", loc="left"
@@ -79,12 +74,9 @@ def time_response(responses: Sequence[TimeResponse]) -> Figure:
     """Draw Fig. 9: the nozzle's path at a corner, and contour error along the path."""
     figure, axes = canvas(1, 2, (9.0, 3.4))
     for response in responses:
-        x, y = (response.nozzle - response.nozzle[0]).T
-        shown = STRATEGIES[response.name]
-        axes[0, 0].plot(x, y, color=shown.colour, lw=1.0, label=shown.label)
-        axes[0, 1].plot(
-            response.along, response.error * 1e3, color=STRATEGIES[response.name].colour, lw=1.0
-        )
+        shown, nozzle = STRATEGIES[response.name], response.nozzle - response.nozzle[0]
+        axes[0, 0].plot(*nozzle.T, color=shown.colour, lw=1.0, label=shown.label)
+        axes[0, 1].plot(response.along, response.error * 1e3, color=shown.colour, lw=1.0)
     axes[0, 0].set(xlim=(112, 122), ylim=(-1.5, 6), xlabel="x, mm", ylabel="y, mm")
     axes[0, 0].set_title(f"(a) first corner, n = {N_FIG_9}")
     axes[0, 0].legend(loc="upper left")
@@ -100,9 +92,8 @@ def width_errors(widths: Sequence[Widths]) -> Figure:
         boxes = [np.abs(prism.error[name]).ravel() * 1e3 for name in names]
         axis.boxplot(boxes, tick_labels=[STRATEGIES[name].label for name in names])
         rms = [prism.rms(name) * 1e3 for name in names]
-        axis.plot(
-            range(1, len(names) + 1), rms, "D", color=STRATEGIES["racking"].colour, label="RMS"
-        )
+        colour = STRATEGIES["racking"].colour
+        axis.plot(range(1, len(names) + 1), rms, "D", color=colour, label="RMS")
         axis.set(ylabel="|Δw|, µm", title=f"{prism.window} window")
         axis.tick_params(axis="x", labelsize=7)
         axis.legend()

@@ -12,6 +12,7 @@ from hframe_post.paper.results import Approximation, Preview, TimeResponse
 from hframe_post.paper.widths import Widths
 
 Row = tuple[str, ...]
+COMPARED = ("", "paper", "ours", "calibrated")  # columns
 
 # Tables I and II, descending powers of z without the cancelled root at the origin, with the
 # two signs corrected (b_2 of Gxx, a_4 of Gxθ). As text, for the number of their digits.
@@ -52,9 +53,7 @@ def coefficients_off(plant: Plant) -> dict[str, float]:
         worst = 0.0
         for text, roots, factor in zip(texts, (G.zeros, G.poles), (gain, 1.0), strict=True):
             printed = np.array(text.split(), dtype=float)
-            digits = (
-                np.floor(np.log10(np.abs(printed))) + 1 - 4
-            )  # four significant digits are printed
+            digits = np.floor(np.log10(np.abs(printed))) - 3  # four significant ones are printed
             ours = factor * np.poly(roots).real
             worst = max(worst, float((np.abs(ours - printed) / (0.5 * 10.0**digits)).max()))
         off[name] = worst
@@ -63,44 +62,24 @@ def coefficients_off(plant: Plant) -> dict[str, float]:
 
 def coefficients(off: dict[str, float]) -> str:
     """Return the distances of the model's coefficients from those printed in Tables I and II."""
-    rows = [
-        (
-            name,
-            "within 1 (rounding)",
-            f"{worst:.2f}",
-            "chosen inside the rounding; two signs corrected",
-        )
-        for name, worst in off.items()
-    ]
-    head = ("", "paper", "ours", "calibrated")
-    return markdown(
-        "Tables I, II: coefficients off the print, in half units of a digit", head, rows
-    )
+    calibrated = "chosen inside the rounding; two signs corrected"
+    rows = [(n, "within 1 (rounding)", f"{worst:.2f}", calibrated) for n, worst in off.items()]
+    title = "Tables I, II: coefficients off the print, in half units of a digit"
+    return markdown(title, COMPARED, rows)
 
 
 def approximation(rows: Sequence[Approximation]) -> str:
     """Return the table for Fig. 8."""
     head = (
-        "n / E",
-        "n",
-        "decoupled µm",
-        "coupled µm",
-        "decoupled ms",
-        "coupled ms",
-        "times as fast",
-    )
+        "n / E", "n", "decoupled µm", "coupled µm", "decoupled ms", "coupled ms", "times as fast",
+    )  # fmt: skip
     cells = []
     for row in rows:
-        (rms, rms_c), (s, s_c) = row.rms, row.seconds
-        cells.append(
-            (
-                f"{row.share:.2f}", f"{row.n}", f"{rms * 1e3:.2f}", f"{rms_c * 1e3:.2f}",
-                f"{s * 1e3:.1f}", f"{s_c * 1e3:.1f}", f"{s_c / s:.1f}",
-            )
-        )  # fmt: skip
-    return markdown(
-        "Fig. 8: decoupled (eq. 12, 19) and coupled (eq. 18), RMS contour error", head, cells
-    )
+        um, ms = [1e3 * rms for rms in row.rms], [1e3 * seconds for seconds in row.seconds]
+        numbers = (f"{um[0]:.2f}", f"{um[1]:.2f}", f"{ms[0]:.1f}", f"{ms[1]:.1f}")
+        cells.append((f"{row.share:.2f}", f"{row.n}", *numbers, f"{ms[1] / ms[0]:.1f}"))
+    title = "Fig. 8: decoupled (eq. 12, 19) and coupled (eq. 18), RMS contour error"
+    return markdown(title, head, cells)
 
 
 def time_response(responses: Sequence[TimeResponse]) -> str:
@@ -108,16 +87,12 @@ def time_response(responses: Sequence[TimeResponse]) -> str:
     um = {response.name: response.rms * 1e3 for response in responses}
     rows = [
         ("no compensation, µm", "not given", f"{um['none']:.1f}", "no"),
-        (
-            "without racking compensation, µm",
-            "117",
-            f"{um['fbs']:.1f}",
-            "yes: slope of Gxθ at rest",
-        ),
+        ("without racking compensation, µm", "117", f"{um['fbs']:.1f}",
+         "yes: slope of Gxθ at rest"),
         ("with racking compensation, µm", "9", f"{um['racking']:.1f}", "no"),
         ("ratio of the last two", "13", f"{um['fbs'] / um['racking']:.1f}", "no"),
-    ]
-    return markdown("Fig. 9: RMS contour error, n = 125", ("", "paper", "ours", "calibrated"), rows)
+    ]  # fmt: skip
+    return markdown("Fig. 9: RMS contour error, n = 125", COMPARED, rows)
 
 
 def previews(ways: Sequence[Preview]) -> str:
@@ -147,4 +122,4 @@ def width_errors(prisms: Sequence[Widths]) -> str:
                 for name, paper in zip(("fbs", "none"), printed, strict=True)
             ]
     title = "Fig. 11: width of the prism (paper: printed parts; ours: simulated)"
-    return markdown(title, ("", "paper", "ours", "calibrated"), rows)
+    return markdown(title, COMPARED, rows)
