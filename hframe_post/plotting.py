@@ -58,7 +58,6 @@ def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, 
 
 
 def decibel(H: Complex) -> Array:
-    """Return the magnitude of ``H`` in dB."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(H), 1e-12)))
 
 

@@ -191,7 +191,6 @@ class MotionSummary:
         return PrintTime((self.samples - self.resting) * TS, self.samples * TS)
 
     def join(self, later: MotionSummary) -> None:
-        """Add what was seen of a later span."""
         self.samples += later.samples
         self.resting += later.resting
         one, other = self.peaks, later.peaks

@@ -74,7 +74,6 @@ class Options:
 
     @property
     def strategies(self) -> tuple[str, ...]:
-        """Return every strategy that must be computed, once."""
         return tuple(dict.fromkeys((self.strategy, *self.predict)))
 
 
@@ -128,7 +127,6 @@ class Stages:
         return self.checked(self.compensated(samples))
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield the samples with each strategy's commands, which stand at stops."""
         commands = compensate(samples, self._compensator, self._strategies)
         commands = hold_at_stops(self.times.timed("compensate", commands), self._at_stops)
         return self.times.timed("stand", commands)

@@ -155,7 +155,6 @@ def _worst(layers: dict[int, Segments], strategy: str) -> list[dict[str, Any]]:
 
 
 def _printer(printer: Printer, options: Options) -> list[list[str]]:
-    """Return name and value of the settings that decide the result."""
     limits, window, motors = printer.limits, printer.compensation, printer.motors
     return [
         ["profile", f"{printer.name}: {printer.description}"],

@@ -111,8 +111,6 @@ def windowed(plant: Plant, windows: tuple[Window, Window], xy: Array, coupled: b
 
 
 class _Axes:
-    """The filters of both axes and of racking."""
-
     def __init__(self, plant: Plant, windows: tuple[Window, Window]) -> None:
         self.x = _Filtered(plant.Gxx, windows[0])
         self.y = _Filtered(plant.Gyy, windows[1])
@@ -176,5 +174,4 @@ class _Filtered:
         return np.asarray(u)
 
     def keep(self, p_C: Array) -> None:
-        """Append the kept control points to the past."""
         self.p_P = np.concatenate([self.p_P, p_C[: self._n_up]])[-len(self.p_P) :]

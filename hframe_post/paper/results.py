@@ -60,7 +60,6 @@ class TimeResponse:
 
     @property
     def rms(self) -> float:
-        """Return the root mean square of the contour error, mm."""
         return _rms(self.error)
 
 

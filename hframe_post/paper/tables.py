@@ -69,7 +69,6 @@ def coefficients(off: dict[str, float]) -> str:
 
 
 def approximation(rows: Sequence[Approximation]) -> str:
-    """Return the table for Fig. 8."""
     head = (
         "n / E", "n", "decoupled µm", "coupled µm", "decoupled ms", "coupled ms", "times as fast",
     )  # fmt: skip
@@ -83,7 +82,6 @@ def approximation(rows: Sequence[Approximation]) -> str:
 
 
 def time_response(responses: Sequence[TimeResponse]) -> str:
-    """Return the table for Fig. 9."""
     um = {response.name: response.rms * 1e3 for response in responses}
     rows = [
         ("no compensation, µm", "not given", f"{um['none']:.1f}", "no"),
@@ -96,14 +94,12 @@ def time_response(responses: Sequence[TimeResponse]) -> str:
 
 
 def previews(ways: Sequence[Preview]) -> str:
-    """Return the table for Appendix C with the profile's window."""
     rows = [(way.name, f"{way.rms * 1e3:.2f}", f"{way.seconds * 1e3:.1f}") for way in ways]
     head = ("", "RMS contour error, µm", "time, ms")
     return markdown("Appendix C: limited preview, the profile's window, Fig. 7's path", head, rows)
 
 
 def width_errors(prisms: Sequence[Widths]) -> str:
-    """Return the table for Fig. 11."""
     rows = []
     for measure, printed in (("RMS", ("43 %", "68 %")), ("median", ("61 %", "78 %"))):
         for prism in prisms:

@@ -33,11 +33,9 @@ class Widths:
     error: dict[str, Array]
 
     def rms(self, strategy: str) -> float:
-        """Return the root mean square over layers and places, mm."""
         return float(np.sqrt(np.square(self.error[strategy]).mean()))
 
     def median(self, strategy: str) -> float:
-        """Return the median of the absolute error, mm."""
         return float(np.median(np.abs(self.error[strategy])))
 
 
@@ -67,7 +65,6 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
 
 
 def _middle(lines: Iterable[bytes], printer: Printer) -> float:
-    """Return the middle in x of all extrusion."""
     low, high = np.inf, -np.inf
     for item in read(lines, ReadOptions.from_printer(printer, "file-all")):
         if isinstance(item, Moves):

@@ -67,11 +67,9 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Return whether there is no difference."""
         return self.difference is None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the result, ready for ``json.dumps``."""
         return {
             "same": self.same,
             "moves": list(self.moves),
@@ -82,7 +80,6 @@ class Comparison:
         }
 
     def as_text(self) -> str:
-        """Return the result as a few lines of text."""
         counts = (
             f"{self.moves[0]} and {self.moves[1]} moves, {self.other_lines} other lines, "
             f"{self.duration[0]:.3f} and {self.duration[1]:.3f} s of motion"

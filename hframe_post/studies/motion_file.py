@@ -18,14 +18,7 @@ from hframe_post.arrays import Array, E, Integers, Z, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.firmware import ramps
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
-from hframe_post.gcode.commands import (
-    LIMIT_PARAMETERS,
-    LIMITS,
-    MODAL,
-    MOTION_WORDS,
-    STAMP,
-    Dialect,
-)
+from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP, Dialect
 from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
@@ -84,7 +77,6 @@ class _Reader:
         self._rows = array("d", (0.0, 0.0, *self._state.position))  # line, time, x, y, z, e
 
     def apply_plain_moves(self) -> None:
-        """Apply the plain moves that come next."""
         start = self._state.position
         while (moves := self._plain_moves.take(MOVES_PER_ITEM)) is not None:
             if len(moves):

@@ -50,7 +50,6 @@ class AxisShaping:
 
     @property
     def shaper(self) -> Shaper:
-        """Return the impulses."""
         return shaper(self.name, self.hz, self.damping)
 
 
@@ -74,7 +73,6 @@ class Shaping:
         return "\n".join(lines)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the shapers of both axes, ready for ``json.dumps``."""
         return {
             axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}
             for axis, s in (("x", self.x), ("y", self.y))

@@ -108,7 +108,6 @@ class SimulationReport(Report):
         }
 
     def as_text(self, all_layers: bool = False) -> str:
-        """Return tables for a person, warnings first."""
         stepped = ", in whole steps" if self.quantised else ""
         lines = [
             f"{self.read.moves} moves, {duration(self.time.after)}, "
@@ -145,7 +144,6 @@ class SimulationReport(Report):
         ]
 
     def _table(self, title: str, groups: list[tuple[str, Group]]) -> list[str]:
-        """Return a table of RMS contour errors by part of the print."""
         if not groups:
             return []
         width = max(19, len(title), *(len(name) for name, _ in groups)) + 2

@@ -57,7 +57,6 @@ class Trial:
         return median(statistics.rms for statistics in self.drawn or [self.contour])
 
     def within(self, motors: Motors) -> bool:
-        """Return whether the motors can follow."""
         return (
             not self.refused
             and self.velocity <= motors.belt_velocity

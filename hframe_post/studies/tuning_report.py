@@ -39,7 +39,6 @@ def _trial_as_json(trial: Trial) -> dict[str, Any]:
 
 
 def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
-    """Return one setting of the stops, ready for ``json.dumps``."""
     seconds = {"before": trial.samples - trial.resting, "after": trial.samples}
     return {
         "stops": trial.name,
@@ -64,7 +63,6 @@ def pace_as_json(pace: Pareto) -> dict[str, Any]:
 
 
 def pace_table(pace: Pareto) -> str:
-    """Return the same as a table, with the chosen one marked."""
     front, chosen = pace.front, pace.chosen
     if chosen is None:
         return ""
@@ -110,7 +108,6 @@ def summary(
 
 
 def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
-    """Return a table of all trials, with the recommended one marked."""
     lines = [
         f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",
         f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'model error':>14s}{'mm/s':>10s}"

@@ -97,7 +97,6 @@ class Drive:
     # ------------------------------------------------------------------ trials
 
     def excerpt(self) -> list[Piece]:
-        """Return pieces that represent the print."""
         return excerpt(parsed(self._lines(), self._printer, self._options), FIRST_LAYERS)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
@@ -107,7 +106,6 @@ class Drive:
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> Trial:
-        """Return the outcome of printing pieces, judged on each plant."""
         printer, options = self.configured(settings)
         assert options.paces is not None
         meter = self._meter(settings)
@@ -125,7 +123,6 @@ class Drive:
         return meter.trial(stages.summary.clamped.samples, refused)
 
     def try_whole(self, settings: SpeedSettings, plants: tuple[Plant, ...]) -> Trial:
-        """Return the outcome of the whole print, judged on each plant."""
         printer, options = self.configured(settings)
         options = replace(self._options, paces=options.paces)
         commands = Commands(self._lines(), printer, options, compensator=self._compensator)
@@ -150,7 +147,6 @@ class Drive:
         return layers
 
     def original(self) -> Original:
-        """Return time and error of the print as the file has it."""
         options = replace(self._options, strategy="none")
         commands = Commands(self._lines(), self._printer, options, compensator=self._compensator)
         labels, layers = Labels(by_name=False), dict[int, float]()

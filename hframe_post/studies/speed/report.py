@@ -22,7 +22,6 @@ VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # 
 
 
 def speed_as_json(found: Fastest) -> dict[str, Any]:
-    """Return all results, ready for ``json.dumps``."""
     trial, original = found.trial, found.original
     limited_by = {cause: round(seconds, 3) for cause, seconds in trial.limited_by.items()}
     return {
@@ -49,7 +48,6 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
 
 
 def speed_as_text(found: Fastest) -> str:
-    """Return a summary of a few lines."""
     trial, original = found.trial, found.original
     change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
     measure = MEASURES[found.bound.measure]

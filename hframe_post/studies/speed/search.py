@@ -29,14 +29,7 @@ from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
-from hframe_post.studies.speed.trial import (
-    ADJUSTED,
-    CAUSES,
-    Freedom,
-    Measure,
-    SpeedSettings,
-    Trial,
-)
+from hframe_post.studies.speed.trial import ADJUSTED, CAUSES, Freedom, Measure, SpeedSettings, Trial
 from hframe_post.studies.uncertainty import draws
 
 MAX_SPEED_UP = 20.0  # times the file's feed rates
@@ -63,7 +56,6 @@ class Bound:
     measure: Measure = "p95"
 
     def limit(self, name: str) -> float:
-        """Return the bound of a kind of feature, mm."""
         return self.kinds.get(name, self.others)
 
     def shares(self, trial: Trial) -> dict[str, float]:
