@@ -23,8 +23,7 @@ def compensate(
 ) -> Iterator[Samples]:
     """Yield the same samples with the commands of the strategies of these names.
 
-    Every stretch starts again from rest, since the machine may then stand elsewhere. Raises
-    HframeError for an unknown strategy.
+    Every stretch starts again from rest. Raises HframeError for an unknown strategy.
     """
     chosen = [strategy(name) for name in names]
     for stretch in stretches(chunks):

@@ -68,10 +68,7 @@ def max_deviation(plant: Plant, limits: Limits) -> float:
 
 
 def check_deviation(chunks: Iterable[Samples], strategy: str, most: float) -> Iterator[Samples]:
-    """Yield the chunks unchanged. Raise HframeError if a command is over ``most`` mm off its path.
-
-    A model that asks for more than ``max_deviation`` contradicts itself.
-    """
+    """Yield the chunks. Raise HframeError if a command is over ``most`` mm off its path."""
     for chunk in chunks:
         if len(chunk):
             command = chunk.commands[strategy]
@@ -88,10 +85,7 @@ def check_deviation(chunks: Iterable[Samples], strategy: str, most: float) -> It
 
 
 def check_prediction(rms: float) -> None:
-    """Raise HframeError if the printer could not print at all without compensation.
-
-    rms: predicted contour error in mm without compensation.
-    """
+    """Raise HframeError if this RMS error (mm) without compensation is beyond any printer."""
     if rms > 1.0:
         raise HframeError(
             f"the model predicts {rms:.1f} mm RMS of contour error without compensation, more than "
@@ -125,10 +119,7 @@ class Guard:
         self.peaks = Peaks()
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
-        """Yield the chunks unchanged. Raise LimitError for an unsafe command of ``strategy``.
-
-        Raises HframeError for a stream with a gap or a value that is not finite.
-        """
+        """Yield the chunks. Raise LimitError for an unsafe command, HframeError for a bug."""
         end: int | None = None  # of the last chunk; every span begins at 0
         for stretch in stretches(chunks):
             differences = Differences(self._kinematics)

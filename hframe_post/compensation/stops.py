@@ -37,10 +37,7 @@ AT_REST = Rests()  # lifts come to rest
 
 
 def rests(stops: str, strategy: str, lifts: Rests = AT_REST) -> Rests:
-    """Return how long the path stands still around stops, for one setting of ``stops``.
-
-    lifts: how they pass into motion. A command that is the path needs no more than that.
-    """
+    """Return how long the path stands at stops for a setting of ``stops``; lifts: see ``Rests``."""
     if strategy == "none":
         return lifts
     n = STOPS[stops]
@@ -63,10 +60,7 @@ def stop_solvers(
 
 
 def hold_at_stops(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
-    """Yield the stream with commands that stand still during stops.
-
-    solvers: by strategy; the commands of other strategies are unchanged.
-    """
+    """Yield the stream with commands that stand still at stops, of the strategies with solvers."""
     for first_chunks in stretches(chunks):
         stretch: _Stretch | None = None
         for chunk in first_chunks:

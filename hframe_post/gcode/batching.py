@@ -82,10 +82,7 @@ class PlainMoves:
 
 
 class ItemBuilder:
-    """Collector of moves and the lines between them; finished items are in ``ready``.
-
-    any_motion: whether there has been a move since the start of the file.
-    """
+    """Collector of moves and the lines between them; finished items are in ``ready``."""
 
     def __init__(self, state: State) -> None:
         self._state = state

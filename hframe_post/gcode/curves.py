@@ -118,10 +118,7 @@ def arc(start: Point, end: Point, centre: Point, ccw: bool, turns: int = 1) -> A
 
 
 def centre_of_radius(start: Point, end: Point, radius: float, ccw: bool) -> Point | None:
-    """Return the centre of an arc given by R, or None if no such arc reaches the end.
-
-    A negative radius asks for the longer way round, as in the G-code standard.
-    """
+    """Return the centre of an arc given by R, or None; R < 0 asks for the longer way round."""
     half = math.dist(start, end) / 2.0
     if half == 0.0 or half > abs(radius) + RADIUS_MISMATCH / 2.0:
         return None

@@ -16,13 +16,10 @@ from hframe_post.printer.settings import Retraction
 
 
 def is_absolute(lines: Iterable[Line]) -> bool | None:
-    """Return whether the printing moves of these lines show an absolute E; None if unclear.
-
-    A single E in all of them is the same either way.
-    """
+    """Return whether the printing moves of these lines show an absolute E; None if unclear."""
     table = np.array(list(_extruding_moves(lines))).reshape(-1, 3)
     if len(table) <= 1:
-        return True
+        return True  # a single E is the same either way
     path, e, before = table[table[:, 0] > 0.05].T  # mm; shorter moves are mostly rounding
     relative = e / path
     absolute = ((e - before) / path)[np.isfinite(before)]
@@ -39,8 +36,7 @@ def is_absolute(lines: Iterable[Line]) -> bool | None:
 def _spread(ratio: Array) -> float:
     """Return how much the extrusion per mm varies between moves: about 0 if it is constant.
 
-    This is the median deviation from the median, relative to it, plus the share of moves that
-    would take filament back, as only a few wipes do.
+    Moves that would take filament back count as well, as only a few wipes do.
     """
     median = float(np.median(ratio))
     if median <= 0.0:

@@ -63,10 +63,7 @@ def uncommented(text: bytes) -> bytes:
 
 
 def command(line: Line) -> Command | None:
-    """Return the coded command (G, M or T) of a line, or None if it has none.
-
-    Raises GcodeError where the checksum of a numbered line is wrong.
-    """
+    """Return the coded command (G, M or T) of a line, or None. Raises GcodeError (checksum)."""
     body = uncommented(line.text)
     match = _COMMAND.match(body)
     if match is None:
@@ -83,10 +80,7 @@ def command(line: Line) -> Command | None:
 
 
 def name_and_arguments(line: Line) -> tuple[str, bytes]:
-    """Return the name of a command or macro in upper case, and a coded command's arguments.
-
-    The name of a blank line or comment is empty. Raises GcodeError.
-    """
+    """Return a command's or macro's name in upper case, or "", and a coded one's arguments."""
     if (coded := command(line)) is not None:
         return coded
     words = uncommented(line.text).split(maxsplit=1)

@@ -51,10 +51,7 @@ START_OF_FILE = "the start"  # the cause of an unknown position before the first
 
 
 def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
-    """Yield the items of a G-code file, streaming. lines: with or without line ends.
-
-    Raises GcodeError, LimitError.
-    """
+    """Yield the items of a G-code file, streaming. Raises GcodeError, LimitError."""
     source = Lines(lines, options.dialect.cr_ends_lines)
     reader = _Reader(source, options)
     ready = reader.items.ready

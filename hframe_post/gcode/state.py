@@ -95,10 +95,7 @@ class State:
                 self.offset = _replaced(self.offset, axis, 0.0)
 
     def rename_position(self, line: Line, words: Words) -> None:
-        """Apply G92: the machine stays, and the file's name for its position changes.
-
-        Raises GcodeError where it names known and unknown positions at once.
-        """
+        """Apply G92: the file's name for the machine's place changes. Raises GcodeError."""
         values = words or (dict.fromkeys(AXES, 0.0) if self._dialect.g92_resets else {})
         axes = {AXES.index(letter): value * self.scale for letter, value in values.items()}
         known = [self.known[axis] for axis in axes if axis < 3]
@@ -139,10 +136,7 @@ class State:
         self.feed = feed
 
     def set_factor(self, line: Line, arguments: bytes, words: Words) -> None:
-        """Apply M220: S in percent; Marlin's B saves the factor and R restores it.
-
-        Raises GcodeError if the factor would stop the print.
-        """
+        """Apply M220: S in percent; Marlin's B saves it, R restores it. Raises GcodeError."""
         letters = arguments.upper()
         if self._dialect.saves_factor and b"B" in letters:
             self._saved_factor = self.factor
@@ -154,10 +148,7 @@ class State:
         self.factor = factor
 
     def set_limits(self, line: Line, name: str, words: Words) -> None:
-        """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT with its words or parameters.
-
-        Raises GcodeError where a limit would (nearly) stop the print.
-        """
+        """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT. Raises GcodeError near zero."""
         for word, value in words.items():
             velocity = name == "M203" or word == "VELOCITY"
             least = MIN_VELOCITY_LIMIT if velocity else MIN_ACCELERATION_LIMIT

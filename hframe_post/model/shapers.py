@@ -57,7 +57,7 @@ class Shaper:
         return np.convolve(padded, self.taps(), mode="valid")
 
     def residual(self, hz: Array, damping: float) -> Array:
-        """Return the remaining share of the ringing of modes at ``hz`` (k,): Singer and Seering."""
+        """Return the share of ringing that remains of modes at ``hz`` (k,): Singer and Seering."""
         omega = 2.0 * np.pi * hz[:, None]
         phase = omega * np.sqrt(1.0 - damping**2) * self.T
         growth = self.A * np.exp(damping * omega * (self.T - self.T[-1]))

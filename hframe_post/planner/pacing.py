@@ -119,7 +119,7 @@ class Labeller:
     def classify(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:
         """Return each move's kind (an index into NAMES), its layer, and whether a first one, (n,).
 
-        A first layer is one of the first ``first_layers`` of the print, or lies as low.
+        What lies as low as the first ``first_layers`` of the print is a first one too.
         """
         starts, kinds, layers = [0], [self._kind], [self._place.layer]
         for mark in moves.marks:

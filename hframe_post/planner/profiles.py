@@ -222,10 +222,7 @@ class TravelRetraction:
     def if_it_fits(
         cls, move: Standing, travel: Plan, limits: Limits, acceleration: float
     ) -> TravelRetraction | None:
-        """Return the retraction, or None if ``move`` is none or the travel is too short for it.
-
-        acceleration: of the filament, mm/s².
-        """
+        """Return the retraction, or None if ``move`` is none or the travel is too short for it."""
         length = move.start[E] - move.end[E]
         if length <= 0.0 or move.end[Z] != move.start[Z]:
             return None

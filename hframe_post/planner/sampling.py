@@ -1,10 +1,10 @@
 """Runs → samples: the jerk-limited profile of every run, on one clock.
 
-Each run is planned along the path length, from speed to speed at zero acceleration, and x,
-y, z and e follow the path: extrusion stays proportional to it. Points of rest fall on whole
-samples. Before and after anything that the machine does at rest, the path may stand still for a
-moment in which the compensated command moves on. A lift next to motion needs no such rest: where
-firmware takes the corner between them at a speed, z does not come to rest there.
+Each run is planned along the path length, and x, y, z and e follow the path: extrusion stays
+proportional to it. Points of rest fall on whole samples. Before and after anything that the machine
+does at rest, the path may stand still for a moment in which the compensated command moves on. A
+lift next to motion needs no such rest: where firmware takes the corner between them at a speed, z
+does not come to rest there.
 """
 
 from __future__ import annotations
@@ -204,10 +204,9 @@ class _Sampler:
             self._state = _State.MOVING
 
     def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> list[Mark]:
-        """Put marks on the first sample at or after their vertex, with the vertex's filament.
+        """Put marks on the first sample at or after their vertex; return those that lie beyond.
 
-        So what is extruded between two marks is exact, not rounded to a sample. Returns the
-        marks that lie beyond these samples.
+        They get the vertex's filament, so that what is extruded between two marks is exact.
         """
         vertices = np.array([mark.index for mark in marks], dtype=np.int64)
         rows = np.searchsorted(s, plan.s[vertices])
@@ -280,10 +279,8 @@ class _Sampler:
             self._state = _State.STOPPED
 
     def _corner_speed(self, acceleration: float) -> float:
-        """Return the speed, mm/s, at which z passes between a lift and motion of an acceleration.
-
-        The motion's first segment is some 10 µm long and limits it to 0.05·√(mm/s²).
-        """
+        """Return the speed, mm/s, of z between a lift and motion at an acceleration."""
+        # the motion's first segment is some 10 µm long and limits it to 0.05·√(mm/s²)
         return min(SPARED * self._rests.lift_speed, 0.05 * math.sqrt(acceleration))
 
     def come_to_rest(self, aside: bool, needed: bool = True) -> Iterator[Samples]:

@@ -85,10 +85,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def release_memory() -> None:
-    """Return freed memory to the system after work that made and dropped many arrays.
-
-    Otherwise glibc's allocator keeps it for this process, and the next stage adds its own.
-    """
+    """Return freed memory to the system, which glibc's allocator keeps for this process."""
     gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
