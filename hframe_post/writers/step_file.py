@@ -23,9 +23,7 @@ MOTORS = "ABZE"
 VERSION = 1
 NAMES = {"steps": b"tick,motor,direction\n", "step-bits": b"tick,steps,directions\n"}
 KEY_BITS = 3  # of a key: two for the motor, one for the direction
-
 BYTES_AT_ONCE = 1 << 20
-MOST_DIGITS = 18  # of a tick
 NUMBER = rb"(-?\d{1,18}(?:\.\d{1,18})?(?:e[+-]?\d{1,3})?)"
 START_LINE = re.compile(rb"#start,(\d{1,18})" + rb",(-?\d{1,18})" * len(MOTORS))
 END_LINE = re.compile(rb"#end,(\d{1,18}),(\d{1,18})")
@@ -52,18 +50,15 @@ class Header:
     matrix: Array
 
     def text(self) -> bytes:
-        rows = zip(MOTORS, self.matrix.tolist(), strict=False)
-        lines = [
-            f"#hframe-post {self.kind},{VERSION}",
-            f"#version,{self.version}",
-            f"#printer,{self.printer}",
-            f"#settings,{self.settings}",
-            f"#clock_hz,{self.clock_hz!r}",
-            f"#motors,{','.join(MOTORS)}",
-            f"#step_mm,{','.join(map(repr, self.step_mm))}",
-            *(f"#belt,{motor},{x:g},{y:g}" for motor, (x, y) in rows),
-        ]
-        return "".join(line + "\n" for line in lines).encode() + NAMES[self.kind]
+        (ax, ay), (bx, by) = self.matrix.tolist()
+        text = (
+            f"#hframe-post {self.kind},{VERSION}\n"
+            f"#version,{self.version}\n#printer,{self.printer}\n#settings,{self.settings}\n"
+            f"#clock_hz,{self.clock_hz!r}\n#motors,{','.join(MOTORS)}\n"
+            f"#step_mm,{','.join(map(repr, self.step_mm))}\n"
+            f"#belt,A,{ax:g},{ay:g}\n#belt,B,{bx:g},{by:g}\n"
+        )
+        return text.encode() + NAMES[self.kind]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +120,10 @@ class StepFileWriter:
                 yield from self._stepped(item)
                 continue
             self.lines += 1
-            yield (
-                b"#end,%d,%d\n" % (item.tick, self.rows)
-                if isinstance(item, End)
-                else b"#start,%d,%d,%d,%d,%d\n" % (item.tick, *item.position)
-            )
+            if isinstance(item, End):
+                yield b"#end,%d,%d\n" % (item.tick, self.rows)
+            else:
+                yield b"#start,%d,%d,%d,%d,%d\n" % (item.tick, *item.position)
 
     def _stepped(self, item: Stepped) -> Iterator[bytes | Note]:
         cuts = [int(np.searchsorted(item.keys, note.tick + 1 << KEY_BITS)) for note in item.notes]
@@ -150,7 +144,6 @@ def inlined(pieces: Iterable[bytes | Note]) -> Iterator[bytes]:
 
 
 def _steps(keys: Integers) -> tuple[int, bytes]:
-    """Return the number of rows and their text, a row for each step."""
     return len(keys), digits.rows([digits.whole(keys >> KEY_BITS), _tails("ABZE", 2)[keys & 7]])
 
 
@@ -221,10 +214,7 @@ class StepFile:
 
 
 def read(path: str | Path) -> StepFile:
-    """Read a step file; .gz is unpacked.
-
-    Raises StepFileError if it is not a step file, and OSError.
-    """
+    """Read a step file; .gz is unpacked. Raises StepFileError if it is none, and OSError."""
     path = Path(path)
     with decompressing(path) as file:
         text = _piece(file, BYTES_AT_ONCE, path)
@@ -233,11 +223,8 @@ def read(path: str | Path) -> StepFile:
         raise StepFileError("this is not a step file", path, 1)
     kind, version, printer, settings = (match[k].decode("utf-8", "replace") for k in (1, 3, 4, 5))
     if match[2] != b"%d" % VERSION:
-        raise StepFileError(
-            f"version {match[2].decode()} of the format is unknown: install a newer hframe-post",
-            path,
-            1,
-        )
+        cause = f"version {match[2].decode()} of the format is unknown: install a newer hframe-post"
+        raise StepFileError(cause, path, 1)
     if not text.startswith(NAMES[kind], match.end()):
         raise StepFileError("the names of the columns are missing", path, text.count(b"\n"))
     clock, *numbers = (float(match[k]) for k in range(6, 15))
@@ -334,7 +321,7 @@ class _Reader:
 
 
 def _table(names: str) -> Integers:
-    """Return the value of each byte; −1: none."""
+    """Return the value of each byte; −1: it has none."""
     table = np.full(256, -1)
     table[list(names.encode())] = np.arange(len(names))
     return table
@@ -347,7 +334,7 @@ def _numbers(
     byte = np.frombuffer(text, dtype=np.uint8)
     end = np.flatnonzero(byte == ord("\n"))
     width = np.diff(end, prepend=-1) - len(",A,1\n")
-    good = (width >= 1) & (width <= MOST_DIGITS)
+    good = (width >= 1) & (width <= 18)  # more digits would not fit into 64 bits
     comma_1, name, comma_2, value = (byte[np.maximum(end - k, 0)] for k in (4, 3, 2, 1))
     good &= (comma_1 == ord(",")) & (comma_2 == ord(","))
     one, other = first[name], second[value]

@@ -124,8 +124,7 @@ class Stepper:
         yield from self._take(u[done:], chunk, done)
 
     def _tick(self, index: int) -> int:
-        # at which the millisecond of this sample begins
-        return math.ceil(index * self._per_sample)
+        return math.ceil(index * self._per_sample)  # where the millisecond of a sample begins
 
     def _take(self, u: Array, chunk: Samples, row: int) -> Iterator[Item]:
         """Take samples u (n, 4) from row ``row`` of the chunk on."""
@@ -257,13 +256,9 @@ def crossings(u: Array, close: float = 1e-3) -> tuple[Integers, Array, Integers]
 
 def _tangents(before: Array, after: Array) -> Array:
     """Return m (n,) at samples between slopes before and after them, (n,) steps a sample each."""
-    least = np.minimum(np.abs(before), np.abs(after))
-    least *= 3.0  # monotone below (Fritsch and Carlson)
-    m = (before + after) / 2.0
-    np.minimum(m, least, out=m)
-    np.maximum(m, -least, out=m)
-    m *= before * after > 0.0
-    return m
+    least = 3.0 * np.minimum(np.abs(before), np.abs(after))  # monotone below
+    m = np.clip((before + after) / 2.0, -least, least)
+    return np.asarray(m * (before * after > 0.0))
 
 
 def _solved(c1: Array, c2: Array, c3: Array, level: Array, close: float) -> Array:

@@ -72,7 +72,8 @@ class Marlin:
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         motion = FIXED_TIME if self._planner.fixed_time else RAMPED
-        a, v = plain(self._acceleration, 0), plain(self._velocity, 0)
+        velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
+        a, v = plain(self._acceleration, 0), plain(velocity, 0)
         start = [
             "M400", "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
             f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self._corners(False)}",
@@ -81,17 +82,16 @@ class Marlin:
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table = self.table
-        velocity, acceleration = (
-            f"X{plain(x, 3)} Y{plain(y, 3)}"
-            for x, y in (table.max_velocity, table.max_acceleration)
-        )
-        least = f"S{plain(table.min_velocity, 3)} T{plain(table.min_travel_velocity, 3)}"
+        (a_x, a_y), (v_x, v_y) = table.max_acceleration, table.max_velocity
         lines = [
-            "M400", f"M201 {acceleration}", f"M203 {velocity}",
+            "M400",
+            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)}",
+            f"M203 X{plain(v_x, 3)} Y{plain(v_y, 3)}",
             f"M204 P{plain(table.acceleration, 3)} T{plain(table.travel_acceleration, 3)}"
             f"{self._retract(True)}",
-            f"M205 B{plain(table.min_segment_time * 1e6, 0)} {least} {self._corners(True)}",
-        ]  # fmt: skip
+            f"M205 B{plain(table.min_segment_time * 1e6, 0)} S{plain(table.min_velocity, 3)} "
+            f"T{plain(table.min_travel_velocity, 3)} {self._corners(True)}",
+        ]
         if table.linear_advance:
             lines.append(f"M900 K{plain(table.linear_advance, 5)}")
         for axis, frequency in (("X", table.shaper_freq_x), ("Y", table.shaper_freq_y)):
@@ -130,7 +130,7 @@ class Marlin:
 
     def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
         # standstill is left out, and motion makes up for the time that a stroke was late
-        return None if beside is not Dwelling.MOTION else (b"", seconds)
+        return (b"", seconds) if beside is Dwelling.MOTION else None
 
     def lift_corner(self, at: Array, speed: float) -> float:
         return 0.0
@@ -175,7 +175,7 @@ class Marlin:
     def _stroke_ends(self, corner: float, v: float) -> tuple[float, float]:
         """Return the speeds at which a retraction or a lift at speed v begins and ends.
 
-        In fixed-time motion it ends at the speed of the next segment, even if that is faster. The
+        In fixed-time motion it ends at the speed of the next segment, even if that is faster: the
         first segment from rest has 10 to 14 mm/s in the samples.
         """
         begin = min(corner, v)
@@ -205,10 +205,6 @@ class Marlin:
     def _acceleration(self) -> float:
         return HEADROOM * self.motors.belt_acceleration
 
-    @property
-    def _velocity(self) -> float:
-        return VELOCITY_HEADROOM * self.motors.belt_velocity
-
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
         cells = np.rint(points[:, :Z] / self.steps.belt).astype(np.int64)
@@ -237,15 +233,13 @@ class Marlin:
 
     @property
     def _planner(self) -> Planner:
-        table = self.table
-        return make_planner(
-            table.planner, self._timer, table.classic_jerk, table.s_curve_acceleration
-        )
+        t = self.table
+        return make_planner(t.planner, self._timer, t.classic_jerk, t.s_curve_acceleration)
 
     @property
     def _timer(self) -> Timer:
-        table = self.table
-        return Timer(table.timer_hz, table.timer_extra_tick, table.adaptive_step_smoothing)
+        t = self.table
+        return Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
 
     def _blocks(self, at: Array) -> Blocks:
         cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)

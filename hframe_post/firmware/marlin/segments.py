@@ -43,7 +43,6 @@ def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integer
 
 
 def _edges_of_standstill(path: Integers) -> Integers:
-    """Return the first and last samples of long runs without a step, ascending."""
     changes = np.flatnonzero(np.diff(path)) + 1
     first, after = np.append(0, changes), np.append(changes, len(path))
     idle = after - first > IDLE
@@ -87,8 +86,8 @@ def _superfluous(ends: Integers, places: Integers, least: int, last: bool) -> In
     """Return which ends to drop so that segments of too few steps join a neighbour.
 
     They join the segment before, or the one after if the one before is too short or stands
-    still. The last end stays if motion ends there. Of short segments in a row every
-    other one is handled, so call again.
+    still. The last end stays if motion ends there. Of short segments in a row every other one
+    is handled: call again.
     """
     steps = most_steps(np.diff(places[np.append(0, ends)], axis=0))
     short = (steps > 0) & (steps < least)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import E, Integers, Z
+from hframe_post.arrays import E, Z
 from hframe_post.firmware.player import Player
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.stream import digits
@@ -113,7 +113,16 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
 
 
 def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Iterator[Output]:
-    rows, ends = _lines(motion.at, motion.feeds, feed, units)
+    """Yield G1 lines from place to place, with the lines between them. feed: F before them."""
+    at, feeds = motion.at, motion.feeds
+    shown = np.diff(at, axis=0) != 0
+    shown[0, :Z] |= feed == 0  # after the machine was released: both, to be plain
+    changed = np.diff(feeds, prepend=feed) != 0
+    values = np.vstack([at[1:, :E].T, np.diff(at[:, E]), feeds])
+    decimals = (*units.decimals, units.feed_decimals)
+    rows, ends = digits.command_lines(
+        b"G1", b"XYZEF", values, decimals, np.vstack([shown.T, changed])
+    )
     between = sorted([(1, revert), *motion.between], key=lambda item: item[0])
     written = 0
     for row, text in between:
@@ -123,19 +132,6 @@ def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Itera
             written = end
         yield text.output
     yield rows[written:]
-
-
-def _lines(at: Integers, feeds: Integers, feed: int, units: Units) -> tuple[bytes, Integers]:
-    """Return G1 lines from place to place, at (k + 1, 4), and where each ends in their text.
-
-    feeds (k,): F of each; feed: F before them.
-    """
-    shown = np.diff(at, axis=0) != 0
-    shown[0, :Z] |= feed == 0  # after the machine was released: both, to be plain
-    changed = np.diff(feeds, prepend=feed) != 0
-    values = np.vstack([at[1:, :E].T, np.diff(at[:, E]), feeds])
-    decimals = (*units.decimals, units.feed_decimals)
-    return digits.command_lines(b"G1", b"XYZEF", values, decimals, np.vstack([shown.T, changed]))
 
 
 def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:

@@ -167,7 +167,7 @@ class Machine:
         still = self._still
         made = segments(batch, self._at, still, self._player, self._units)
         self._still = made.still
-        if len(made):
+        if len(made.T):
             yield from self._enter()
             at = np.vstack([self._at, made.at])
             check_filament(batch, made.ends, at[:, E] / self._units.per_mm[E], still)

@@ -94,15 +94,14 @@ def write_output(
 
 def commented(text: str, size: int) -> bytes:
     """Return the lines of a text as comments, as many as fit into size bytes."""
-    lines, used = [], 0
+    comments = b""
     for line in text.splitlines():
         printable = "".join(c if c.isprintable() else "?" for c in line)
-        comment = SUMMARY.line + b" " + printable.encode()
-        used += len(comment) + 1
-        if used > size:
+        longer = comments + SUMMARY.line + b" " + printable.encode() + b"\n"
+        if len(longer) > size:
             break
-        lines.append(comment)
-    return b"\n".join(lines) or SUMMARY.line
+        comments = longer
+    return comments.rstrip(b"\n") or SUMMARY.line
 
 
 def duration(seconds: float) -> str:
@@ -155,7 +154,6 @@ def _restyled(value: bytes, seconds: float) -> bytes:
 
 
 def _seconds(value: bytes) -> float:
-    """Return a time in d, h, m and s, 0 if there is none."""
     units = {b"d": 86400.0, b"h": 3600.0, b"m": 60.0, b"s": 1.0}
     match = _UNITS.match(value)
     parts = re.findall(rb"(\d+) ?([dhms])", match[0].lower()) if match else []

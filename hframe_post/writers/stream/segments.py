@@ -138,9 +138,6 @@ class Segments:
     dwell: Integers
     still: int
 
-    def __len__(self) -> int:
-        return len(self.ends)
-
 
 def segments(batch: Batch, start: Integers, still: int, player: Player, units: Units) -> Segments:
     """Return the segments of a batch that its firmware asks for.
@@ -162,8 +159,8 @@ def segments(batch: Batch, start: Integers, still: int, player: Player, units: U
 def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
     """Return for each segment that moves the one up to which it extrudes.
 
-    It extrudes what segments after it do that are too short to move: up to the next segment that
-    moves, or the last that ends before the next mark or at it. ends, marks: points of the batch.
+    That is the last one before the next segment that moves, or the last that ends before the next
+    mark or at it. ends, marks: points of the batch.
     """
     moving = np.flatnonzero(moved)
     before_next = np.append(moving[1:], len(moved)) - 1
