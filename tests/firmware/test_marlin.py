@@ -124,7 +124,7 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])
 def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
     own = f'[firmware.marlin]\nplanner = "{planner}"\ns_curve_acceleration = true\n'
-    with pytest.raises(PrinterError, match=r"s_curve_acceleration: .*turn it off in Marlin's build"):
+    with pytest.raises(PrinterError, match=r"s_curve_acceleration: .*turn it off in Marlin"):
         parse(f'extends = "paper-marlin"\n{own}', "mine")
 
 

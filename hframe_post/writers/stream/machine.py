@@ -60,15 +60,10 @@ class StandingMove:
 
 
 @dataclass(frozen=True, slots=True)
-class Wait:
-    """A standstill after motion, in samples."""
-
-    samples: int
-
-
-@dataclass(frozen=True, slots=True)
 class Stop:
-    """The machine stands."""
+    """The machine stands, for this many samples more if they are not 0."""
+
+    samples: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +73,7 @@ class Settings:
     text: bytes
 
 
-Command = Text | Motion | StandingMove | Wait | Stop | Settings
+Command = Text | Motion | StandingMove | Stop | Settings
 
 
 class Machine:
@@ -182,10 +177,8 @@ class Machine:
             for mark in batch.marks:
                 yield from self._passed_on(mark)
         if batch.last and self._still:
-            if self._inside:
-                yield Wait(self._still)
+            yield Stop(self._still if self._inside else 0)
             self._still = 0
-            yield Stop()
 
     def _passed_on(self, mark: Mark) -> Iterator[Text]:
         """Yield a line of the file, and what restores the stream's modes after it."""

@@ -17,7 +17,6 @@ from hframe_post.writers.stream.machine import (
     StandingMove,
     Stop,
     Text,
-    Wait,
 )
 from hframe_post.writers.stream.segments import Units
 
@@ -78,11 +77,10 @@ class Pace:
                     yield from self._motion(command)
                 case StandingMove():
                     yield from self._standing_move(command)
-                case Wait():
-                    yield from self._leave(0.0)
-                    yield from self._dwell(command.samples)
                 case Stop():
                     yield from self._leave(0.0)
+                    if command.samples:
+                        yield from self._dwell(command.samples)
                     self._before = 0.0
                 case Settings():
                     yield command
