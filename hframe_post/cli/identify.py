@@ -7,9 +7,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from hframe_post.cli.options import (
     files_read,
@@ -21,11 +21,17 @@ from hframe_post.cli.options import (
     printer_option,
 )
 from hframe_post.cli.sweep import FILE, QUIET
-
-if TYPE_CHECKING:
-    from hframe_post.identification.identify import Run
-    from hframe_post.identification.recordings.accelerometer import Recording
-    from hframe_post.printer.settings import Printer
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.identify import Run, Settings
+from hframe_post.identification.identify import identify as identified
+from hframe_post.identification.recommend import recommend
+from hframe_post.identification.recordings import accelerometer
+from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.report import IdentificationReport, identification_page
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.files import Outputs
 
 SAME_AXES = "x=x,y=y,z=z"
 NO_WINDOW = (
@@ -121,18 +127,6 @@ def identify(
     Example:
       hframe-post identify -p my.toml -n x.csv x.recording.csv -n y.csv y.recording.csv -o my.toml
     """
-    import numpy as np
-
-    from hframe_post.errors import IdentificationError
-    from hframe_post.identification.identify import Settings
-    from hframe_post.identification.identify import identify as identified
-    from hframe_post.identification.recommend import recommend
-    from hframe_post.identification.recordings import accelerometer
-    from hframe_post.identification.report import IdentificationReport, identification_page
-    from hframe_post.printer.edit import with_plant
-    from hframe_post.printer.profile import load
-    from hframe_post.writers.files import Outputs
-
     profile = load(printer)
     _check_usage(nozzle, bridge, L_G, band, axes)
     nozzle_axes, second_axes = (*axes, SAME_AXES, SAME_AXES)[:2]
@@ -143,8 +137,7 @@ def identify(
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
-            runs = [reader.nozzle(*files) for files in nozzle]
-            runs += [reader.bridge(*files) for files in bridge]
+            runs = [reader.run(*files) for files in (*nozzle, *bridge)]
             _check_travel(runs, profile)
             settings = Settings(band, L_G, profile.kinematics.racks, offset)
             if profile.steps:
@@ -187,8 +180,6 @@ def _check_usage(
 
 
 def _check_travel(runs: Sequence[Run], profile: Printer) -> None:
-    from hframe_post.errors import IdentificationError
-
     for run in runs:
         ranges = zip("xy", run.command.T, (profile.travel.x, profile.travel.y), strict=True)
         for axis, at, (low, high) in ranges:
@@ -211,23 +202,16 @@ class _Reader:
     setup: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
 
-    def nozzle(self, command: Path, recording: Path) -> Run:
-        from hframe_post.identification.identify import Run
-        from hframe_post.identification.recordings.excitation import read_command
+    def run(self, command: Path, *files: Path) -> Run:
+        """Return a run with one recording of the nozzle, or with two of the bridge's ends."""
+        axes = self.nozzle_axes if len(files) == 1 else self.bridge_axes
+        recordings = [self._recording(path, axes) for path in files]
+        name, motion = ", ".join(path.name for path in files), read_command(command)
+        if len(recordings) == 1:
+            return Run(name, motion, recordings[0])
+        return Run(name, motion, None, (recordings[0], recordings[1]))
 
-        found = self._recording(recording, self.nozzle_axes)
-        return Run(recording.name, read_command(command), found)
-
-    def bridge(self, command: Path, P1: Path, P2: Path) -> Run:
-        from hframe_post.identification.identify import Run
-        from hframe_post.identification.recordings.excitation import read_command
-
-        ends = self._recording(P1, self.bridge_axes), self._recording(P2, self.bridge_axes)
-        return Run(f"{P1.name}, {P2.name}", read_command(command), None, ends)
-
-    def _recording(self, path: Path, axes: str) -> Recording:
-        from hframe_post.identification.recordings import accelerometer
-
+    def _recording(self, path: Path, axes: str) -> accelerometer.Recording:
         read = accelerometer.read(path, self.columns, self.unit)
         self.findings += [f"{path.name}: {text}" for text in accelerometer.diagnose(read, QUIET)]
         digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.options import files_read, old_option, position, printer_option, say
-
-if TYPE_CHECKING:
-    from hframe_post.identification.recordings.sweep import Run
-    from hframe_post.printer.settings import Printer
+from hframe_post.identification.recordings.excitation import command_csv
+from hframe_post.identification.recordings.sweep import (
+    CHIP_NAME,
+    Run,
+    gcode,
+    positions,
+    runs,
+    summary,
+)
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.files import Outputs
+from hframe_post.writers.stream.print_time import write_output
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 QUIET = 0.5  # s at the start of a recording in which the printer stands still
 
 
 def _chip(text: str) -> str:
-    """Return a chip's name. Raise BadParameter unless Klipper takes it in CHIP=."""
-    from hframe_post.identification.recordings.sweep import CHIP_NAME
-
     if not CHIP_NAME.fullmatch(text):
         raise click.BadParameter(
             f"{text!r} is not a chip's name: for [adxl345 hotend] in printer.cfg type hotend"
@@ -44,11 +49,6 @@ def write_motion(
     z: float | None,
 ) -> None:  # fmt: skip
     """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv."""
-    from hframe_post.identification.recordings.excitation import command_csv
-    from hframe_post.identification.recordings.sweep import gcode
-    from hframe_post.writers.files import Outputs
-    from hframe_post.writers.stream.print_time import write_output
-
     with Outputs(files_read(printer)) as outputs:
         motion = outputs.open(target)
         commands = [
@@ -92,9 +92,6 @@ def sweep(
     Example:
       hframe-post sweep --axis x -p my.toml -o sweep.gcode
     """
-    from hframe_post.identification.recordings.sweep import positions, runs, summary
-    from hframe_post.printer.profile import load
-
     profile = load(printer)
     planned = runs(profile, "xy".index(axis), list(places) or positions(profile))
     write_motion(output, printer, profile, planned, chips, z)

@@ -16,13 +16,16 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.cli.sweep import (
-    FILE,
-    QUIET,
-    chips_option,
-    height_option,
-    write_motion,
-)
+from hframe_post.cli.sweep import FILE, QUIET, chips_option, height_option, write_motion
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import oriented, read
+from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.report import verification_page
+from hframe_post.identification.verdict import judge
+from hframe_post.identification.verification_motion import runs
+from hframe_post.printer.edit import with_verification
+from hframe_post.printer.profile import check_identified, load
+from hframe_post.writers.files import Outputs
 
 
 @click.command()
@@ -66,37 +69,21 @@ def verify(
       hframe-post verify -p my.toml --gcode verify.gcode
     """
     if gcode is not None:
-        _write(printer, gcode, chips, z)
+        profile = load(printer)
+        check_identified(profile)
+        planned = runs(profile)
+        write_motion(gcode, printer, profile, planned, chips, z)
+        say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
         return
     if plain is None or compensated is None:
         raise click.UsageError("give --gcode, or both --plain and --compensated")
     _judge(printer, plain, compensated, axes, report_file, json_file, output)
 
 
-def _write(printer: str, target: Path, chips: tuple[str, ...], z: float | None) -> None:
-    from hframe_post.identification.verification_motion import runs
-    from hframe_post.printer.profile import check_identified, load
-
-    profile = load(printer)
-    check_identified(profile)
-    planned = runs(profile)
-    write_motion(target, printer, profile, planned, chips, z)
-    say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
-
-
 def _judge(
     printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
     report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
-    from hframe_post.errors import IdentificationError
-    from hframe_post.identification.recordings.accelerometer import oriented, read
-    from hframe_post.identification.recordings.excitation import read_command
-    from hframe_post.identification.report import verification_page
-    from hframe_post.identification.verdict import judge
-    from hframe_post.printer.edit import with_verification
-    from hframe_post.printer.profile import load
-    from hframe_post.writers.files import Outputs
-
     profile = load(printer)
     sources = [*files_read(printer), *plain, *compensated]
     with Outputs(sources) as profiles:

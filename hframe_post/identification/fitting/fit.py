@@ -156,9 +156,8 @@ def check_zeros(G: TransferFunction) -> list[str]:
     slow = np.abs(outside[np.abs(np.angle(outside)) < np.pi / 2.0])
     # until 1 % is left of the lead; any window has 0.1 s to spare
     lead = float(TS * np.log(100.0) / np.log(slow.min(initial=np.inf)))
-    if lead <= 0.1:
-        return []
-    return [
+    message = (
         "the model has zeros just outside the unit circle; to cancel them, commands must begin "
         f"{1e3 * lead:.0f} ms early"
-    ]
+    )
+    return [message] if lead > 0.1 else []

@@ -176,12 +176,8 @@ def fit(data: Data, structure: Structure, start: Modal | None = None) -> Modal:
     while len(parameters.omega) + len(parameters.corner) < structure.modes + structure.lags - 1:
         modes, lags = len(parameters.omega), len(parameters.corner)
         add_lag = modes == structure.modes
-        simpler = Structure(
-            modes + (not add_lag),
-            structure.speed,
-            lags + add_lag,
-            min(structure.zeros_at_rest, 1),
-        )
+        zeros = min(structure.zeros_at_rest, 1)
+        simpler = Structure(modes + (not add_lag), structure.speed, lags + add_lag, zeros)
         parameters = _extended(data, simpler, parameters).parameters
     return _extended(data, structure, parameters)
 

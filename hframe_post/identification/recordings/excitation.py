@@ -13,9 +13,8 @@ ends of every part.
 Under the sweep lies a slow sway. A motor steps by 20 µm, and the sweep at 80 Hz moves by 20 µm:
 without the sway each peak would be rounded alike, and the rounding would look like the printer's
 gain. Swaying across many steps turns the rounding into noise and keeps the printer sliding.
-From the default sweep to the steps of 20.6 µm that the Klipper host makes of it, over 5 to
-80 Hz and weighted by input power, the gain of one run was wrong by 1.5 to 2.4 % without the
-sway and by 0.4 to 0.5 % with it; that of five places together by 0.6 and 0.25 %.
+Without the sway the gain of one run, weighted by input power over 5 to 80 Hz, was wrong by 1.5 to
+2.4 %; with it by 0.4 to 0.5 %.
 """
 
 from __future__ import annotations

@@ -96,17 +96,13 @@ def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list
 
     Raises HframeError, and LimitError if a run would leave the travel or outrun a motor.
     """
-    names = _names("xy"[axis], places)
-    return [_run(printer, axis, *each) for each in zip(names, places, strict=True)]
-
-
-def _names(axis: str, places: list[tuple[float, float]]) -> list[str]:
-    """Return names such as ``x-at-110``, with y added if two places have the same x."""
     if len(set(places)) < len(places):
         raise HframeError("the same --position is given twice")
+    # names such as x-at-110, with y added if two places have the same x
     shown = [tuple(plain(p, 3).replace("-", "m").replace(".", "_") for p in at) for at in places]
     alone = len({x for x, _ in shown}) == len(shown)
-    return [f"{axis}-at-{x}" if alone else f"{axis}-at-{x}-{y}" for x, y in shown]
+    names = [f"{'xy'[axis]}-at-{x}" + ("" if alone else f"-{y}") for x, y in shown]
+    return [_run(printer, axis, *each) for each in zip(names, places, strict=True)]
 
 
 def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
@@ -114,11 +110,12 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
 
     Raises LimitError at an edge and beyond.
     """
-    for name, at, (low, high) in zip("xy", position, _travel(printer), strict=True):
+    travel = (printer.travel.x, printer.travel.y)
+    for name, at, (low, high) in zip("xy", position, travel, strict=True):
         if not low <= at <= high:
             bound = low if at < low else high
             raise LimitError(f"{name} (mm)", at, bound, None, "choose another --position")
-    (low, high), at = _travel(printer)[axis], position[axis]
+    (low, high), at = travel[axis], position[axis]
     left = min(at - low, high - at)
     if left <= 0.0:
         raise LimitError(
@@ -127,15 +124,10 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
     return left
 
 
-def _travel(printer: Printer) -> tuple[tuple[float, float], tuple[float, float]]:
-    return printer.travel.x, printer.travel.y
-
-
 def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) -> Run:
     left = room(printer, axis, position)
-    displacement = trajectory(
-        printer.sweep, printer.limits.velocity, left, place_mark.rest(position[0])
-    )
+    rest = place_mark.rest(position[0])
+    displacement = trajectory(printer.sweep, printer.limits.velocity, left, rest)
     command = np.tile(np.array(position), (len(displacement), 1))
     command[:, axis] += displacement
     for belt in printer.kinematics.belts(*(command - command[0]).T):
