@@ -64,7 +64,7 @@ def convert_on_worker(task: Task) -> Result:
             file.write_bytes(task.profile)
             printer = str(file)
         options = ("-p", printer, *task.options, "--jobs", "1")  # a worker's thread: a processor
-        outcome = Conversion(str(source), str(target), options).wait()
+        outcome = Conversion(str(source), str(target), options).outcome()
         return Result(outcome, worker, target.read_bytes() if outcome.status == 0 else b"")
 
 

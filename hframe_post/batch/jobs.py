@@ -117,19 +117,17 @@ class Outcome:
         return f"exit status {self.status}"
 
 
-class Conversion:
+class Conversion(ChildProcess):
     """A running ``hframe-post convert`` with these options."""
 
     def __init__(self, source: str, target: str, options: Sequence[str]) -> None:
-        command = [*own_command(), "convert", source, "-o", target, "-q", "--json", "-", *options]
         self._start = time.monotonic()
-        self._process = ChildProcess(command)
+        command = [*own_command(), "convert", source, "-o", target, "-q", "--json", "-", *options]
+        super().__init__(command)
 
-    def wait(self) -> Outcome:
-        return Outcome(*self._process.wait(), time.monotonic() - self._start)
-
-    def stop(self) -> None:
-        self._process.stop()
+    def outcome(self) -> Outcome:
+        """Wait for the end."""
+        return Outcome(*self.wait(), time.monotonic() - self._start)
 
 
 class LocalProcesses:
@@ -148,7 +146,7 @@ class LocalProcesses:
             return replace(job, state="failed", error="stopped")
         conversion = Conversion(str(job.source), str(job.target), self._options)
         self._running.add(conversion)
-        outcome = conversion.wait()
+        outcome = conversion.outcome()
         self._running.discard(conversion)
         return outcome.update(job)
 

@@ -24,11 +24,11 @@ from hframe_post.cli.options import (
     log,
     log_stages,
     number,
+    old_option,
     on_limit_option,
     open_json,
     printer_option,
     progress_bar,
-    renamed_option,
     say,
     verbose_option,
 )
@@ -88,7 +88,7 @@ class FirmwareChoice(click.Choice[str]):
     help="How far G-code for Klipper may differ from the computed motion, at most 0.1 mm; 0 writes "
     "a line for every millisecond.",
 )  # fmt: skip
-@renamed_option("--every-sample", "--tolerance", 0.0, "--tolerance 0", is_flag=True)
+@old_option("--every-sample", "use --tolerance 0", new="tolerance", value=0.0, is_flag=True)
 @click.option(
     "--retract", type=click.Choice(["standing", "moving"]), default="standing", show_default=True,
     help="For Klipper: retract before the travel as in the file, or during it where there is time.",

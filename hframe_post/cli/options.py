@@ -25,49 +25,31 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 _CHOICE = "hframe_post.choice"  # in a context's meta
 
 
-def renamed_option(
-    old: str, new: str, value: Any = None, advice: str = "", **settings: Any
-) -> Callable[[Command], Command]:
-    """Return the decorator for an option's old name: it warns and is otherwise the new option.
-
-    new: the option, or its parameter's name where that differs. value: what the old flag means
-    for the new option. advice: what to use instead, if it is not ``new``.
-    """
-
-    def use_new(context: click.Context, _: click.Parameter, given: Any) -> None:
-        if given is None or given is False or given == ():
-            return
-        say(f"Warning: {old} will be removed: use {advice or new}")
-        name = new.lstrip("-").replace("-", "_")
-        context.default_map = {
-            **(context.default_map or {}), name: given if value is None else value,
-        }  # fmt: skip
-
-    return click.option(
-        old, hidden=True, expose_value=False, is_eager=True, callback=use_new, **settings
-    )
-
-
 def old_option(
-    name: str, advice: str, *short: str, removed: bool = False, expose_value: bool = True,
-    **settings: Any,
+    name: str, advice: str, *short: str, removed: bool = False, new: str = "", value: Any = None,
+    expose_value: bool = True, **settings: Any,
 ) -> Callable[[Command], Command]:  # fmt: skip
     """Return the decorator for a hidden option whose use is a warning, or an error if removed.
 
-    advice: what to do instead. expose_value: whether the command receives the value.
+    advice: what to do instead. new: parameter that gets the value in its place, or ``value`` where
+    the old option is a flag. expose_value: whether the command receives the old option.
     """
 
-    def check(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+    def check(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
         source = context.get_parameter_source(parameter.name or "")
-        if source is click.core.ParameterSource.COMMANDLINE:
-            if removed:
-                raise click.UsageError(f"{name} was removed: {advice}")
-            say(f"Warning: {name} will be removed: {advice}")
-        return value
+        if source is not click.core.ParameterSource.COMMANDLINE:
+            return given
+        if removed:
+            raise click.UsageError(f"{name} was removed: {advice}")
+        say(f"Warning: {name} will be removed: {advice}")
+        if new:
+            replacement = {new: given if value is None else value}
+            context.default_map = {**(context.default_map or {}), **replacement}
+        return given
 
     return click.option(
-        name, *short, hidden=True, callback=check, expose_value=expose_value and not removed,
-        **settings,
+        name, *short, hidden=True, callback=check, is_eager=bool(new),
+        expose_value=expose_value and not removed and not new, **settings,
     )  # fmt: skip
 
 
@@ -115,7 +97,7 @@ on_limit_option = click.option(
 
 
 def force_option(command: Command) -> Command:
-    command = renamed_option("--i-know", "--force", is_flag=True)(command)
+    command = old_option("--i-know", "use --force", new="force", is_flag=True)(command)
     return click.option(
         "--force", is_flag=True,
         help="Compensate even if the profile's plant was not measured on your printer.",
@@ -185,10 +167,10 @@ def share(text: str) -> float:
 
 
 def position(text: str) -> tuple[float, float]:
-    values = [number(part) for part in text.split(",")]
-    if len(values) != 2 or any(map(math.isnan, values)):
-        raise click.BadParameter(f"{text!r} is not X,Y in mm")
-    x, y = values
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
     if not (abs(x) < 1e4 and abs(y) < 1e4):
         raise click.BadParameter(f"{text!r} is more than 10 m away")
     return round(x, 3), round(y, 3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 
@@ -113,10 +112,10 @@ def _ask(kinematics: str | None, description: str | None, name: str) -> Known:
 
 
 def _range(text: str) -> tuple[float, float]:
-    values = [number(part) for part in text.split(",")]
-    if len(values) != 2 or any(map(math.isnan, values)):
-        raise click.BadParameter(f"{text!r} is not two numbers such as 0,280")
-    low, high = values
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not two numbers such as 0,280") from None
     if not -1e4 <= low < high <= 1e4:
         raise click.BadParameter(f"{text!r}: the first must be the smaller, both within ±10000 mm")
     return low, high

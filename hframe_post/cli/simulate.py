@@ -17,7 +17,6 @@ from hframe_post.cli.options import (
     open_json,
     opened,
     print_options,
-    renamed_option,
     seed_option,
     share,
 )
@@ -58,7 +57,9 @@ from hframe_post.writers.files import Outputs
     help="Compare with input shapers: with the best frequency and damping for this printer, and as "
     "Klipper's calibration would set them.",
 )  # fmt: skip
-@renamed_option("--against", "--shapers", value=True, type=click.Choice(["shapers"]))
+@old_option(
+    "--against", "use --shapers", new="shapers", value=True, type=click.Choice(["shapers"])
+)  # fmt: skip
 @old_option("--layers", "use --json or --report", is_flag=True)
 @json_option
 @click.option(

@@ -242,15 +242,6 @@ def text(known: Known) -> str:
 extends = "{base}"
 description = {json.dumps(known.description, ensure_ascii=False)}
 
-{_machine(known)}
-{_klipper(known)}
-[plant]                 # Not measured yet, so nothing is compensated until `hframe-post
-invented = true         # identify` has written your printer's plant here (docs/identify.md)
-"""
-
-
-def _machine(known: Known) -> str:
-    return f"""\
 [kinematics]
 type = "{known.kinematics}"
 
@@ -272,6 +263,10 @@ extruder_corner_velocity = {known.extruder_corner_velocity:g}  # instantaneous_c
 # [motors]              # limits of every command; without this table, the base profile's
 # belt_velocity = …
 # belt_acceleration = …
+
+{_klipper(known)}
+[plant]                 # Not measured yet, so nothing is compensated until `hframe-post
+invented = true         # identify` has written your printer's plant here (docs/identify.md)
 """
 
 

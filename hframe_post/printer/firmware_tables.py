@@ -97,21 +97,7 @@ class Firmware:
     marlin: MarlinTable | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A firmware's table: its class, a description, and why it needs ``[steps]``, if it does."""
-
-    kind: type
-    holds: str
-    steps: str = ""
-
-
-TABLES = {
-    "klipper": Table(KlipperTable, "Klipper's own limits"),
-    "marlin": Table(MarlinTable, "Marlin's own settings", "Marlin needs whole steps"),
-}
-
-
+TABLES: dict[str, type] = {"klipper": KlipperTable, "marlin": MarlinTable}
 REPRAPFIRMWARE_REMOVED = (
     "support for RepRapFirmware was removed, because its output was never run on the real "
     f"firmware: choose one of {', '.join(TABLES)}"
@@ -120,13 +106,12 @@ NAMES = ("harmless", "returns")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
 
-def named(dialect: str, key: str = "", source: str = "") -> Table:
-    """Return the table of the firmware with that name. Raises PrinterError."""
+def named(dialect: str, key: str = "", source: str = "") -> None:
+    """Raise PrinterError if no firmware has that name."""
     if dialect == "reprapfirmware":
         raise PrinterError(REPRAPFIRMWARE_REMOVED, key, source)
     if dialect not in TABLES:
         raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
-    return TABLES[dialect]
 
 
 def load_firmware(table: dict[str, Any]) -> Firmware:
@@ -142,8 +127,8 @@ def load_firmware(table: dict[str, Any]) -> Firmware:
         if not isinstance(table[name], dict):
             raise PrinterError("the table is missing", f"firmware.{name}")
     tables: dict[str, Any] = {
-        name: checked(each.kind, table[name], f"firmware.{name}")
-        for name, each in TABLES.items()
+        name: checked(kind, table[name], f"firmware.{name}")
+        for name, kind in TABLES.items()
         if name in table
     }
     tables |= {key: _names(table.get(key, []), f"firmware.{key}") for key in NAMES}
@@ -161,9 +146,10 @@ def _names(value: Any, key: str) -> tuple[str, ...]:
 
 def check_needs(firmware: Firmware, steps_known: bool) -> None:
     """Raise PrinterError if the firmware needs a table that the profile does not have."""
-    needed = named(firmware.dialect, "firmware.dialect")
-    if getattr(firmware, firmware.dialect) is None:
-        cause = f"the table is missing: {needed.holds}"
-        raise PrinterError(cause, f"firmware.{firmware.dialect}")
-    if needed.steps and not steps_known:
-        raise PrinterError(f"the table is missing: {needed.steps}", "steps")
+    dialect = firmware.dialect
+    named(dialect, "firmware.dialect")
+    if getattr(firmware, dialect) is None:
+        holds = "Klipper's own limits" if dialect == "klipper" else "Marlin's own settings"
+        raise PrinterError(f"the table is missing: {holds}", f"firmware.{dialect}")
+    if dialect == "marlin" and not steps_known:
+        raise PrinterError("the table is missing: Marlin needs whole steps", "steps")

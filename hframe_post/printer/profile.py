@@ -7,7 +7,7 @@ import tomllib
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hframe_post.arrays import TS
 from hframe_post.errors import PrinterError, one_line
@@ -15,12 +15,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.schema import (
-    checked,
-    checked_value,
-    known_keys,
-    roots,
-)
+from hframe_post.printer.schema import checked, checked_value, known_keys, roots
 from hframe_post.printer.settings import (
     PLACES,
     SHARE,
@@ -36,6 +31,7 @@ from hframe_post.printer.settings import (
     Verified,
 )
 
+T = TypeVar("T")
 LARGEST_FILE = 1 << 20  # bytes of a profile
 
 
@@ -125,6 +121,14 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     if plant.Gxtheta is not None and not kinematics.racks:
         cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
         raise PrinterError(cause, "plant.Gxtheta")
+
+    def optional_table(kind: type[T]) -> T | None:
+        name = kind.__name__.lower()
+        return checked(kind, document[name], name) if name in document else None
+
+    uncertainty = document["plant"].get("uncertainty")
+    if uncertainty is not None:
+        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
     printer = Printer(
         name,
         description,
@@ -132,7 +136,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Limits, document["limits"], "limits"),
         kinematics,
         checked(Motors, document["motors"], "motors"),
-        checked(Steps, document["steps"], "steps") if "steps" in document else None,
+        optional_table(Steps),
         checked(Compensation, document["compensation"], "compensation"),
         load_firmware(document["firmware"]),
         plant,
@@ -141,10 +145,8 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         _verified(document),
         checked_value(bool, document["plant"].get("invented", False), {}, "plant.invented"),
         checked(Speed, document.get("speed", {}), "speed"),
-        checked(Retraction, document["retraction"], "retraction")
-        if "retraction" in document
-        else None,
-        _uncertainty(document["plant"]),
+        optional_table(Retraction),
+        uncertainty,
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
@@ -216,13 +218,6 @@ def _plant(table: dict[str, Any]) -> Plant:
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
-
-
-def _uncertainty(table: dict[str, Any]) -> float | None:
-    if "uncertainty" not in table:
-        return None
-    share: float = checked_value(float, table["uncertainty"], SHARE, "plant.uncertainty")
-    return share
 
 
 def _transfer_function(table: Any, key: str) -> TransferFunction:

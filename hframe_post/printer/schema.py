@@ -88,7 +88,8 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
         raise PrinterError("must be one line of printable text", key)
     choices = rules.get("choices")
     if choices and value not in choices:
-        raise PrinterError(f"must be one of {', '.join(map(_shown, choices))}", key)
+        shown = (choice if isinstance(choice, str) else f"{choice:g}" for choice in choices)
+        raise PrinterError(f"must be one of {', '.join(shown)}", key)
     return value
 
 
@@ -119,10 +120,6 @@ def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
         if rule in rules and not holds(value, rules[rule]):
             raise PrinterError(f"must be {words} {rules[rule]:g}, it is {value:g}", key)
     return hint(value)
-
-
-def _shown(choice: str | float) -> str:
-    return choice if isinstance(choice, str) else f"{choice:g}"
 
 
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:

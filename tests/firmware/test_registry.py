@@ -68,7 +68,7 @@ def test_firmware_without_its_table_is_an_error_in_the_library() -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_every_number_of_a_firmwares_table_has_bounds(name: str) -> None:
-    for member in fields(TABLES[name].kind):
+    for member in fields(TABLES[name]):
         if "float" in str(member.type) or "int" in str(member.type):
             assert member.metadata.keys() & {"above", "least"}, member.name
             assert member.metadata.keys() & {"below", "most"}, member.name
