@@ -25,7 +25,7 @@ from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import lines_of, reread
-from hframe_post.gcode.options import Extrusion, LimitSource
+from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of

@@ -24,7 +24,7 @@ from hframe_post.cli.options import (
     say,
 )
 from hframe_post.errors import HframeError
-from hframe_post.gcode.options import LimitSource
+from hframe_post.gcode.state import LimitSource
 from hframe_post.printer.profile import check_identified
 from hframe_post.writers.files import Outputs
 

@@ -38,7 +38,7 @@ from hframe_post.conversion.pipeline import TOLERANCE, Retract
 from hframe_post.errors import HframeError, one_line
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.firmware.registry import firmware as firmware_of
-from hframe_post.gcode.options import Extrusion, LimitSource
+from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.firmware_tables import named

@@ -21,7 +21,7 @@ from hframe_post.cli.options import (
     share,
 )
 from hframe_post.conversion.pipeline import Options
-from hframe_post.gcode.options import Extrusion, LimitSource
+from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle

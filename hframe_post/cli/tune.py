@@ -23,7 +23,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.gcode.options import Extrusion, LimitSource
+from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer

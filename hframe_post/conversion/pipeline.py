@@ -33,8 +33,8 @@ from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.options import Extrusion, LimitSource, ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan

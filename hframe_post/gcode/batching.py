@@ -10,8 +10,7 @@ from hframe_post.arrays import Array, E, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.curves import FARTHEST
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.options import Bed
-from hframe_post.gcode.state import State
+from hframe_post.gcode.state import Bed, State
 from hframe_post.native import kernel
 from hframe_post.stream.types import (
     Handling,

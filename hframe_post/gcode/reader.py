@@ -39,8 +39,7 @@ from hframe_post.gcode.lexer import (
     uncommented,
 )
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.options import Bed, ReadOptions
-from hframe_post.gcode.state import AXES, State
+from hframe_post.gcode.state import AXES, Bed, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 MAX_DWELL = 24 * 3600.0  # s

@@ -104,9 +104,8 @@ class Lpfbs:
     def __init__(self, G: TransferFunction, window: Window) -> None:
         self.window = window
         self._basis = uniform_basis(window.L, window.degree)
-        K_target, K_past, step_target, step_past = _solve(G, window)
-        self._K_target, self._K_past = K_target[: window.n_up], K_past[: window.n_up]
-        self._step_target, self._recursion = step_target, Recursion(step_past)
+        self._K_target, self._K_past, self._step_target, step_past = _solve(G, window)
+        self._recursion = Recursion(step_past)
         self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
         if not self.radius < 1.0:
@@ -156,8 +155,9 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     """Return the gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next.
 
     Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
-    difference: eq. 39 with the past exact and an effort penalty. Shapes (n_C, L_C),
-    (n_C, d + m + 1), (d + m + 1, L_C), (d + m + 1, d + m + 1).
+    difference: eq. 39 with the past exact and an effort penalty. Of p_C, the first n_up are kept;
+    s = (z, p_P) becomes step_target x_d + step_past s. Shapes (n_up, L_C), (n_up, d + m + 1),
+    (d + m + 1, L_C), (d + m + 1, d + m + 1).
     """
     N_P, N_C, D_P, D_C = window_splines(w)
     lifted, O, _, _ = G.lifted(w.L_C)
@@ -171,24 +171,16 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
             "without influence on the window; take smaller n_C or larger effort"
         )
     pinv = (Vt.T / sigma) @ U.T
-    K_target = pinv[:, : w.L_C]
     free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_P]])
-    K_past = -pinv @ free
-    step_target, step_past = _step(G, w, N_P, N_C, K_target, K_past)
-    return K_target, K_past, step_target, step_past
+    K_target, K_past = pinv[: w.n_up, : w.L_C], (-pinv @ free)[: w.n_up]
 
-
-def _step(
-    G: TransferFunction, w: Window, N_P: Array, N_C: Array, K_target: Array, K_past: Array
-) -> tuple[Array, Array]:
-    """Return the step of s = (plant state z, p_P): s_next = step_target x_d + step_past s."""
-    d, past, T = G.order, w.degree + 1, w.stride
+    past, T = w.degree + 1, w.stride
     _, _, A_T, R = G.lifted(T)
     reach_C, reach_P = R @ N_C[:T, : w.n_up], R @ N_P[:T]
-    kept_target, kept_past = K_target[: w.n_up], K_past[: w.n_up]
-    z_target = reach_C @ kept_target
-    z_past = reach_C @ kept_past + np.hstack([A_T, reach_P])
-    points_target = np.vstack([np.zeros((past, w.L_C)), kept_target])[-past:]
-    old = np.hstack([np.zeros((past, d)), np.eye(past)])
-    points_past = np.vstack([old, kept_past])[-past:]
-    return np.vstack([z_target, points_target]), np.vstack([z_past, points_past])
+    z_target = reach_C @ K_target
+    z_past = reach_C @ K_past + np.hstack([A_T, reach_P])
+    points_target = np.vstack([np.zeros((past, w.L_C)), K_target])[-past:]
+    old = np.hstack([np.zeros((past, G.order)), np.eye(past)])
+    points_past = np.vstack([old, K_past])[-past:]
+    step_target, step_past = np.vstack([z_target, points_target]), np.vstack([z_past, points_past])
+    return K_target, K_past, step_target, step_past

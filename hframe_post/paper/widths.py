@@ -10,8 +10,8 @@ import numpy as np
 from hframe_post.arrays import Array, E, X, Y, Z
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.predict import predict

@@ -22,8 +22,7 @@ from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_W
 from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.options import Bed
-from hframe_post.gcode.state import AXES, State
+from hframe_post.gcode.state import AXES, Bed, State
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
 

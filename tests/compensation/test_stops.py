@@ -14,8 +14,8 @@ from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.stops import LONGEST, hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.pipeline import prepared
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge

@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode import batching
-from hframe_post.gcode.options import LimitSource
+from hframe_post.gcode.state import LimitSource
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

@@ -14,8 +14,8 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

@@ -19,7 +19,7 @@ from hframe_post.arrays import Z
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.gcode.options import Extrusion
+from hframe_post.gcode.state import Extrusion
 from hframe_post.identification.recordings import accelerometer, excitation
 from hframe_post.planner.lookahead import MELTED
 from hframe_post.printer.profile import load, parse, played_by, shipped

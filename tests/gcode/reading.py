@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from hframe_post.gcode.commands import dialect
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Item, Moves, Passthrough
 
 HOME = ["G90", "M83", "G1 X0 Y0 Z0 F6000"]  # verbatim; all is known after it

@@ -11,8 +11,8 @@ from hframe_post import native
 from hframe_post.errors import GcodeError, LimitError
 from hframe_post.gcode import batching, lines
 from hframe_post.gcode.commands import KLIPPER, MARLIN
-from hframe_post.gcode.options import Extrusion, ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import Extrusion, ReadOptions
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
 from tests.gcode.reading import HOME, carried, items, moves

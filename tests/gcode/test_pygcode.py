@@ -18,8 +18,8 @@ from pygcode.words import text2words
 
 from hframe_post.gcode.commands import KLIPPER, MOTION_WORDS
 from hframe_post.gcode.lexer import Line, command, numbers, uncommented
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Moves, Standing
 from tests.conftest import SAMPLES
 from tests.slices import SLICES

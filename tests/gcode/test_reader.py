@@ -16,8 +16,8 @@ from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import batching, curves
 from hframe_post.gcode.commands import KLIPPER, dialect
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Handling, Mark, Moves, Passthrough, Standing
 from tests.gcode.reading import HOME, carried, ends, items, moves
 

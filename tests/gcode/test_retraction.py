@@ -7,8 +7,8 @@ import pytest
 from hframe_post.arrays import E
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.extrusion import DEFAULT_DURATION
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Retraction
 from hframe_post.stream.types import Item, Moves, Passthrough, Standing
 

@@ -13,7 +13,7 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
-from hframe_post.gcode.options import LimitSource
+from hframe_post.gcode.state import LimitSource
 from hframe_post.printer import profile
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES

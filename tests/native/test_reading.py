@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hframe_post import native
 from hframe_post.errors import HframeError
 from hframe_post.gcode.commands import DIALECTS
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.native import Kernel
 from hframe_post.printer.settings import Printer
 from tests.conftest import ROOT, SAMPLES

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hframe_post.gcode.commands import dialect
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.pacing import Pace, Paces, pace
 from hframe_post.stream.features import KINDS, OTHER, kind
 from hframe_post.stream.types import Item, Moves

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pytest
 
-from hframe_post.gcode.options import ReadOptions
 from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves
 from hframe_post.studies.inputs import Piece, excerpt
