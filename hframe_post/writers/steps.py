@@ -48,31 +48,30 @@ LATEST = 1e-3  # s that a step may be late beyond direction_setup
 HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE: "yielded"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class StepCounts:
-    """Counts by motor (4,): all steps, and forward minus backward steps.
+    """Counts by motor (4,) so far: all steps, and forward minus backward steps.
 
-    ticks: of the whole print; starts: number of ``Start`` items; passed: mm of filament in lines
-    passed on.
+    starts: number of ``Start`` items; passed: mm of filament in lines passed on; ticks: of the
+    whole print, at its end.
     """
 
     steps: Integers
     net: Integers
-    ticks: int
-    starts: int
-    passed: float
+    starts: int = 0
+    passed: float = 0.0
+    ticks: int = 0
 
 
 class Stepper:
-    """Stage that turns a strategy's command into steps.
+    """Stage that turns a strategy's command into steps, and ``counts`` them.
 
     Keeps the samples whose intervals are not finished, and steps that are not yet in order.
     """
 
     def __init__(self, strategy: str, kinematics: Kinematics, table: Steps) -> None:
         self._strategy, self._kinematics = strategy, kinematics
-        self._steps, self._net = np.zeros((2, len(MOTORS)), dtype=np.int64)
-        self._ticks, self._starts, self._passed = 0, 0, 0.0
+        self.counts = StepCounts(*np.zeros((2, len(MOTORS)), dtype=np.int64))
         self._lengths = np.array([table.belt, table.belt, table.z, table.e])
         self._per_sample, self._clock = table.clock_hz * TS, table.clock_hz
         self._motors = [_Motor(letter, table) for letter in MOTORS]
@@ -93,14 +92,7 @@ class Stepper:
             self._known = False
         yield from self._rest(self._end)
         yield End(self._floor)
-        self._ticks = self._floor
-
-    @property
-    def counts(self) -> StepCounts:
-        """Return the counts of all steps, once they have been yielded."""
-        return StepCounts(
-            self._steps.copy(), self._net.copy(), self._ticks, self._starts, self._passed
-        )
+        self.counts.ticks = self._floor
 
     def _chunk(self, chunk: Samples) -> Iterator[Item]:
         x, y = chunk.commands[self._strategy].T
@@ -118,7 +110,7 @@ class Stepper:
                 yield from self._rest(event.index)
                 name = HANDLINGS[event.action.handling]
                 if event.action.handling is Handling.RELEASE:
-                    self._passed += event.action.filament
+                    self.counts.passed += event.action.filament
                     name = name if event.action.text else "end"
                 self._notes.append(Note(self._floor, name, event.action.text))
         yield from self._take(u[done:], chunk, done)
@@ -137,7 +129,7 @@ class Stepper:
             self._u, self._line = np.repeat(u[:1], 2, axis=0), np.repeat(line[:1], 2)
             tick = max(self._tick(self._index), self._floor)
             yield from self._emit(tick + 1)  # what was noted on the way here
-            self._starts += 1
+            self.counts.starts += 1
             yield Start(tick, tuple(np.floor(u[0]).astype(int).tolist()))
             u, line = u[1:], line[1:]
         for k in range(0, len(u), SAMPLES_AT_ONCE):
@@ -169,8 +161,8 @@ class Stepper:
             due = np.maximum(np.ceil(time).astype(np.int64), self._floor + 1)
             ticks = motor.place(due, direction, self._line[2:][interval])
             keys.append((ticks << KEY_BITS) + (2 * k + (direction > 0)))
-            self._steps[k] += len(ticks)
-            self._net[k] += int(direction.sum())
+            self.counts.steps[k] += len(ticks)
+            self.counts.net[k] += int(direction.sum())
         self._keys = np.sort(np.concatenate(keys), kind="stable")  # merges what is sorted
         self._u, self._line, self._index = self._u[n:], self._line[n:], self._index + n
 
