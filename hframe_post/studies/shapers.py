@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from hframe_post.studies.inputs import excerpt
 PIECES = 5  # of a print, of some seconds each, on which settings are compared
 HZ = np.geomspace(12.0, 120.0, 14)  # of the grid search
 DAMPING = (0.05, 0.15, 0.3)
+BY_ERROR = attrgetter("rms")
 
 # Klipper's calibration (klippy/extras/shaper_calibrate.py)
 KLIPPER = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
@@ -121,17 +122,12 @@ def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
 
 def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
     """Return the shaping with its RMS contour error (mm) on the extruding samples of paths."""
-    off = [
-        contour_error(path, _nozzle(plant, shaping, path)[at], at)
-        for path, counted in paths
-        for at in [np.flatnonzero(counted)]
-    ]
+    off, x, y = list[Array](), shaping.x.shaper, shaping.y.shaper
+    for path, counted in paths:
+        command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
+        at = np.flatnonzero(counted)
+        off.append(contour_error(path, Response(plant, path[0]).run(command)[at], at))
     return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
-
-
-def _nozzle(plant: Plant, shaping: Shaping, path: Array) -> Array:
-    command = np.column_stack([shaping.x.shaper.run(path[:, X]), shaping.y.shaper.run(path[:, Y])])
-    return Response(plant, path[0]).run(command)
 
 
 def best(plant: Plant, paths: Paths, name: str) -> Shaping:
@@ -142,38 +138,30 @@ def best(plant: Plant, paths: Paths, name: str) -> Shaping:
     """
     from scipy.optimize import minimize
 
-    def rms(x: AxisShaping, y: AxisShaping) -> float:
-        return error(plant, Shaping(x, y), paths).rms
+    def tried(x: AxisShaping, y: AxisShaping) -> Shaping:
+        return error(plant, Shaping(x, y), paths)
+
+    def tried_at(v: Array) -> Shaping:
+        hz = np.exp(np.clip(v[:2], np.log(HZ[0] / 2.0), np.log(2.0 * HZ[-1]))).tolist()
+        damping = np.clip(v[2:], 0.0, 0.6).tolist()
+        return tried(AxisShaping(name, hz[X], damping[X]), AxisShaping(name, hz[Y], damping[Y]))
 
     grid = [AxisShaping(name, float(hz), damping) for hz in HZ for damping in DAMPING]
-    x = y = AxisShaping(name, 40.0, DAMPING[1])
+    y = AxisShaping(name, 40.0, DAMPING[1])
     for _ in range(2):
-        x = min(grid, key=partial(lambda y, x: rms(x, y), y))
-        y = min(grid, key=partial(rms, x))
-
-    def chosen(v: Array) -> tuple[AxisShaping, AxisShaping]:
-        hz = np.exp(np.clip(v[:2], np.log(HZ[0] / 2.0), np.log(2.0 * HZ[-1])))
-        damping = np.clip(v[2:], 0.0, 0.6)
-        return (
-            AxisShaping(name, float(hz[X]), float(damping[X])),
-            AxisShaping(name, float(hz[Y]), float(damping[Y])),
-        )
-
+        x = min((tried(x, y) for x in grid), key=BY_ERROR).x
+        found = min((tried(x, y) for y in grid), key=BY_ERROR)
+        y = found.y
     start = np.array([np.log(x.hz), np.log(y.hz), x.damping, y.damping])
-    found = minimize(
-        lambda v: rms(*chosen(v)), start, method="Nelder-Mead", options={"maxfev": 120}
+    refined = minimize(
+        lambda v: tried_at(v).rms, start, method="Nelder-Mead", options={"maxfev": 120}
     )
-    refined = chosen(found.x)
-    return min(
-        (error(plant, Shaping(*pair), paths) for pair in ((x, y), refined)),
-        key=lambda tried: tried.rms,
-    )
+    return min(found, tried_at(refined.x), key=BY_ERROR)
 
 
 def search(plant: Plant, paths: Paths) -> list[Shaping]:
     """Return every shaper with its best settings for these paths, the most accurate first."""
-    found = [best(plant, paths, name) for name in SHAPERS]
-    return sorted(found, key=lambda tried: tried.rms)
+    return sorted((best(plant, paths, name) for name in SHAPERS), key=BY_ERROR)
 
 
 def calibrated(plant: Plant) -> Shaping:

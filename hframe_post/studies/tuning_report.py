@@ -174,23 +174,19 @@ def trade_off(
 
 
 def _pareto(axis: Axes, pace: Pareto) -> None:
-    """Draw contour error against time: all points, and those that none beats in both."""
     able = [point for point in pace.points if not point.trial.refused]
     quickest = min(point.trial.seconds for point in able)
 
-    def longer(found: Sequence[Point]) -> list[float]:
-        return [100.0 * (point.trial.seconds / quickest - 1.0) for point in found]
+    def placed(points: Sequence[Point]) -> tuple[list[float], list[float]]:
+        longer = [100.0 * (point.trial.seconds / quickest - 1.0) for point in points]
+        return longer, [point.trial.robust * 1e3 for point in points]
 
-    def robust(found: Sequence[Point]) -> list[float]:
-        return [point.trial.robust * 1e3 for point in found]
-
-    axis.semilogy(longer(able), robust(able), ".", color="#bbbbbb", label="all, under model error")
+    axis.semilogy(*placed(able), ".", color="#bbbbbb", label="all, under model error")
     model = [point.trial.contour.rms * 1e3 for point in pace.front]
-    axis.plot(longer(pace.front), model, "-o", ms=3, label="the model")
-    axis.plot(longer(pace.front), robust(pace.front), "--o", ms=3, label="under model error")
+    axis.plot(placed(pace.front)[0], model, "-o", ms=3, label="the model")
+    axis.plot(*placed(pace.front), "--o", ms=3, label="under model error")
     if pace.chosen is not None:
-        chosen = [pace.chosen]
-        axis.plot(longer(chosen), robust(chosen), "*", ms=12, color="k", label="chosen")
+        axis.plot(*placed([pace.chosen]), "*", ms=12, color="k", label="chosen")
     axis.set(xlabel="more time than the quickest, %", ylabel="RMS contour error, µm")
     axis.set_title("acceleration, jerk, λ and L together", fontsize=8)
     axis.legend()

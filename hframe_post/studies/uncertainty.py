@@ -8,6 +8,8 @@ nozzle at rest is where its steps put it. Only the gain of racking is random.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hframe_post.arrays import Complex
@@ -28,16 +30,14 @@ def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
 def perturbed(plant: Plant, factors: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Plant:
     """Return the plant with factors (3, 3) on frequency, damping and gain of Gxx, Gyy, Gxθ."""
     (fx, dx, _), (fy, dy, _), (ft, dt, gain) = factors
-    Gxx, Gyy = (
-        _at_rest(_moved(G, *f), 1.0) for G, f in ((plant.Gxx, (fx, dx)), (plant.Gyy, (fy, dy)))
-    )
+    Gxx, Gyy = _moved(plant.Gxx, fx, dx), _moved(plant.Gyy, fy, dy)
+    Gxx, Gyy = (replace(G, gain=G.gain / G.dc_gain) for G in (Gxx, Gyy))
     if plant.Gxtheta is None:
         return Plant(Gxx, Gyy, None, plant.x_c)
     slope = _slope(plant.Gxtheta)
     Gxtheta = _moved(plant.Gxtheta, ft, dt)
     scale = gain * slope / _slope(Gxtheta)
-    Gxtheta = TransferFunction(Gxtheta.zeros, Gxtheta.poles, Gxtheta.gain * scale)
-    return Plant(Gxx, Gyy, Gxtheta, plant.x_c)
+    return Plant(Gxx, Gyy, replace(Gxtheta, gain=Gxtheta.gain * scale), plant.x_c)
 
 
 def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:
@@ -64,10 +64,6 @@ def _moved_roots(roots: Complex, frequency: float, damping: float) -> Complex:
         if abs(new.imag) < np.pi:
             moved[k] = np.exp(new)
     return moved
-
-
-def _at_rest(G: TransferFunction, gain: float) -> TransferFunction:
-    return TransferFunction(G.zeros, G.poles, G.gain * gain / G.dc_gain)
 
 
 def _slope(G: TransferFunction) -> float:

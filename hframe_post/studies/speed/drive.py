@@ -109,9 +109,7 @@ class Drive:
         printer, options = self.configured(settings)
         assert options.paces is not None
         meter = self._meter(settings)
-        stages = Stages(
-            printer, self._options, self._compensator, self._options.strategies, self._at_stops
-        )
+        stages = Stages(printer, self._options, self._compensator, at_stops=self._at_stops)
         refused = ""
         try:
             for piece in pieces:
