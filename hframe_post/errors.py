@@ -12,6 +12,10 @@ def one_line(text: str) -> str:
     return text if text.isprintable() else "".join(shown)
 
 
+def _place(line: int | None) -> str:
+    return "" if line is None else f"line {line}: "
+
+
 class HframeError(Exception):
     """Any error that a user can cause; its ``str`` is one line."""
 
@@ -24,9 +28,8 @@ class GcodeError(HframeError):
 
     def __init__(self, cause: str, line: int | None = None, text: bytes = b"") -> None:
         self.cause, self.line, self.text = cause, line, text
-        where = "" if line is None else f"line {line}: "
         shown = text.strip()[:80].decode("latin-1")
-        super().__init__(where + cause + (f": {shown!r}" if shown else ""))
+        super().__init__(_place(line) + cause + (f": {shown!r}" if shown else ""))
 
 
 class PrinterError(HframeError):
@@ -42,8 +45,7 @@ class StepFileError(HframeError):
 
     def __init__(self, cause: str, path: Path, line: int | None = None) -> None:
         self.cause, self.path, self.line = cause, path, line
-        where = "" if line is None else f"line {line}: "
-        super().__init__(f"{path}: {where}{cause}")
+        super().__init__(f"{path}: {_place(line)}{cause}")
 
 
 class IdentificationError(HframeError):
@@ -57,7 +59,7 @@ class LimitError(HframeError):
         self, quantity: str, value: float, bound: float, line: int | None, advice: str
     ) -> None:
         self.quantity, self.value, self.bound, self.line = quantity, value, bound, line
-        where = "" if line is None else f"line {line}: "
         super().__init__(
-            f"{where}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; " + advice
+            f"{_place(line)}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
+            + advice
         )

@@ -220,7 +220,8 @@ class _Window:
     def solve(self, stop: Stop) -> None:
         around = Surroundings(self._path, self._origin, self._extruding)
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
-        local = stop.shifted(-self._first)
+        n = self._first
+        local = replace(stop, a=stop.a - n, b=stop.b - n, ends=stop.ends - n)
         for track in self._tracks.values():
             z = self._state_before(stop.a - BESIDE, track)
             track.command[changed] = track.solver.solve(around, track.command, z, local)

@@ -95,8 +95,7 @@ class _Reader:
             return
         name, arguments = coded
         if name in commands.MOTION_WORDS:
-            words = numbers(line, arguments, commands.MOTION_WORDS[name])
-            self._apply_motion(line, name, words)
+            self._apply_motion(line, name, numbers(line, arguments, commands.MOTION_WORDS[name]))
         elif name in commands.UNSUPPORTED:
             raise line.error(f"{name}: {commands.UNSUPPORTED[name]} are not supported")
         elif name in commands.LIMIT_WORDS:

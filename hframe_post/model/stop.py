@@ -88,11 +88,12 @@ class StopSolver:
         after.
         """
         rows = Rows.from_stop(around, stop)
-        splines = self._splines(
-            stop.before, stop.after, stop.movable, min(stop.b - stop.a, HOLD_ROWS)
-        )
+        a, b = stop.a, stop.b
+        # with two samples more on either side for second differences, and a shortened hold
+        hold = np.repeat(command[a : a + 1], min(b - a, HOLD_ROWS), axis=0)
+        known = np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
+        splines = self._splines(stop.before, stop.after, stop.movable, len(hold))
         nozzle = self.filters.nozzle(around, command, z, stop, splines.columns)
-        known = _rows_of_D(command, stop)
         weights = _BoundWeights.initial(known, self._bed - around.origin[:, None])
         p = best = np.zeros(2 * len(splines.columns))
         least = np.inf
@@ -231,13 +232,6 @@ class _BoundWeights:
             bed=np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed),
             inside=np.where(out, inwards, self.inside),
         )
-
-
-def _rows_of_D(command: Array, stop: Stop) -> Array:
-    """Return the command (r, 2) from two samples before to two after, with a shortened hold."""
-    a, b = stop.a, stop.b
-    hold = np.repeat(command[a : a + 1], min(b - a, HOLD_ROWS), axis=0)
-    return np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
 
 
 def _graded_splines() -> tuple[Array, Array]:

@@ -68,9 +68,6 @@ class Stop:
     movable: bool
     ends: int
 
-    def shifted(self, n: int) -> Stop:
-        return replace(self, a=self.a + n, b=self.b + n, ends=self.ends + n)
-
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:

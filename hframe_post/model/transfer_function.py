@@ -150,9 +150,12 @@ def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
     Poles nearest to the unit circle choose first, so that no section has a large gain. Complex
     zeros come in pairs and need a section of two poles; enough of these are reserved for them.
     """
-    upper, real = upper_and_real(zeros)
-    pairs, single = [np.array([z, z.conjugate()]) for z in upper], list(real)
-    groups = sorted(_groups(poles), key=lambda group: -np.abs(group).max())
+    pairs, real = _pairs_and_real(zeros)
+    single = list(real)
+    groups, real = _pairs_and_real(poles)
+    real = np.sort(real.real).astype(complex)
+    groups += [real[k : k + 2] for k in range(0, len(real), 2)]  # a last one may be alone
+    groups.sort(key=lambda group: -np.abs(group).max())
     sections = []
     for number, group in enumerate(groups, 1):
         distance, room = _distance_to(group[0]), len(group)
@@ -164,20 +167,14 @@ def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
             chosen = pairs.pop(0)
         else:
             chosen, single = np.array(single[:room], complex), single[room:]
-        sections.append((_monic(chosen), _monic(group)))
+        num, den = (np.atleast_1d(np.poly(roots).real) for roots in (chosen, group))
+        sections.append((num, den))
     return sections
 
 
-def _groups(poles: Complex) -> list[Complex]:
-    """Return the poles in twos that make real polynomials; a last real one may be alone."""
-    upper, real = upper_and_real(poles)
-    real = np.sort(real.real).astype(complex)
-    pairs = [np.array([p, p.conjugate()]) for p in upper]
-    return pairs + [real[k : k + 2] for k in range(0, len(real), 2)]
-
-
-def _monic(roots: Complex) -> Array:
-    return np.atleast_1d(np.asarray(np.poly(roots).real, dtype=float))
+def _pairs_and_real(roots: Complex) -> tuple[list[Complex], Complex]:
+    upper, real = upper_and_real(roots)
+    return [np.array([root, root.conjugate()]) for root in upper], real
 
 
 def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, float]:
