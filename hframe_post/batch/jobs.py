@@ -191,6 +191,8 @@ def run(jobs: list[Job], converter: Converter) -> Iterator[Job]:
             raise
 
 
+# ---------------------------------------------------------------------- a watched folder
+
 SUFFIXES = (".gcode", ".gco", ".g")
 UPLOAD_PAUSE = 2.0  # s without a change after which an upload counts as complete
 

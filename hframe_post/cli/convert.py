@@ -22,7 +22,6 @@ from hframe_post.cli.options import (
     json_option,
     limits_option,
     log,
-    log_stages,
     number,
     old_option,
     on_limit_option,
@@ -141,13 +140,16 @@ def convert(
         raise click.UsageError("an HTML report reads the file twice: name a file instead of '-'")
     profile = library.load_printer(printer)
     strategy = compensation or profile.compensation.strategy
-    _check_format(source, output, to_stdout or dry_run, format_name)
+    kind = _format(source, output, format_name)
+    if kind not in GCODE and output is None and not (to_stdout or dry_run):
+        raise click.UsageError(f"{kind} would replace the G-code: name an output file with -o")
     if tolerance is not None:
-        _check_tolerance(tolerance, source, output, format_name, profile, firmware)
+        _check_tolerance(tolerance, kind, profile, firmware)
     choice = chosen_printer()
-    head = [
-        *_output_as_text(os.environ), choice.as_text(), verification_as_text(profile),
-    ]  # fmt: skip
+    name_in_slicer = os.environ.get(OUTPUT_NAME)
+    head = [choice.as_text(), verification_as_text(profile)]
+    if name_in_slicer:
+        head.insert(0, f"file        {one_line(name_in_slicer)}")
     warnings = slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
     with (
@@ -175,13 +177,16 @@ def convert(
             force=force,
             jobs=jobs or processor_count(),
             page=report_file if html else None,
-            title=_shown_name(os.environ, source),
+            title=one_line(Path(name_in_slicer or source).name),
             notes=[*head, *warnings],
             outputs=outputs,
             progress=advance,
         )
         log(f"{report.read.lines} lines are converted")
-        log_stages(report.seconds)
+        total = sum(report.seconds.values())
+        for stage, spent in report.seconds.items():
+            share = 100.0 * spent / total
+            log(f"  {stage:12s}{spent:8.3f} s of the processor{share:6.1f} %")
         write_json({**choice.as_json(), **report.as_json()})
         text = "\n".join([*head, report.as_text(), *warnings])
         if text_file is not None:
@@ -199,34 +204,16 @@ def _format(source: Path, output: Path | None, name: str | None) -> str:
         raise click.UsageError(str(error)) from None
 
 
-def _check_format(source: Path, output: Path | None, harmless: bool, name: str | None) -> None:
-    kind = _format(source, output, name)
-    if kind not in GCODE and output is None and not harmless:
-        raise click.UsageError(f"{kind} would replace the G-code: name an output file with -o")
-
-
-def _check_tolerance(
-    tolerance: float, source: Path, output: Path | None, format_name: str | None, profile: Printer,
-    firmware: str | None,
-) -> None:  # fmt: skip
+def _check_tolerance(tolerance: float, kind: str, profile: Printer, firmware: str | None) -> None:
     if not (tolerance == 0.0 or 1e-4 <= tolerance <= 0.1):
         raise click.UsageError(f"--tolerance must be 0, or from 0.0001 to 0.1, not {tolerance:g}")
-    if _format(source, output, format_name) not in GCODE:
+    if kind not in GCODE:
         raise click.UsageError("--tolerance is for G-code")
     if not firmware_of(played_by(profile, firmware or profile.firmware.dialect)).decimates:
         raise click.UsageError("--tolerance is for Klipper")
 
 
 # ----------------------------------------- what slicers tell in variables SLIC3R_*
-
-
-def _output_as_text(environ: Mapping[str, str]) -> list[str]:
-    name = environ.get(OUTPUT_NAME)
-    return [f"file        {one_line(name)}"] if name else []
-
-
-def _shown_name(environ: Mapping[str, str], source: Path) -> str:
-    return one_line(Path(environ.get(OUTPUT_NAME) or source).name)
 
 
 def slicer_warnings(environ: Mapping[str, str], limits: Limits) -> list[str]:

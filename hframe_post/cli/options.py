@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -214,24 +214,6 @@ def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Itera
         yield lines()
 
 
-def figure_option(what: str) -> Callable[[Command], Command]:
-    """Return the decorator for ``--figure``, which draws ``what``."""
-    return click.option(
-        "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
-        help=f"Draw {what} (.png or .svg). Needs matplotlib: pip install 'hframe-post[plot]'.",
-    )  # fmt: skip
-
-
-def check_figure(figure: Path | None) -> None:
-    """Raise an error if the figure cannot be drawn, before any work is done."""
-    from hframe_post import plotting
-
-    if figure is not None:
-        if figure.suffix not in (".png", ".svg"):
-            raise click.UsageError("--figure must end in .png or .svg")
-        plotting.canvas(1, 1, (1.0, 1.0))
-
-
 BAR_FROM = 2_000_000  # bytes; smaller files take no time
 START = time.monotonic()
 _VERBOSE = "hframe_post.verbose"  # in a context's meta
@@ -267,10 +249,3 @@ def log(text: str) -> None:
     """Print a line with the seconds since the start, if the running command has ``-v``."""
     if click.get_current_context().meta.get(_VERBOSE):
         click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
-
-
-def log_stages(seconds: Mapping[str, float]) -> None:
-    """Log the processor time of each stage, over all threads and processes."""
-    total = sum(seconds.values())
-    for stage, spent in seconds.items():
-        log(f"  {stage:12s}{spent:8.3f} s of the processor{100.0 * spent / total:6.1f} %")

@@ -10,8 +10,6 @@ import click
 
 from hframe_post import library, plotting
 from hframe_post.cli.options import (
-    check_figure,
-    figure_option,
     files_read,
     json_option,
     number,
@@ -77,7 +75,11 @@ def weight(text: str) -> float:
     help="Number of random printers; 0 for the model alone.",
 )  # fmt: skip
 @seed_option
-@figure_option("error against motor effort, and against print time")
+@click.option(
+    "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Draw error against motor effort, and against print time (.png or .svg). Needs "
+    "matplotlib: pip install 'hframe-post[plot]'.",
+)  # fmt: skip
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write a profile with the recommended values; may be the one given with -p.",
@@ -117,7 +119,10 @@ def tune(
         with opened(source, profile, quiet=False) as lines, Outputs(reads) as outputs:
             _recommend_shaper(lines, profile, options, open_json(outputs, json_file), json_file)
         return
-    check_figure(figure)
+    if figure is not None:
+        if figure.suffix not in (".png", ".svg"):
+            raise click.UsageError("--figure must end in .png or .svg")
+        plotting.canvas(1, 1, (1.0, 1.0))  # raises before any work if it cannot be drawn
     # The profile is written last: only if there is a recommendation, and after the findings.
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None

@@ -161,7 +161,8 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     mode_shift = find_mode_shift(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
     x_runs = groups["Gxx"].runs
     arm = _lever_arm(x_runs, settings, mode_shift is not None)
-    racking = arm if arm and _above_noise(arm) else None
+    least = 1.0 if arm and arm.beyond_noise <= OFF_LINE else 3.0
+    racking = arm if arm and arm.over_noise > least else None
     if bridge.runs:
         measured["Gxtheta"] = _measured(bridge, settings)
     elif racking:
@@ -278,10 +279,6 @@ def _lever_arm(runs: list[RunResponse], settings: Settings, changes: bool) -> Li
     )
 
 
-def _above_noise(arm: Line) -> bool:
-    return arm.over_noise > (1.0 if arm.beyond_noise <= OFF_LINE else 3.0)
-
-
 def _disagreement(arm: Line, bridge: Measured) -> list[str]:
     by_bridge, by_arm = bridge.mean.H, arm.slope.H
     weight = arm.slope.power * arm.slope.coherence
@@ -293,21 +290,19 @@ def _disagreement(arm: Line, bridge: Measured) -> list[str]:
             "must be the one at the greater x, and both need their own --axes"
         )
     off = math.sqrt(float((weight * np.abs(by_bridge - by_arm) ** 2).sum()) / size)
-    if off <= 0.2:
-        return []
-    return [
+    message = (
         f"racking by the bridge's sensors is {ratio:.2f} times that by the nozzle's at several "
         f"places, and {100 * off:.0f} % off: check --bridge-length"
-    ]
+    )
+    return [message] if off > 0.2 else []
 
 
 def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:
     bounds = [one.delay_bounds for one in measured.values()]
     widest = max(high - low for low, high in bounds) / 2.0
-    if widest <= 1e-3:
-        return []
-    return [
+    message = (
         f"the start of a recording is known to ±{widest * 1e3:.1f} ms only, so x, y and racking "
         "may be late relative to each other by as much. Record with Klipper, whose files tell "
         "the start"
-    ]
+    )
+    return [message] if widest > 1e-3 else []

@@ -182,6 +182,9 @@ def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
     return RunGroup(runs, (min(low, middle), max(high, middle)))
 
 
+# ---------------------------------------------------------------------- lever arm
+
+
 @dataclass(frozen=True, slots=True)
 class Line:
     """The straight line over places, (k,) frequencies each.

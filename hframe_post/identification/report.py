@@ -171,6 +171,9 @@ class IdentificationReport:
         return ["Identified by hframe-post from:", *self.setup, *rows, *gain]
 
 
+# ---------------------------------------------------------------------- pages
+
+
 def identification_page(report: IdentificationReport, name: str) -> bytes:
     fits, measured = report.identified.fits, report.identified.measured
     cards = [

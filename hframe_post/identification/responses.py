@@ -166,6 +166,8 @@ def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:
     return replace(response, H=response.H * np.exp(2j * np.pi * response.hz * seconds))
 
 
+# ---------------------------------------------------------------------- harmonics
+
 WINDOW, HOP = 1000, 500  # samples
 LOWEST_HZ = 5.0  # below it the orders overlap
 HIGHEST_HZ = 240.0  # up to which recordings have a flat response
@@ -230,6 +232,8 @@ def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
     between = np.column_stack([order(k) for k in (1.5, 2.5, 3.5)])
     return Harmonics(hz, amplitude, np.abs(between) ** 2)
 
+
+# ---------------------------------------------------------------------- noise and distortion
 
 NOISE_FLOOR = 0.003  # relative noise of H that is assumed at the least
 # gain of a sensor, as mean and standard deviation: of any sensor, and of an exact one

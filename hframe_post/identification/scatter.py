@@ -102,6 +102,9 @@ def _relative(samples: Array, found: Array) -> tuple[float, ...]:
     return tuple((np.std(samples, axis=0) / found).tolist())
 
 
+# ---------------------------------------------------------------------- along x
+
+
 @dataclass(frozen=True, slots=True)
 class ModeShift:
     """The mode whose change along x is most certain.

@@ -155,6 +155,8 @@ def _pairs(roots: Complex) -> str:
     return "\n" + "".join(pairs) if len(roots) else ""
 
 
+# ---------------------------------------------------------------------- new profiles
+
 BASES = {
     "hbot": "paper",
     "corexy": "example-corexy",
