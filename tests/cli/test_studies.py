@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from subprocess import PIPE, CompletedProcess, Popen
+from subprocess import CompletedProcess
 from typing import Any
 
 import click
@@ -25,16 +23,6 @@ from tests.conftest import SAMPLES
 RECTANGLE = SAMPLES / "rectangle.gcode"
 SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0", "--keep-limits")  # one, on the model
 STRATEGIES = {"none", "fbs", "racking"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def papering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Popen[bytes], Path]]:
-    """``paper`` takes ten seconds: once, without the prism, beside this module's other tests."""
-    folder = tmp_path_factory.mktemp("paper") / "new" / "folder"
-    arguments = [sys.executable, "-m", "hframe_post", "paper", "-o", str(folder)]
-    with Popen(arguments, stdout=PIPE, stderr=PIPE) as process:
-        yield process, folder
-        process.kill()
 
 
 def told(done: CompletedProcess[bytes]) -> Any:
@@ -327,16 +315,9 @@ def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> 
 # ---------------------------------------------------------------------- paper
 
 
-@pytest.fixture(scope="module")
-def papered(papering: tuple[Popen[bytes], Path]) -> tuple[CompletedProcess[bytes], Path]:
-    process, folder = papering
-    out, error = process.communicate()
-    return CompletedProcess(process.args, process.returncode, out, error), folder
-
-
 @pytest.mark.paper
-def test_paper_prints_its_tables(papered: tuple[CompletedProcess[bytes], Path]) -> None:
-    done, _ = papered
+def test_paper_prints_its_tables() -> None:
+    done = run("paper")
     assert (done.returncode, done.stderr) == (0, b"")
     titles = [line for line in done.stdout.decode().splitlines() if line and line[0] != "|"]
     starts = ["Tables I, II", "Fig. 8", "Fig. 9", "Appendix C"]
@@ -345,8 +326,10 @@ def test_paper_prints_its_tables(papered: tuple[CompletedProcess[bytes], Path]) 
 
 
 @pytest.mark.paper
-def test_paper_draws_its_figures(papered: tuple[CompletedProcess[bytes], Path]) -> None:
-    done, folder = papered
+@pytest.mark.slow
+def test_paper_draws_its_figures(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    done = run("paper", "-o", folder)
     names = {f"fig{n}.{kind}" for n in ("04", "05", "08", "09") for kind in ("png", "svg")}
     names |= {"corner.png", "corner.svg"}
     assert {path.name for path in folder.iterdir()} == names | {"tables.md"}

@@ -20,6 +20,7 @@ from hframe_post.identification.nonlinearity import (
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.responses import harmonics
 from hframe_post.model.transfer_function import TransferFunction
+from tests.conftest import few
 from tests.random_printers import swept
 from tests.simulator import Axis, Chip, Machine, Mode
 
@@ -46,7 +47,7 @@ def both(machine: Machine, chip: Chip, step: float = 0.0) -> Nonlinearity | None
     return find_nonlinearity(axes, STEP)
 
 
-@pytest.mark.parametrize("noise", [4.0, 20.0])
+@pytest.mark.parametrize("noise", few([20.0, 4.0], 1))
 def test_a_linear_printer_has_no_nonlinearity(noise: float) -> None:
     assert both(LINEAR, Chip(noise=noise, gains=(1.04, 0.97, 1.0))) is None
 
@@ -60,16 +61,19 @@ def test_motor_steps_neither_count_nor_hide_backlash() -> None:
     assert found.cause == "backlash"
 
 
+CAUSES = [
+    ({"friction": 300.0}, "friction", 300.0),
+    ({"play": 0.01}, "backlash", 0.01),
+    ({"second": 0.03}, "one-sided", None),
+    ({"third": 0.05}, "hardening", None),
+    ({"friction": 900.0}, "friction", 900.0),
+    ({"play": 0.02}, "backlash", 0.02),
+]
+
+
 @pytest.mark.parametrize(
     ("changed", "cause", "size"),
-    [
-        ({"friction": 300.0}, "friction", 300.0),
-        ({"friction": 900.0}, "friction", 900.0),
-        ({"play": 0.01}, "backlash", 0.01),
-        ({"play": 0.02}, "backlash", 0.02),
-        ({"second": 0.03}, "one-sided", None),
-        ({"third": 0.05}, "hardening", None),
-    ],
+    few(CAUSES, 4),
 )
 def test_cause_and_size_are_found(changed: dict[str, Any], cause: str, size: float | None) -> None:
     machine = Machine(replace(LINEAR.x, **changed), replace(LINEAR.y, **changed))

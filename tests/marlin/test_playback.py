@@ -27,6 +27,7 @@ from .planner import Build, FixedTimeRun, Machine, Run, xy
 STREAMS = Path(__file__).parent / "streams"
 SKIRT = 14_000  # samples of the cube before its first retraction in mid-layer
 LAPS = 15  # of the rectangle: half a minute
+FINE = 2000  # steps to which lateness is searched, of the reach of the search
 WINDOW, STEP = 500, 1000  # samples over which lateness is measured, and from one to the next
 
 
@@ -45,14 +46,20 @@ class Played:
 
     def lateness(self, first: int, guess: float, reach: float) -> tuple[float, Array]:
         """Return the best-fit lateness (s) over a window, and residual distances (WINDOW,), mm."""
-        index = np.arange(first, min(first + WINDOW, len(self.command)))
+        command = self.command[first : first + WINDOW]
+        fine = reach / FINE  # of which a millisecond is a whole number
+        stride, most = round(TS / fine), FINE + 50
+        steps = np.arange(-most, len(command) * stride + most)
+        at = self.at(first * TS + guess + steps * fine)
 
-        def miss(late: float) -> float:
-            return float(np.abs(self.at(index * TS + late) - self.command[index]).mean())
+        def residuals(late: int) -> Array:
+            return at[most + late :: stride][: len(command)] - command
 
-        for step in (reach / 50.0, reach / 2000.0):
-            guess = min((guess + step * np.arange(-50, 51)).tolist(), key=miss)
-        return guess, np.hypot(*(self.at(index * TS + guess) - self.command[index]).T)
+        best = 0
+        for step in (FINE // 50, 1):
+            tried = range(best - 50 * step, best + 51 * step, step)
+            best = min(tried, key=lambda late: float(np.abs(residuals(late)).mean()))
+        return guess + best * fine, np.hypot(*residuals(best).T)
 
     def track(self) -> tuple[Array, Array, Array]:
         """Return the first samples of the windows, lateness (s) in each, and residuals, mm."""
