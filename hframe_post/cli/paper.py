@@ -17,6 +17,7 @@ from hframe_post.paper import plots, results, tables
 from hframe_post.paper.widths import widths
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
             outputs.open(folder / "tables.md").write(text.encode())
 
 
+@one_blas_thread()
 def _compute(
     profile: Printer, prism: list[bytes] | None
 ) -> tuple[str, dict[str, Callable[[], Figure]]]:
