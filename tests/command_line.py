@@ -66,9 +66,11 @@ def started(*arguments: str | Path) -> Iterator[subprocess.Popen[bytes]]:
 def _server() -> socket.socket:
     """Start the process that forks commands; it ends with this one, which closes the socket."""
     ours, theirs = socket.socketpair()
+    # Threads of BLAS wait for each other on a busy machine.
     server = subprocess.Popen(
         [sys.executable, "-m", "tests.command_server", str(theirs.fileno())],
         pass_fds=[theirs.fileno()], cwd=ROOT, stdin=subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     theirs.close()
 

@@ -120,7 +120,7 @@ def check(run: Played) -> None:
 @pytest.mark.klipper
 @pytest.mark.parametrize("limits", [pytest.param("file-all", marks=pytest.mark.slow), "printer"])
 def test_cube_is_played_as_intended(tmp_path: Path, limits: LimitSource) -> None:
-    check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 12))
+    check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 8))
 
 
 @pytest.mark.klipper
