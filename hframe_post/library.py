@@ -34,13 +34,13 @@ from hframe_post.prediction.predict import contour_error as contour_error_at
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies import simulate as simulation
-from hframe_post.studies import tune as tuning
-from hframe_post.studies.simulate import SimulationReport
+from hframe_post.studies.simulation import simulate as simulation
+from hframe_post.studies.simulation.simulate import SimulationReport
+from hframe_post.studies.simulation.uncertainty import draws as drawn
 from hframe_post.studies.speed.report import speed_as_json, speed_as_text
 from hframe_post.studies.speed.search import find_fastest
-from hframe_post.studies.tune import StopsTrial, Trial
-from hframe_post.studies.uncertainty import draws as drawn
+from hframe_post.studies.tuning import tune as tuning
+from hframe_post.studies.tuning.tune import StopsTrial, Trial
 from hframe_post.writers.files import Outputs
 
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is

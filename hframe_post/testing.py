@@ -13,7 +13,7 @@ from os import PathLike
 from pathlib import Path
 
 from hframe_post.gcode.commands import dialect
-from hframe_post.studies.compare import Comparison, Tolerance, compare
+from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
 
 Gcode = str | PathLike[str] | bytes  # a file's path, or a file's content
 

@@ -12,7 +12,7 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.identification.identify import Identified, Run, Settings, identify
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.recordings.sweep import runs as planned
-from hframe_post.identification.verification_motion import motion_of
+from hframe_post.identification.verification.motion import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error, in_motion

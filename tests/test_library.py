@@ -17,7 +17,7 @@ from hframe_post.arrays import Array
 from hframe_post.library import first_line
 from hframe_post.paper.results import path
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.writers.files import Outputs
 from tests.conftest import SAMPLES
 

@@ -9,8 +9,8 @@ import click
 from hframe_post.cli.options import files_read, json_option, number, old_option, open_json
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import dialect
-from hframe_post.studies.compare import Tolerance
-from hframe_post.studies.compare import compare as compare_files
+from hframe_post.studies.comparison.compare import Tolerance
+from hframe_post.studies.comparison.compare import compare as compare_files
 from hframe_post.writers.files import Outputs
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}

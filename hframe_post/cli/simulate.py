@@ -25,7 +25,7 @@ from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shaper_comparison import (
+from hframe_post.studies.shapers.comparison import (
     ShaperComparison,
     compare_shapers,
     comparison_as_json,

@@ -25,9 +25,8 @@ from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
-from hframe_post.studies import pareto
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers import (
+from hframe_post.studies.shapers.search import (
     calibrated,
     error,
     paths,
@@ -35,8 +34,9 @@ from hframe_post.studies.shapers import (
     shapings_as_json,
     shapings_as_text,
 )
-from hframe_post.studies.tune import EFFORTS, KNOTS, Trial
-from hframe_post.studies.tuning_report import (
+from hframe_post.studies.simulation.uncertainty import draws as random_plants
+from hframe_post.studies.tuning import pareto
+from hframe_post.studies.tuning.report import (
     pace_as_json,
     pace_table,
     stops_table,
@@ -44,7 +44,7 @@ from hframe_post.studies.tuning_report import (
     trade_off,
     trials_table,
 )
-from hframe_post.studies.uncertainty import draws as random_plants
+from hframe_post.studies.tuning.tune import EFFORTS, KNOTS, Trial
 from hframe_post.writers.files import Outputs
 
 

@@ -21,8 +21,8 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import oriented, read
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.report import verification_page
-from hframe_post.identification.verdict import judge
-from hframe_post.identification.verification_motion import runs
+from hframe_post.identification.verification.motion import runs
+from hframe_post.identification.verification.verdict import judge
 from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs

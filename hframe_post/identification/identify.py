@@ -13,8 +13,31 @@ import numpy as np
 
 from hframe_post.arrays import X, Y
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.diagnosis.nonlinearity import (
+    AxisSweeps,
+    LinearPrinter,
+    Nonlinearity,
+    find_nonlinearity,
+)
+from hframe_post.identification.diagnosis.scatter import (
+    DAY_TO_DAY,
+    MOST,
+    ModeShift,
+    Uncertainty,
+    find_mode_shift,
+    lever_arm_uncertainty,
+    model_uncertainty,
+    position_spread,
+)
 from hframe_post.identification.fitting.fit import Fit, fit, with_common_delay, with_gain
-from hframe_post.identification.measured import (
+from hframe_post.identification.recordings.accelerometer import GAIN_SD
+from hframe_post.identification.responses.frequency_response import (
+    Distortion,
+    FrequencyResponse,
+    average,
+    spread,
+)
+from hframe_post.identification.responses.measured import (
     Line,
     Run,
     RunGroup,
@@ -24,29 +47,6 @@ from hframe_post.identification.measured import (
     centre,
     line,
     nozzle_responses,
-)
-from hframe_post.identification.nonlinearity import (
-    AxisSweeps,
-    LinearPrinter,
-    Nonlinearity,
-    find_nonlinearity,
-)
-from hframe_post.identification.recordings.accelerometer import GAIN_SD
-from hframe_post.identification.responses import (
-    Distortion,
-    FrequencyResponse,
-    average,
-    spread,
-)
-from hframe_post.identification.scatter import (
-    DAY_TO_DAY,
-    MOST,
-    ModeShift,
-    Uncertainty,
-    find_mode_shift,
-    lever_arm_uncertainty,
-    model_uncertainty,
-    position_spread,
 )
 from hframe_post.model.plant import Plant
 from hframe_post.stream.running import one_blas_thread

@@ -13,9 +13,9 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulate import SimulationReport, Study, simulate
-from hframe_post.studies.tune import candidates, recommended, tune
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.simulation.simulate import SimulationReport, Study, simulate
+from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.tuning.tune import candidates, recommended, tune
 
 
 @dataclass(frozen=True, slots=True)

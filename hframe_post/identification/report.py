@@ -11,7 +11,7 @@ from hframe_post.arrays import TS
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.identify import Identified, Measured
 from hframe_post.identification.recommend import Recommendation
-from hframe_post.identification.verdict import Verdict
+from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page.measured import Card, Chart, Line, Section, page

@@ -15,8 +15,8 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.layer_view import LayerView, Segments
-from hframe_post.studies.simulate import Group, SimulationReport, Study, simulate
+from hframe_post.studies.simulation.layer_view import LayerView, Segments
+from hframe_post.studies.simulation.simulate import Group, SimulationReport, Study, simulate
 from hframe_post.version import __version__
 
 LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries

@@ -19,7 +19,7 @@ from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
 from hframe_post.printer.profile import load, parse
-from hframe_post.studies.compare import compare
+from hframe_post.studies.comparison.compare import compare
 from hframe_post.writers import step_file
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.fitting.modal import Data, Structure, fit
-from hframe_post.identification.responses import FrequencyResponse, average, weights
-from hframe_post.identification.scatter import (
+from hframe_post.identification.diagnosis.scatter import (
     ModeShift,
     find_mode_shift,
     position_spread,
     with_noise,
+)
+from hframe_post.identification.fitting.fit import Fit
+from hframe_post.identification.fitting.modal import Data, Structure, fit
+from hframe_post.identification.responses.frequency_response import (
+    FrequencyResponse,
+    average,
+    weights,
 )
 from tests.simulator import Axis, Machine, Mode
 

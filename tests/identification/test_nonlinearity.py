@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.nonlinearity import (
+from hframe_post.identification.diagnosis.nonlinearity import (
     AxisSweeps,
     LinearPrinter,
     Nonlinearity,
@@ -18,7 +18,7 @@ from hframe_post.identification.nonlinearity import (
     with_backlash,
 )
 from hframe_post.identification.recordings.alignment import acceleration, aligned
-from hframe_post.identification.responses import harmonics
+from hframe_post.identification.responses.frequency_response import harmonics
 from hframe_post.model.transfer_function import TransferFunction
 from tests.conftest import few
 from tests.random_printers import swept

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.measured import Run, Settings, nozzle_responses
 from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.sweep import runs as planned
+from hframe_post.identification.responses.measured import Run, Settings, nozzle_responses
 from tests.random_printers import BAND, printer, swept
 from tests.simulator import Axis, Chip, Machine, Mode
 

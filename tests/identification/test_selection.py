@@ -8,7 +8,11 @@ import pytest
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.fit import fit
-from hframe_post.identification.responses import Distortion, FrequencyResponse, average
+from hframe_post.identification.responses.frequency_response import (
+    Distortion,
+    FrequencyResponse,
+    average,
+)
 from tests.plants import all_of_them, at, at_rest
 from tests.simulator import Axis, Machine, Mode
 

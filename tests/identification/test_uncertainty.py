@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.identification.fitting.fit import Fit, fit
-from hframe_post.identification.responses import FrequencyResponse, average
-from hframe_post.identification.scatter import (
+from hframe_post.identification.diagnosis.scatter import (
     DAY_TO_DAY,
     Uncertainty,
     lever_arm_uncertainty,
     model_uncertainty,
 )
+from hframe_post.identification.fitting.fit import Fit, fit
+from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
 from tests.identification.modal_tools import BAND, HZ, TWO, continuous
 
 RUNS = 4

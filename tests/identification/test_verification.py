@@ -11,8 +11,8 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.verdict import Verdict, judge
-from hframe_post.identification.verification_motion import runs
+from hframe_post.identification.verification.motion import runs
+from hframe_post.identification.verification.verdict import Verdict, judge
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.arrays import Array
-from hframe_post.cli.main import main
 from hframe_post.errors import HframeError
 from hframe_post.model.strategies import STRATEGIES, Compensator, Strategy, strategy
 from hframe_post.printer.profile import load, parse
@@ -34,24 +35,23 @@ class Late:
 @pytest.fixture
 def late(monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setitem(STRATEGIES, "late", Strategy("late", "path, late", "#00a000", Late))
+    for name in [name for name in sys.modules if name.startswith("hframe_post.cli.")]:
+        monkeypatch.delitem(sys.modules, name)  # imported again, with this row
     return "late"
 
 
 def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_path: Path) -> None:
     out, summary = tmp_path / "out.gcode", tmp_path / "summary.json"
     part = str(SAMPLES / "rectangle.gcode")
+    main = import_module("hframe_post.cli.main").main
     done = CliRunner().invoke(main, [part, "-c", late, "-o", str(out), "--json", str(summary)])
     assert done.exit_code == 0, done.output
     assert "path, late: contour error" in done.output
     assert out.read_bytes() != b""
     studied = CliRunner().invoke(main, ["simulate"])
     assert "path, late" in studied.output
-    assert "-c, --compensation [none|fbs|racking|late]" in _help()
-
-
-def _help() -> str:
     shown = CliRunner().invoke(main, ["convert", "--help"], terminal_width=200)
-    return " ".join(shown.output.split())
+    assert "-c, --compensation [none|fbs|racking|late]" in " ".join(shown.output.split())
 
 
 def test_unknown_strategies_are_errors_everywhere() -> None:

@@ -14,7 +14,7 @@ from hframe_post.conversion.pipeline import TOLERANCE
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.compare import Comparison, Tolerance, compare
+from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
 from tests.conftest import SAMPLES
 
 PART = b"""M104 S200

@@ -9,9 +9,9 @@ import pytest
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.printer.settings import Printer
-from hframe_post.studies import layer_view
-from hframe_post.studies.layer_view import LayerView
-from hframe_post.studies.simulate import Study, simulate
+from hframe_post.studies.simulation import layer_view
+from hframe_post.studies.simulation.layer_view import LayerView
+from hframe_post.studies.simulation.simulate import Study, simulate
 from tests.conftest import SAMPLES
 
 STRATEGIES = ("none", "racking")

@@ -14,7 +14,7 @@ from hframe_post.model.shapers import shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers import (
+from hframe_post.studies.shapers.search import (
     KLIPPER,
     PIECES,
     AxisShaping,

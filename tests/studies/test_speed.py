@@ -18,10 +18,10 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import kind
+from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.report import speed_as_text
 from hframe_post.studies.speed.search import Bound, Fastest, search
 from hframe_post.studies.speed.trial import FIRST_LAYERS, JUDGED_EVERY, UNCHANGED, Freedom
-from hframe_post.studies.uncertainty import draws
 from tests.command_line import run
 from tests.conftest import SAMPLES
 

@@ -18,8 +18,10 @@ from hframe_post.planner import sampling
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulate import Study, simulate
-from hframe_post.studies.tune import (
+from hframe_post.studies.simulation.simulate import Study, simulate
+from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.tuning.report import stops_as_json, stops_table
+from hframe_post.studies.tuning.tune import (
     EFFORTS,
     KNOTS,
     PREVIEW,
@@ -30,8 +32,6 @@ from hframe_post.studies.tune import (
     recommended,
     tune,
 )
-from hframe_post.studies.tuning_report import stops_as_json, stops_table
-from hframe_post.studies.uncertainty import draws
 from tests.gcode_tools import strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)

@@ -13,7 +13,7 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
-from hframe_post.studies.uncertainty import draws, perturbed
+from hframe_post.studies.simulation.uncertainty import draws, perturbed
 
 PLANT = profile.load("paper").plant
 CARTESIAN = profile.load("example-cartesian").plant

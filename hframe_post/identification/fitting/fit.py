@@ -17,7 +17,7 @@ from hframe_post.identification.fitting.selection import (
     halves,
     select,
 )
-from hframe_post.identification.responses import Distortion, FrequencyResponse
+from hframe_post.identification.responses.frequency_response import Distortion, FrequencyResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 

@@ -28,7 +28,7 @@ from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.fitting.discrete import Term, delayed, discretize
-from hframe_post.identification.responses import SENSOR
+from hframe_post.identification.responses.frequency_response import SENSOR
 from hframe_post.model.transfer_function import TransferFunction
 
 DAMPING = (0.004, 1.0)  # bounds of a mode's damping ratio

@@ -30,7 +30,7 @@ from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting import modal
 from hframe_post.identification.fitting.modal import Data, Modal, Structure
-from hframe_post.identification.responses import (
+from hframe_post.identification.responses.frequency_response import (
     EXACT,
     NOISE_FLOOR,
     SENSOR,

@@ -28,9 +28,9 @@ from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
+from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
 from hframe_post.studies.speed.trial import ADJUSTED, CAUSES, Freedom, Measure, SpeedSettings, Trial
-from hframe_post.studies.uncertainty import draws
 
 MAX_SPEED_UP = 20.0  # times the file's feed rates
 ROUNDS, MAX_ROUNDS = 2, 6  # of the whole print; more than ROUNDS only until one is within bounds

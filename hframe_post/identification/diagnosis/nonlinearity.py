@@ -31,7 +31,12 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.responses import LOWEST_HZ, Distortion, Harmonics, harmonics
+from hframe_post.identification.responses.frequency_response import (
+    LOWEST_HZ,
+    Distortion,
+    Harmonics,
+    harmonics,
+)
 
 ORDER = {"friction": 3, "backlash": 3, "hardening": 3, "one-sided": 2}  # of its main harmonic
 ADVICE = {

@@ -20,7 +20,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import Piece, excerpt
-from hframe_post.studies.tune import Trial, tried
+from hframe_post.studies.tuning.tune import Trial, tried
 
 JERKS = (1e5, 2e5, 5e5, 2e6, 1e7, 5e7)  # mm/s³
 ACCELERATIONS = (0.5, 1.0, 2.0)  # times the profile's

@@ -19,7 +19,14 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers import KLIPPER, Shaping, calibrated_with, paths, search, shape
+from hframe_post.studies.shapers.search import (
+    KLIPPER,
+    Shaping,
+    calibrated_with,
+    paths,
+    search,
+    shape,
+)
 from hframe_post.writers.stream.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies

@@ -9,13 +9,13 @@ from hframe_post.arrays import TS
 from hframe_post.writers.stream.print_time import duration
 
 if TYPE_CHECKING:
-    from hframe_post.studies.pareto import Pareto, Point
-    from hframe_post.studies.tune import StopsTrial, Trial
+    from hframe_post.studies.tuning.pareto import Pareto, Point
+    from hframe_post.studies.tuning.tune import StopsTrial, Trial
 from typing import TYPE_CHECKING
 
 from hframe_post.printer.settings import Motors
-from hframe_post.studies.pareto import Pareto, Point
-from hframe_post.studies.tune import Trial
+from hframe_post.studies.tuning.pareto import Pareto, Point
+from hframe_post.studies.tuning.tune import Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

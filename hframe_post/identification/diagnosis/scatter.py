@@ -20,8 +20,13 @@ from scipy import stats
 from hframe_post.arrays import Array
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.fitting.modal import Data, refine
-from hframe_post.identification.measured import centre, line
-from hframe_post.identification.responses import Distortion, FrequencyResponse, average, weights
+from hframe_post.identification.responses.frequency_response import (
+    Distortion,
+    FrequencyResponse,
+    average,
+    weights,
+)
+from hframe_post.identification.responses.measured import centre, line
 from hframe_post.model.transfer_function import TransferFunction
 
 SAMPLES = 12

@@ -28,7 +28,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
-from hframe_post.identification.responses import (
+from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     Harmonics,
     advanced,

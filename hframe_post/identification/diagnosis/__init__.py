@@ -1,0 +1,1 @@
+"""Nonlinearity, changes along x, and uncertainty of the model."""

@@ -1,0 +1,1 @@
+"""Frequency responses measured from recordings."""

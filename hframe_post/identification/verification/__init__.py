@@ -1,0 +1,1 @@
+"""Measured proof that compensation helps on the machine."""

@@ -1,0 +1,1 @@
+"""Comparison of the motion of two G-code files."""

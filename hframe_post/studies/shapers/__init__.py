@@ -1,0 +1,1 @@
+"""Input shapers on the same print, for comparison."""

@@ -1,0 +1,1 @@
+"""Predicted errors of every strategy for one print."""

@@ -1,0 +1,1 @@
+"""Choice of window, effort, acceleration and jerk."""
