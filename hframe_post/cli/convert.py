@@ -226,8 +226,8 @@ def slicer_warnings(environ: Mapping[str, str], limits: Limits) -> list[str]:
         return []
     settings = ", ".join(f"{name} {value:g}" for name, value in sorted(excessive.items()))
     return [
-        f"SLICER      asks for more acceleration than the profile's {limits.acceleration:g} mm/s² "
-        f"({settings}): the profile's is used"
+        f"SLICER           asks for more acceleration than the profile's "
+        f"{limits.acceleration:g} mm/s² ({settings}): the profile's is used"
     ]
 
 

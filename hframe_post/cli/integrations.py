@@ -26,11 +26,13 @@ def klipper_macros(printer: str) -> None:
 
     A converted file changes Klipper's limits while it prints. The macros restore the printer's
     limits when a print is paused or cancelled, and the file's when it is resumed. They replace
-    PAUSE, RESUME and CANCEL_PRINT.
+    PAUSE, RESUME and CANCEL_PRINT. Save them in a file next to printer.cfg and add the line
+    [include hframe.cfg] at the top of printer.cfg; never append to it, because the end of
+    printer.cfg belongs to Klipper's SAVE_CONFIG.
 
     \b
     Example:
-      hframe-post klipper-macros -p my.toml >> printer.cfg
+      hframe-post klipper-macros -p my.toml > hframe.cfg
     """
     click.echo(macros(load(printer)), nl=False)
 

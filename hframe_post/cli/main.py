@@ -87,7 +87,7 @@ class _Commands(click.Group):
 )
 @click.version_option(__version__, prog_name="hframe-post")
 def main() -> None:
-    """Rewrites sliced G-code so that an H-frame (H-bot) printer does not rack or ring.
+    """Rewrite sliced G-code so that an H-frame (H-bot) printer does not rack or ring.
 
     \b
     hframe-post in.gcode -o out.gcode     convert a file

@@ -103,25 +103,25 @@ class Report:
         change = 100.0 * (after / before - 1.0) if before else 0.0
         lines = [
             f"{self.read.moves} moves, {self.read.lines} lines read, {self.lines_written} written",
-            f"print time  {duration(before)} → {duration(after)} ({change:+.1f} %)",
-            f"filament    {self.filament_after:.2f} mm, unchanged",
+            f"print time       {duration(before)} → {duration(after)} ({change:+.1f} %)",
+            f"filament         {self.filament_after:.2f} mm, unchanged",
         ]
         for name in [name for name in STRATEGIES if name in self.contour]:
             um = self.contour[name].micrometres()
             lines.append(
-                f"predicted   {STRATEGIES[name].label}: contour error {um['rms']:.1f} µm RMS, "
+                f"predicted        {STRATEGIES[name].label}: contour error {um['rms']:.1f} µm RMS, "
                 f"{um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak "
                 f"(with travel {um['all']['rms']:.1f} µm RMS)"
             )
         lines.append(
-            f"belts       at most {self.peaks.belt_velocity:.0f} mm/s, "
+            f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
         lines += self._path_as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
             lines.append(
-                f"steps       {self.steps.rows} rows, {self.steps.ticks} ticks of "
+                f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
         return "\n".join(self.warnings() + lines + self.speed_text.splitlines())
@@ -157,7 +157,7 @@ class Report:
                 f"line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
                 "compensated there"
             )
-        return [f"WARNING     {text}" for text in found]
+        return [f"WARNING          {text}" for text in found]
 
     # ------------------------------------------------------------------ the path
 

@@ -34,7 +34,7 @@ class Choice:
     why: str
 
     def as_text(self) -> str:
-        return f"profile     {one_line(self.profile)} ({self.why})"
+        return f"profile          {one_line(self.profile)} ({self.why})"
 
     def as_json(self) -> dict[str, str]:
         return {"profile": self.profile, "profile_chosen_by": self.why}
@@ -99,4 +99,4 @@ def verification_as_text(printer: Printer) -> str:
     if mark is None:
         return "NOT VERIFIED on a machine: 'hframe-post verify' shows whether this profile helps"
     less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the printer"
-    return f"verified    {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"
+    return f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"

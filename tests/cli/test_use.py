@@ -25,7 +25,7 @@ def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> 
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
     assert at_home("use", own).returncode == 0
     used = at_home(RECTANGLE, "-n").stderr.decode()
-    assert used.startswith(f"profile     {own} (default set with 'hframe-post use')\n")
+    assert used.startswith(f"profile          {own} (default set with 'hframe-post use')\n")
     assert str(own) in at_home("use").stdout.decode()
     summary = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
     assert summary["profile"] == str(own)
@@ -44,7 +44,7 @@ def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
         "paper (option -p": noted(RECTANGLE, "-n", "-p", "paper"),
     }
     for start, done in chosen.items():
-        assert done.stderr.decode().startswith("profile     " + start)
+        assert done.stderr.decode().startswith("profile          " + start)
 
 
 def test_a_bad_profile_is_refused_and_a_missing_one_is_an_error(own: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def built(name: str = "my printer") -> bytes:
     ]
     cards = [Card("off by", "3", "%", "order 4", "bad")]
     return page(name, "It helps.", cards, [Section("Gxx", charts)],
-                [f"WARNING     {name}"], [("data", name)])  # fmt: skip
+                [f"WARNING          {name}"], [("data", name)])  # fmt: skip
 
 
 def test_lines_are_thinned_and_keep_their_gaps() -> None:

@@ -28,7 +28,9 @@ def sliced(feature: str = "WALL-OUTER") -> bytes:
 
 
 def built(paper: Printer, text: bytes, name: str = "square.gcode") -> bytes:
-    return page(text.splitlines(keepends=True), paper, Options("racking"), name, ["profile     p"])
+    return page(
+        text.splitlines(keepends=True), paper, Options("racking"), name, ["profile          p"]
+    )
 
 
 def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:

@@ -176,10 +176,12 @@ class SimulationReport(Report):
         ]
         gain = self.parts.whole["none"].contour.rms > self.parts.whole[best].contour.rms
         if not gain:
-            lines.append("NO HELP     compensation does not improve this print as a whole")
+            lines.append("NO HELP          compensation does not improve this print as a whole")
         elif harmed:
             more = f" and {len(harmed) - 5} more" if len(harmed) > 5 else ""
-            lines.append(f"NO HELP     in {', '.join(harmed[:5])}{more}: no better than without")
+            lines.append(
+                f"NO HELP          in {', '.join(harmed[:5])}{more}: no better than without"
+            )
         return lines if len(lines) > 1 else []
 
 

@@ -52,7 +52,7 @@ def speed_as_text(found: Fastest) -> str:
     change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
     measure = MEASURES[found.bound.measure]
     lines = [
-        f"faster      {duration(trial.seconds)} instead of {duration(original.seconds)} "
+        f"faster           {duration(trial.seconds)} instead of {duration(original.seconds)} "
         f"({change:+.0f} %){_error_of_most_visible(found, measure)}"
     ]
     for name, errors in sorted(trial.errors.items()):
@@ -63,7 +63,7 @@ def speed_as_text(found: Fastest) -> str:
         feed = trial.settings.feed[name]
         slower = f"; at {100.0 * feed:.0f} % of the file's feed" if feed < 1.0 else ""
         lines.append(
-            f"error       {name} {um:.0f} µm {measure}, {worse:.0f} with model uncertainty; "
+            f"error            {name} {um:.0f} µm {measure}, {worse:.0f} with model uncertainty; "
             f"{found.bound.limit(name) * 1e3:.0f} permitted; {before:.0f} without hframe-post"
             f"{slower}"
         )
@@ -73,7 +73,7 @@ def speed_as_text(found: Fastest) -> str:
         for cause, seconds in sorted(trial.limited_by.items(), key=lambda item: -item[1])
         if seconds > 0.01 * total
     ]
-    lines.append(f"limited by  {', '.join(causes)} of the time")
+    lines.append(f"limited by       {', '.join(causes)} of the time")
     return "\n".join(lines)
 
 
