@@ -149,7 +149,7 @@ def convert(
     name_in_slicer = os.environ.get(OUTPUT_NAME)
     head = [choice.as_text(), verification_as_text(profile)]
     if name_in_slicer:
-        head.insert(0, f"file        {one_line(name_in_slicer)}")
+        head.insert(0, f"file             {one_line(name_in_slicer)}")
     warnings = slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
     with (

@@ -61,6 +61,9 @@ from hframe_post.writers.files import Outputs
     "--against", "use --shapers", new="shapers", value=True, type=click.Choice(["shapers"])
 )  # fmt: skip
 @old_option("--layers", "use --json or --report", is_flag=True)
+@old_option(
+    "--verbose", "convert -v logs the stages", "-v", is_flag=True, expose_value=False
+)  # fmt: skip
 @json_option
 @click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
