@@ -57,7 +57,7 @@ class Job:
         return f"{line} → {self.target} ({self.seconds:.1f} s{self._contour_error()})"
 
     def _contour_error(self) -> str:
-        """The predicted error without and with compensation, µm RMS."""
+        """Return the predicted errors without and with compensation, µm RMS, as text."""
         errors = self.summary.get("contour_error_um", {})
         names = ("none", self.summary.get("compensation"))
         values = [errors[name]["rms"] for name in names if name in errors]
