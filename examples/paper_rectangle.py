@@ -44,7 +44,7 @@ SPEED, ACCELERATION, TS = 150.0, 1e4, 1e-3
 
 
 def side(start: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """A straight move from rest to rest, (n, 2): accelerate, cruise, brake."""
+    """Return a straight move from rest to rest, (n, 2): accelerate, cruise, brake."""
     length = float(np.hypot(*by))
     ramp = SPEED / ACCELERATION
     cruise = length / SPEED - ramp
