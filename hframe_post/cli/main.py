@@ -56,7 +56,7 @@ class _Commands(click.Group):
     def resolve_command(
         self, context: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Take what is no command for arguments of ``convert``, unless it looks mistyped."""
+        """Treat an unknown command as an argument of ``convert``, unless it looks mistyped."""
         if args[0] not in COMMANDS:
             similar = get_close_matches(args[0], COMMANDS, n=1, cutoff=0.75)
             if similar and not Path(args[0]).exists():

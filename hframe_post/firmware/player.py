@@ -129,7 +129,7 @@ class Player(Protocol):
         entry, leaving: speeds of the motion before and after it, 0: at rest.
         """
 
-    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         """Return lines for a standstill, and the seconds that they last; None: no dwell."""
 
 

@@ -41,7 +41,7 @@ UNSUPPORTED = {
 
 
 class Effect(Enum):
-    """What a command that is no move, mode or limit does to the motion."""
+    """Effect on the motion of a command other than a move, mode or limit."""
 
     NONE = "moves nothing"
     WAITS = "moves nothing, but must happen at rest"

@@ -135,7 +135,7 @@ for (const section of data.sections) {
   add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts));
 }
 for (const note of data.notes) {
-  const [, name, text] = /^(\S.{0,10}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
+  const [, name, text] = /^(\S.{0,15}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
   add($("notes"), add(make("li", undefined, name === "WARNING" ? "warning" : ""), make("span", name), make("span", text)));
 }
 for (const [name, value] of data.facts) add($("facts"), make("dt", name), make("dd", value));

@@ -140,9 +140,9 @@ function strip() {  // the error of each layer, above the slider
   ink.globalAlpha = 1; ink.fillStyle = style("--ink"); ink.fillRect(inset + state.layer * wide - 1, 0, 2, box.height);
 }
 
-// ------------------------------------------------------------------ what is told
+// ------------------------------------------------------------------ readout
 
-function told() {
+function showReadout() {
   const layer = data.layers[state.layer];
   $("where").replaceChildren("Layer ", make("b", layer ? layer.name : "–"), ` (${state.layer + 1} of ${data.layers.length})`,
     ...(layer ? data.strategies.flatMap((each, s) => [" · ", each.label, " ", make("b", micrometres(layer.rms[s]) + "\u00a0µm")]) : []));
@@ -153,7 +153,7 @@ function show(layer) {
   const n = data.layers.length;
   state.layer = Math.min(Math.max(layer, 0), n - 1);
   $("layer").value = state.layer;
-  told();
+  showReadout();
 }
 async function pick(k) {
   state.picked = k;
@@ -161,7 +161,7 @@ async function pick(k) {
   const text = await lineOf(number);
   if (state.picked !== k) return;
   const code = make("code");
-  add(code, make("i", `line ${number}  `), text === undefined || (!rows || rows.length < 2) ? "(the file is too large to be carried along)" : text.slice(0, 300));
+  add(code, make("i", `line ${number}  `), text === undefined || (!rows || rows.length < 2) ? "(the file is too large: its lines are not in this page)" : text.slice(0, 300));
   const facts = make("div", undefined, "facts");
   const fact = (name, value) => add(facts, add(make("span", name + " "), make("b", value)));
   fact("at", `X${x.toFixed(2)} Y${y.toFixed(2)}`);
@@ -232,7 +232,7 @@ $("layer").addEventListener("input", () => show(Number($("layer").value)));
 $("below").addEventListener("click", () => show(state.layer - 1));
 $("above").addEventListener("click", () => show(state.layer + 1));
 window.addEventListener("resize", () => { if (path) { strip(); draw(); } });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (path) told(); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (path) showReadout(); });
 
 // ------------------------------------------------------------------ the page around it
 
@@ -241,8 +241,8 @@ function cards() {
   const card = (what, value, unit, more, kind) => add($("cards"), add(make("div", undefined, "card " + (kind || "")), make("p", what, "what"),
     add(make("p", value, "value"), make("small", unit ? " " + unit : "")), make("p", more, "more")));
   data.strategies.forEach((each) => {
-    const told = whole[each.name];
-    if (told) card(each.label, micrometres(told.contour_error_um.rms), "µm RMS", `95 % below ${micrometres(told.contour_error_um.p95)} µm`, each.name === data.chosen ? "best" : "");
+    const figures = whole[each.name];
+    if (figures) card(each.label, micrometres(figures.contour_error_um.rms), "µm RMS", `95 % below ${micrometres(figures.contour_error_um.p95)} µm`, each.name === data.chosen ? "best" : "");
   });
   const time = report.print_time_s, longer = 100 * (time.after / time.before - 1);
   card("Print time", clock(time.after), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
@@ -284,21 +284,21 @@ function frame() {
   data.strategies.forEach((each, k) => {
     const button = make("button", each.label);
     button.setAttribute("role", "radio");
-    button.addEventListener("click", () => { state.strategy = k; told(); });
+    button.addEventListener("click", () => { state.strategy = k; showReadout(); });
     add($("strategies"), button);
   });
   data.notes.forEach((note) => {
-    const [, name, text] = /^(\S.{0,10}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
+    const [, name, text] = /^(\S.{0,15}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
     add($("notes"), add(make("li"), make("span", name), make("span", text)));
   });
   data.printer.forEach(([name, value]) => add($("printer"), make("dt", name), make("dd", value)));
   $("layer").max = Math.max(data.layers.length - 1, 0);
-  if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with its largest error; places may lie ${Math.round(1000 * data.coarse[1])} µm beside it.`;
+  if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with its largest error; places may be off by ${Math.round(1000 * data.coarse[1])} µm.`;
 }
 frame(); cards();
 load().then(() => {
   $("loading").remove();
   show(Math.floor(data.layers.length / 2));
-  fit(); tables(); told();
+  fit(); tables(); showReadout();
   document.body.dataset.ready = "yes";
 }).catch((error) => { $("loading").textContent = "This browser cannot unpack the view: " + error; throw error; });

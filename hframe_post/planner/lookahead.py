@@ -82,7 +82,7 @@ class _Queue:
         self._marks.append(Mark(self.count, text))
 
     def take_final(self) -> Plan | None:
-        """Return the part of the first ``_want`` moves that is final, or None if none is."""
+        """Return the final part of the first ``_want`` moves, or None if it is empty."""
         while self.count >= self._want:
             moves = _joined(self._moves)
             batch = moves.part(0, self._want)

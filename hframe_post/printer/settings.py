@@ -162,8 +162,8 @@ class Sweep:
             raise ValueError(f"sway must be at least 0, it is {self.sway:g}")
         if not self.start_hz < self.end_hz <= HIGHEST_HZ:
             raise ValueError(
-                f"from {self.start_hz:g} to {self.end_hz:g} Hz is no sweep: end_hz must be above "
-                f"start_hz and at most {HIGHEST_HZ:g}"
+                f"from {self.start_hz:g} to {self.end_hz:g} Hz is not a sweep: end_hz must be "
+                f"above start_hz and at most {HIGHEST_HZ:g}"
             )
         if not self.quiet >= QUIET:
             raise ValueError(f"quiet must be at least {QUIET:g} s, it is {self.quiet:g}")

@@ -58,7 +58,7 @@ def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
 def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
-    """Yield each chunk, a wider one with up to so many samples around it, and its slice there."""
+    """Yield each chunk, a wider one with samples before and after it, and its slice there."""
     past: list[Samples] = []
     waiting: list[Samples] = []
     for chunk in chain(chunks, [None]):

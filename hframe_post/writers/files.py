@@ -1,7 +1,7 @@
 """Output files of a command: all of them appear complete, or none does. Packed ones, too.
 
 A file is written next to its target under a temporary name and replaces the target at the
-end. A target that is no regular file (a device, a pipe, standard output) is written to directly,
+end. A target that is not a regular file (a device, a pipe, standard output) is written to directly,
 once everything is known.
 """
 
@@ -117,7 +117,7 @@ class Outputs:
 
 
 def _written_through(path: Path | None) -> Through | None:
-    """Return how to open a path that is no regular file; None for a regular or a new file."""
+    """Return how to open a path that is not a regular file; None for a regular or a new file."""
     if path is None:
         if sys.stdout is None:
             raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")

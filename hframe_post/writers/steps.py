@@ -169,7 +169,7 @@ class Stepper:
     def _check_speed(self) -> None:
         """Raise LimitError if the stepping clock is too slow for the command."""
         rate = np.abs(np.diff(self._u[1:-1], axis=0))
-        over = ~(rate <= self._per_sample * LEEWAY)  # what is no number is over, too
+        over = ~(rate <= self._per_sample * LEEWAY)  # NaN counts as over, too
         if over.any():
             k = int(np.argmax(over.any(axis=1)))
             motor = int(np.argmax(over[k]))

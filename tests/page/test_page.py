@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from hframe_post.conversion.pipeline import Options
 from hframe_post.page.build import page
 from hframe_post.printer.settings import Printer
 from tests.chromium import Browser
 from tests.command_line import run
-from tests.conftest import SAMPLES
+from tests.conftest import ROOT, SAMPLES
 from tests.page.pages import data_of
 
+PAGES = ROOT / "hframe_post" / "page"
 EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
 BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
 
@@ -46,6 +49,15 @@ def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:
 
 def test_it_is_the_same_again(paper: Printer) -> None:
     assert built(paper, sliced()) == built(paper, sliced())
+
+
+@pytest.mark.parametrize("script", ["page.js", "measured.js"])
+def test_labels_of_the_summary_are_separated_from_their_text(script: str) -> None:
+    found = re.search(r"= /(.+)/\.exec\(note\)", (PAGES / script).read_text("utf-8"))
+    assert found is not None
+    summary = run(SAMPLES / "rectangle.gcode", "-n").stderr.decode().splitlines()
+    labels = {row[1] for line in summary if (row := re.match(found[1], line))}
+    assert labels >= {"profile", "print time", "not compensated", "limited by", "belts"}
 
 
 def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:

@@ -194,12 +194,12 @@ class Klipper:
             seconds = lift.seconds
         return Stroke(speed, seconds, leaving)
 
-    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         """Return G4, next to a lift even for no time.
 
         Without it Klipper would round the corner between lift and motion, and be early.
         """
-        if beside is not Dwelling.LIFT and seconds < TS / 2.0:
+        if next_to is not Dwelling.LIFT and seconds < TS / 2.0:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited

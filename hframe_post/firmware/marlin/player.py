@@ -128,9 +128,9 @@ class Marlin:
     def reset_extruder(self) -> bytes:
         return b"G92 E0\n"  # Marlin counts in floats: large ones lose the smallest moves
 
-    def dwell(self, seconds: float, beside: Dwelling) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         # standstill is left out, and motion makes up for the time that a stroke was late
-        return (b"", seconds) if beside is Dwelling.MOTION else None
+        return (b"", seconds) if next_to is Dwelling.MOTION else None
 
     def lift_corner(self, at: Array, speed: float) -> float:
         return 0.0

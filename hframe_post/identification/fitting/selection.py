@@ -154,7 +154,7 @@ def _explains(case: Case, best: Candidate) -> bool:
 
 
 def _strained(best: Candidate) -> bool:
-    """Tell whether a model has so many poles that some may stand for what lies above the band."""
+    """Return whether a model has enough poles that some may describe motion above the band."""
     return best.structure.order > 6
 
 

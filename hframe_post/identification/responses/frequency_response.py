@@ -35,7 +35,7 @@ RATE_HZ = 1000.0
 SEGMENT = 16000  # samples; bias 0.4 % at the peak of a resonance at 20 Hz with damping 0.03
 SHORTEST = 4000  # samples of a record
 OVERLAP = 7 / 8
-BANDWIDTH = 2.08  # bins of a Hann window: one segment's length gives so many independent estimates
+BANDWIDTH = 2.08  # bins of a Hann window: independent estimates per segment length
 LEAST_NOISE = 1e-4  # power, assumed at least when runs are weighted
 TINY = np.finfo(float).tiny
 
@@ -214,7 +214,7 @@ def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
     if marks is None:
         return None
     part = slice(marks.first + marks.length + marks.answer, marks.second)
-    # the slow sway beneath the sweep lies below 1.5 Hz and is no part of its phase
+    # the slow sway beneath the sweep lies below 1.5 Hz and does not belong to its phase
     sos = butter(4, 1.5, "highpass", fs=1.0 / TS, output="sos")
     phase = np.unwrap(np.angle(hilbert(sosfiltfilt(sos, command[part]))))
     a = sosfiltfilt(sos, acceleration[part])

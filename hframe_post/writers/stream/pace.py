@@ -168,11 +168,11 @@ class Pace:
 
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         yield from self._leave(0.0)
-        pause, beside = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
+        pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
         if not pause.entry:
             self._before = 0.0
         if self._before == 0.0:
-            yield from self._dwell(0, beside)
+            yield from self._dwell(0, next_to)
         places = np.stack([move.start, move.end]) / self._units.per_mm
         planned = pause.samples * TS
         left_for_it = planned - self.lag
@@ -186,7 +186,7 @@ class Pace:
             self._lift = TimedMove(move, stroke), stroke_to
             return
         yield TimedMove(move, stroke)
-        yield from self._dwell(0, beside)
+        yield from self._dwell(0, next_to)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
@@ -201,9 +201,9 @@ class Pace:
         yield from self._after_lift
         self._after_lift = []
 
-    def _dwell(self, samples: int, beside: Dwelling = Dwelling.MOTION) -> Iterator[Text]:
+    def _dwell(self, samples: int, next_to: Dwelling = Dwelling.MOTION) -> Iterator[Text]:
         """Yield the line for a standstill, less what the machine is late, if one is made."""
-        dwell = self._player.dwell(samples * TS - self.lag, beside)
+        dwell = self._player.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
             return
         line, waited = dwell
