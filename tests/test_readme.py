@@ -52,18 +52,18 @@ def test_sample_command_converts(tmp_path: Path, update: bool) -> None:
     last = command("sample").split(" && ")[-1].split()
     assert last[0] == ".venv/bin/hframe-post"
     last[-1] = str(tmp_path / "out.gcode")
-    told = run(*last[1:]).stderr
+    printed = run(*last[1:]).stderr
     for page in (README, TUTORIAL):
-        assert told == shown(page, "print time", told, update)
+        assert printed == shown(page, "print time", printed, update)
 
 
 @pytest.mark.slow
 def test_the_tutorial_shows_the_output_of_its_simulation(update: bool) -> None:
     line = re.search(r"^hframe-post (simulate .*)$", TUTORIAL.read_text("utf-8"), re.MULTILINE)
     assert line is not None
-    told = run(*line[1].split()).stdout
-    tables = told[told.index("\n\n") + 2 : told.index("\n\nworst of")]
-    trust = re.search(r"^model off by .*\n", told, re.MULTILINE)
+    printed = run(*line[1].split()).stdout
+    tables = printed[printed.index("\n\n") + 2 : printed.index("\n\nworst of")]
+    trust = re.search(r"^model off by .*\n", printed, re.MULTILINE)
     assert trust is not None
     now = f"{tables}\n...\n{trust[0]}"
     assert now == shown(TUTORIAL, "no compensation", now, update)

@@ -63,18 +63,20 @@ def recommend(
     random printers that differ by as much, and on ``plants_at_ends``. None if the motors can
     follow no window, or if one of these printers would be worse off than without compensation.
     """
-    own = replace(profile, plant=plant, name="the identified printer")
+    updated = replace(profile, plant=plant, name="the identified printer")
     printers = [*draws(plant, model_error, 10, seed=0), *plants_at_ends]
-    trials = tune(rectangle(own), own, candidates(own.compensation), printers)
-    best = recommended(trials, own.motors)
+    trials = tune(rectangle(updated), updated, candidates(updated.compensation), printers)
+    best = recommended(trials, updated.motors)
     if best is None:
         return None
     x, y = best.windows
-    chosen = replace(own.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort))
-    own = replace(own, compensation=chosen)
+    chosen = replace(
+        updated.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort)
+    )
+    updated = replace(updated, compensation=chosen)
     options = Options("racking", tuple(STRATEGIES), clamp=True)
-    study = Study(plant, {model_error: printers}, name=own.name)
-    predicted = simulate(rectangle(own), own, options, study)
+    study = Study(plant, {model_error: printers}, name=updated.name)
+    predicted = simulate(rectangle(updated), updated, options, study)
     (similar,) = predicted.model_error
     if similar.better("racking", "none") < len(printers):
         return None

@@ -131,7 +131,7 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
 
     Each is a key of the profile, its value, a section, an option and its default.
     """
-    own, limits = printer.firmware.klipper, printer.limits
+    klipper, limits = printer.firmware.klipper, printer.limits
     velocity = config.number("printer", "max_velocity")
     acceleration = config.number("printer", "max_accel")
     pairs = [("limits.z_velocity", limits.z_velocity, "printer", "max_z_velocity", velocity),
@@ -143,17 +143,17 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
         ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
          "extruder", "instantaneous_corner_velocity", 1.0),
     ]  # fmt: skip
-    if own is not None and not own.end_macro:
+    if klipper is not None and not klipper.end_macro:
         table = "firmware.klipper"
         pairs += [
-            (f"{table}.velocity", own.velocity, "printer", "max_velocity", math.nan),
-            (f"{table}.acceleration", own.acceleration, "printer", "max_accel", math.nan),
-            (f"{table}.square_corner_velocity", own.square_corner_velocity,
+            (f"{table}.velocity", klipper.velocity, "printer", "max_velocity", math.nan),
+            (f"{table}.acceleration", klipper.acceleration, "printer", "max_accel", math.nan),
+            (f"{table}.square_corner_velocity", klipper.square_corner_velocity,
              "printer", "square_corner_velocity", 5.0),
-            (f"{table}.minimum_cruise_ratio", own.minimum_cruise_ratio,
+            (f"{table}.minimum_cruise_ratio", klipper.minimum_cruise_ratio,
              "printer", "minimum_cruise_ratio", 0.5),
-            (f"{table}.shaper_freq_x", own.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
-            (f"{table}.shaper_freq_y", own.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
+            (f"{table}.shaper_freq_x", klipper.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
+            (f"{table}.shaper_freq_y", klipper.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
         ]  # fmt: skip
     if (retraction := printer.retraction) is not None:
         back = retraction.return_speed or retraction.speed
@@ -182,11 +182,13 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
 
 
 def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    own = printer.steps.belt if printer.steps is not None else math.nan
+    expected = printer.steps.belt if printer.steps is not None else math.nan
     for motor in ("stepper_x", "stepper_y") if printer.steps is not None else ():
         step = config.step(motor)
-        if not math.isnan(step) and not math.isclose(step, own, rel_tol=0.01):
-            text = f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is {own:.5g}"
+        if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
+            text = (
+                f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
+            )
             yield Finding(True, text)
 
 
@@ -206,8 +208,8 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    own = printer.firmware.klipper
-    for name in (own.begin_macro, own.end_macro) if own is not None else ():
+    klipper = printer.firmware.klipper
+    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
         if name and not config.macro(name):
             yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
     if config.text("printer", "max_accel_to_decel"):

@@ -44,11 +44,11 @@ def test_conversion_against_gzip_and_real_time(
     benchmark.pedantic(  # type: ignore[no-untyped-call]
         subprocess.run, args=(convert,), kwargs={"check": True}, rounds=3
     )
-    took, told = fastest(benchmark), json.loads(report.read_text())
+    took, printed = fastest(benchmark), json.loads(report.read_text())
     gzip = seconds("gzip", "-9", "-k", "-c", str(SAMPLES / name))
     benchmark.extra_info["times gzip -9 of the input"] = took / gzip
-    benchmark.extra_info["times as fast as the print"] = told["print_time_s"]["after"] / took
-    benchmark.extra_info["lines read a second"] = told["lines_read"] / took
+    benchmark.extra_info["times as fast as the print"] = printed["print_time_s"]["after"] / took
+    benchmark.extra_info["lines read a second"] = printed["lines_read"] / took
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 4])

@@ -25,7 +25,7 @@ SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0", "--keep-limits")  #
 STRATEGIES = {"none", "fbs", "racking"}
 
 
-def told(done: CompletedProcess[bytes]) -> Any:
+def printed(done: CompletedProcess[bytes]) -> Any:
     assert done.returncode == 0, done.stderr.decode()
     return json.loads(done.stdout)
 
@@ -45,11 +45,11 @@ def refused(done: CompletedProcess[bytes], status: int, cause: str) -> None:
 
 @pytest.fixture(scope="module")
 def simulation() -> Any:
-    return told(run("simulate", RECTANGLE, "--json", "-", "-q"))
+    return printed(run("simulate", RECTANGLE, "--json", "-", "-q"))
 
 
 def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulation: Any) -> None:
-    conversion = told(run(RECTANGLE, "-n", "-q", "--predict", "all", "--json", "-"))
+    conversion = printed(run(RECTANGLE, "-n", "-q", "--predict", "all", "--json", "-"))
     assert simulation.keys() - conversion.keys() == {
         "simulated_plant", "quantised", "strategies", "features", "layers", "model_error",
     }  # fmt: skip
@@ -69,7 +69,7 @@ def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulati
                 "contour_error_um", "tracking_error_um", "peak_belt_speed",
                 "peak_belt_acceleration",
             }  # fmt: skip
-    times = {name: told["print_time_s"] for name, told in simulation["strategies"].items()}
+    times = {name: printed["print_time_s"] for name, printed in simulation["strategies"].items()}
     assert times["none"] < times["fbs"] == times["racking"]
 
 
@@ -91,7 +91,7 @@ def test_simulate_reads_standard_input_and_is_quiet() -> None:
 
 
 def test_without_a_file_the_rectangle_is_simulated(simulation: Any) -> None:
-    path = told(run("simulate", "--json", "-", "-q"))
+    path = printed(run("simulate", "--json", "-", "-q"))
     assert set(path["contour_error_um"]) == STRATEGIES
     for name, figures in path["contour_error_um"].items():
         elsewhere = simulation["contour_error_um"][name]
@@ -106,7 +106,7 @@ def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -
     arguments += ["--draws", "3", "--steps", "--plant", str(other), "--json", "-"]
     first, again = run(*arguments), run(*arguments)
     assert first.stdout == again.stdout
-    summary = told(first)
+    summary = printed(first)
     assert (summary["simulated_plant"], summary["quantised"]) == ("other", True)
     assert [error["share"] for error in summary["model_error"]] == [0.05, 0.02]
     for error in summary["model_error"]:
@@ -154,16 +154,16 @@ def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path
         "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", out,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr.decode()
-    told = json.loads((tmp_path / "t.json").read_text())
-    seconds = [point["seconds"] for point in told["pareto"]]
-    error = [point["median_under_model_error_um"] for point in told["pareto"]]
+    printed = json.loads((tmp_path / "t.json").read_text())
+    seconds = [point["seconds"] for point in printed["pareto"]]
+    error = [point["median_under_model_error_um"] for point in printed["pareto"]]
     assert seconds == sorted(seconds)
     assert error == sorted(error, reverse=True)
-    chosen = told["chosen"]
-    assert chosen in told["pareto"]
+    chosen = printed["chosen"]
+    assert chosen in printed["pareto"]
     # worth it: no other point halves the error for a tenth of the time
     cost = [e * t ** (np.log(2.0) / np.log(1.1)) for e, t in zip(error, seconds, strict=True)]
-    assert chosen == told["pareto"][int(np.argmin(cost))]
+    assert chosen == printed["pareto"][int(np.argmin(cost))]
     profile = load(str(out))
     assert (profile.limits.acceleration, profile.limits.jerk) == (
         chosen["acceleration"], chosen["jerk"],
@@ -183,7 +183,9 @@ def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: P
         "100",
         "--keep-limits",
     ]
-    summary = told(run("tune", *arguments, "-L", "200", "--draws", "0", "--json", "-", "-o", out))
+    summary = printed(
+        run("tune", *arguments, "-L", "200", "--draws", "0", "--json", "-", "-o", out)
+    )
     refused_trials = [trial for trial in summary["trials"] if "refused" in trial]
     assert refused_trials
     assert summary["model_error"] == 0.0

@@ -36,13 +36,13 @@ def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[Deferred
 
 def filament(lines: list[bytes], relative: bool) -> list[float]:
     """Total before every layer's mark, and at the end: Klipper's reading, in ten lines."""
-    total, at, told = 0.0, 0.0, []
+    total, at, printed = 0.0, 0.0, []
     absolute = True
     for line in lines:
         body = line.partition(b";")[0].split(b"(")[0]
         word = WORD.search(body)
         if LAYER.match(line):
-            told.append(total)
+            printed.append(total)
         elif body.startswith(b"G92") and word:
             at = float(word[1])
         elif body.startswith((b"G90", b"G91")):
@@ -53,7 +53,7 @@ def filament(lines: list[bytes], relative: bool) -> list[float]:
             value = float(word[1])
             step = value if relative or not absolute else value - at
             total, at = total + step, at + step
-    return [*told, total]
+    return [*printed, total]
 
 
 def carried(lines: list[bytes]) -> list[bytes]:

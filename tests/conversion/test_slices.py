@@ -46,9 +46,9 @@ def test_layers_of_every_slicer_are_recognised(each: Slice) -> None:
 
 
 def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
-    told = SLICES["prusaslicer"]
-    known = converted(told, paper)[2]
-    unknown = converted(replace(told, harmless=()), paper)[2]
+    printed = SLICES["prusaslicer"]
+    known = converted(printed, paper)[2]
+    unknown = converted(replace(printed, harmless=()), paper)[2]
     assert set(known.path.uncompensated) == {"START_PRINT"}
     assert unknown.path.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
     shares = unknown.as_json()["uncompensated"]

@@ -41,8 +41,8 @@ def peak(lines: Iterator[str], source: str = "-", *more: str) -> tuple[int, floa
             process.stdin.write(line + "\n")
     except BrokenPipeError:
         pass  # it has refused the file already
-    _, told = process.communicate()
-    said, _, kilobytes = told.rpartition("peak ")
+    _, printed = process.communicate()
+    said, _, kilobytes = printed.rpartition("peak ")
     return process.returncode, int(kilobytes) / 1024.0, said
 
 

@@ -38,9 +38,9 @@ def folder(tmp_path: Path) -> Path:
 
 def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
     """Exit 1 with one line; the input is as it was and nothing is beside it."""
-    status, told = done
-    assert (status, told.count("\n")) == (1, 1), told
-    assert cause in told
+    status, printed = done
+    assert (status, printed.count("\n")) == (1, 1), printed
+    assert cause in printed
     assert (folder / "in.gcode").read_bytes() == RECTANGLE.read_bytes()
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml"}
 
@@ -105,8 +105,8 @@ def test_standard_output_by_its_name(folder: Path) -> None:
 
 
 def test_a_reader_that_leaves_is_no_error_to_tell(folder: Path) -> None:
-    status, told = shell("$ME in.gcode -q -o - | head -c 10 >/dev/null", folder)
-    assert (status, told) == (0, "")
+    status, printed = shell("$ME in.gcode -q -o - | head -c 10 >/dev/null", folder)
+    assert (status, printed) == (0, "")
 
 
 def limited() -> None:
@@ -128,9 +128,9 @@ def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
     def small() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
 
-    status, told = shell("$ME in.gcode", folder, preexec_fn=small)
-    assert (status, told) == (1, f"Error: {told[7:]}")
-    assert told.count("\n") == 1
+    status, printed = shell("$ME in.gcode", folder, preexec_fn=small)
+    assert (status, printed) == (1, f"Error: {printed[7:]}")
+    assert printed.count("\n") == 1
     assert (folder / "in.gcode").read_bytes() == (SAMPLES / "cube.gcode").read_bytes()
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml"}
 
@@ -171,9 +171,9 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
 
 def test_two_processes_on_one_file(folder: Path) -> None:
     """Each finds its input whole; who comes second finds it converted, or sees it change."""
-    status, told = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
+    status, printed = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
     assert status == 0
-    assert "Traceback" not in told
+    assert "Traceback" not in printed
     assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
 
@@ -224,9 +224,9 @@ def test_a_disk_that_is_full_or_cannot_be_written(
         ["unshare", "-rm", "bash", "-c", ON_A_DISK],
         cwd=folder, env=env, capture_output=True, check=False, timeout=300,
     )  # fmt: skip
-    told = done.stderr.decode()
-    assert (done.returncode, told.count("\n")) == (1, 1), told
-    assert cause in told
+    printed = done.stderr.decode()
+    assert (done.returncode, printed.count("\n")) == (1, 1), printed
+    assert cause in printed
 
 
 def test_what_is_write_protected_is_not_replaced(folder: Path) -> None:

@@ -52,8 +52,8 @@ def test_a_killed_conversion_tidies_up_and_says_nothing(
             assert process.poll() is None
             time.sleep(0.01)
         process.send_signal(number)
-        _, told = process.communicate(timeout=60.0)
-    assert (process.returncode, told) == (-number, b"")
+        _, printed = process.communicate(timeout=60.0)
+    assert (process.returncode, printed) == (-number, b"")
     assert not list(tmp_path.iterdir())
 
 
@@ -116,9 +116,9 @@ def at_random(folder: Path, count: int, seed: int) -> Counter[str]:
             until(lambda process=process: _catches(process.pid, signal.SIGTERM))  # type: ignore[misc]
         time.sleep(rng.uniform(0.0, 1.3) * whole[way])
         (os.killpg if group else os.kill)(process.pid, number)
-        _, told = process.communicate()
+        _, printed = process.communicate()
         outcome = process.returncode
-        assert outcome in (0, -number), (way, number, group, outcome, told)
+        assert outcome in (0, -number), (way, number, group, outcome, printed)
         until(lambda: not _alive(folder))
         for name, part in WAYS[way][1].items():
             old = {b"" if way == "batch" else PARTS[part], converted[part]}
@@ -130,7 +130,7 @@ def at_random(folder: Path, count: int, seed: int) -> Counter[str]:
                 assert (folder / f"{part}.gcode").read_bytes() == text
         if not (number == signal.SIGKILL and (way != "batch" or group)):
             assert set(temporary(folder)) <= set(before), (way, number, group)
-        assert not any(word in told for word in TOLD), told.decode()
+        assert not any(word in printed for word in TOLD), printed.decode()
         seen[f"{way}, {number.name}, {'finished' if outcome == 0 else 'ended'}"] += 1
     if temporary(folder):  # of SIGKILL
         _renew(folder)

@@ -354,14 +354,14 @@ def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -
 @pytest.mark.parametrize("name", sorted(path.stem for path in QUIRKS.iterdir()))
 def test_quirks_convert_or_are_refused_as_for_klipper(marlin: Printer, name: str) -> None:
     lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
-    told = []
+    printed = []
     for each in (marlin, played_by(marlin, "klipper")):
         try:
             converted(lines, each, Options("racking", clamp=True))
-            told.append("")
+            printed.append("")
         except GcodeError as error:
-            told.append(str(error))
-    assert told[0] == told[1]
+            printed.append(str(error))
+    assert printed[0] == printed[1]
 
 
 # ---------------------------------------------------------------------- segments

@@ -21,13 +21,13 @@ SHORT = 2e-3  # mm; ends that are no further apart are one place, as they are wr
 class Stand(NamedTuple):
     """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
 
-    place: of the machine; told: as the firmware would tell it, after G92; moves: that were made;
+    place: of the machine; reported: as the firmware reports it, after G92; moves: number made;
     way: mm of the next.
     """
 
     number: int
     place: tuple[float | None, ...]
-    told: tuple[float | None, ...]
+    reported: tuple[float | None, ...]
     filament: float
     modes: tuple[bool, bool]
     e: float
@@ -81,11 +81,17 @@ class Machine:
         if mark := MARK.match(raw):
             e = self.e if self._e_absolute else 0.0
             modes = (self.absolute, self.absolute_e)
-            told = tuple(
+            reported = tuple(
                 None if p is None else p - o for p, o in zip(self.place, self.offset, strict=True)
             )
             stand = Stand(
-                int(mark[1]), tuple(self.place), told, self.filament, modes, e, len(self.trace) - 1
+                int(mark[1]),
+                tuple(self.place),
+                reported,
+                self.filament,
+                modes,
+                e,
+                len(self.trace) - 1,
             )
             self.stands.append(stand)
             return

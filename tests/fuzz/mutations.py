@@ -44,7 +44,7 @@ LINES = (
     b"M203 X200 Y200", b"M205 X8", b"M205 J0.01", b"M566 X300 Y300", b"M593 F40",
     b"SET_VELOCITY_LIMIT ACCEL=1e4", b"SET_VELOCITY_LIMIT VELOCITY='20'",
     b"SET_VELOCITY_LIMIT accel=900 # x", b"SET_VELOCITY_LIMIT ACCEL", b"SET_PRESSURE_ADVANCE X",
-    # what is told, and to whom
+    # what is commanded, and to whom
     b"M73 P10 R5", b"M73 P10.5 R7.5 Q3 S1", b"M117 Layer 3 *5", b"M117 G91", b"M118 E1 G28",
     b"M106 S255", b"M106 P1 S0.5", b"M486 S1", b"M486 APart", b";TIME:100", b"; G91",
     b";TIME_ELAPSED:5.5", b"; estimated printing time (normal mode) = 1h 2m 3s", b";LAYER:7",

@@ -149,7 +149,7 @@ def check_same_print(
         if before.number in at_rest:
             assert after.modes == before.modes, f"modes differ at mark {before.number}"
             assert abs(after.e - before.e) < FILAMENT, f"E differs at mark {before.number}"
-            _check_places(before.number, before.told, after.told, BEYOND)
+            _check_places(before.number, before.reported, after.reported, BEYOND)
         close = BEYOND if before.number in at_rest else OFF
         _check_places(before.number, before.place, after.place, close)
     now, then = (written.absolute, written.absolute_e), (asked.absolute, asked.absolute_e)

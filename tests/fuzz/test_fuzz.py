@@ -55,6 +55,6 @@ def test_the_machine_reads_as_firmware_does() -> None:
         b"g1x10y10e6\nN 5 G1 X20 (Y3) ; Y9\nG20\nG1 X1\nG92 X0 E0\n;@1\nG91\nG1 X1\nG92\n;@2\n"
     )
     first, second = machine.stands
-    assert (first.place, first.told) == ((25.4, 10.0, None), (0.0, 10.0, None))
+    assert (first.place, first.reported) == ((25.4, 10.0, None), (0.0, 10.0, None))
     assert first.filament == 6.0
-    assert second.told == (0.0, 0.0, None)
+    assert second.reported == (0.0, 0.0, None)

@@ -13,5 +13,5 @@ def data_of(html: bytes | Path) -> dict[str, Any]:
     content = html.read_bytes() if isinstance(html, Path) else html
     found = re.search(rb'id="data">(.*?)</script>', content, re.DOTALL)
     assert found is not None
-    told: dict[str, Any] = json.loads(found[1])
-    return told
+    printed: dict[str, Any] = json.loads(found[1])
+    return printed

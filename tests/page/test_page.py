@@ -64,9 +64,9 @@ def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:
     part = SAMPLES / "rectangle.gcode"
     out, report = tmp_path / "out.gcode", tmp_path / "report.html"
     assert run(part, "-o", out, "--report", report).returncode == 0
-    told = data_of(report.read_bytes())
-    assert told["name"] == "rectangle.gcode"
-    assert told["chosen"] == "racking"
+    printed = data_of(report.read_bytes())
+    assert printed["name"] == "rectangle.gcode"
+    assert printed["chosen"] == "racking"
     assert out.is_file()
     assert run("-", "-o", out, "--report", report, stdin=part.read_bytes()).returncode == 2
     part_of_evil = tmp_path / "bad.gcode"

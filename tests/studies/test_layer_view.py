@@ -53,7 +53,7 @@ def test_a_long_print_is_shown_coarser_and_keeps_shape_and_largest_errors(
     np.testing.assert_allclose(errors.max(axis=0), list(peaks.values()))
     for number, fine in whole.layers().items():
         coarse = view.layers()[number]
-        for feature in np.unique(fine.feature):  # no error of one feature is told of another
+        for feature in np.unique(fine.feature):  # no error of one feature is printed of another
             fine_errors, its = (each.error[each.feature == feature] for each in (fine, coarse))
             np.testing.assert_allclose(its.max(axis=0), fine_errors.max(axis=0))
         length, near = view.finest

@@ -103,7 +103,7 @@ def test_tune_prints_the_section_for_klipper(tmp_path: Path) -> None:
     text = done.stdout.decode()
     section = text[text.index("[input_shaper]") :]
     assert section.count("shaper_freq_") == 2
-    told = json.loads(out.read_text())
-    errors = [s["contour_error_rms_um"] for s in told["shapers"]]
+    summary = json.loads(out.read_text())
+    errors = [s["contour_error_rms_um"] for s in summary["shapers"]]
     assert errors == sorted(errors)
-    assert errors[0] < 0.65 * told["klipper_calibration"]["contour_error_rms_um"]
+    assert errors[0] < 0.65 * summary["klipper_calibration"]["contour_error_rms_um"]

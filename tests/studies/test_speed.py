@@ -100,9 +100,9 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
         assert seconds > 0.97 * min(least, loose.original.layers[number])
     assert loose.trial.limited.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.limited_by["file"] > 0.0
-    told = speed_as_text(loose)
-    assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", told)
-    assert re.search(r"\d+ µm without hframe-post", told)
+    printed = speed_as_text(loose)
+    assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", printed)
+    assert re.search(r"\d+ µm without hframe-post", printed)
 
 
 @pytest.mark.slow
@@ -123,9 +123,11 @@ def test_convert_within_an_error(tmp_path: Path) -> None:
     bounds = "outer-wall=30um,infill=0.2mm"
     done = run(part, "-o", out, "--max-error", bounds, "--json", tmp_path / "s.json")
     assert done.returncode == 0
-    told = json.loads((tmp_path / "s.json").read_text())
-    assert told["speed"]["features"]["outer-wall"]["bound_um"] == 30.0
-    assert told["print_time_s"]["after"] == pytest.approx(told["speed"]["print_time_s"]["after"])
+    report = json.loads((tmp_path / "s.json").read_text())
+    assert report["speed"]["features"]["outer-wall"]["bound_um"] == 30.0
+    assert report["print_time_s"]["after"] == pytest.approx(
+        report["speed"]["print_time_s"]["after"]
+    )
 
 
 @pytest.mark.slow
@@ -162,8 +164,8 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
         part.write_bytes(b"".join(cube()))
         done = run(part, "-p", mine, *options, "--json", tmp_path / "s.json")
         assert done.returncode == 0, done.stderr
-        told = json.loads((tmp_path / "s.json").read_text())
-        assert ("speed" in told) == faster
+        printed = json.loads((tmp_path / "s.json").read_text())
+        assert ("speed" in printed) == faster
     piped = run("-", "-p", mine)
     assert piped.returncode == 2
     assert b"--max-error off" in piped.stderr

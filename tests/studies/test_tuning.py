@@ -172,10 +172,10 @@ FIGURES = st.tuples(ERROR, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
 
 @given(st.lists(st.tuples(FIGURES, st.booleans()), max_size=8))
 def test_recommended_is_the_gentlest_of_the_good(
-    told: list[tuple[tuple[float, float, float], bool]],
+    printed: list[tuple[tuple[float, float, float], bool]],
 ) -> None:
     trials, motors = [], Motors(50.0, 50.0)
-    for (error, velocity, acceleration), refused in told:
+    for (error, velocity, acceleration), refused in printed:
         trial = Trial((WINDOW, WINDOW), "diverges" if refused else "")
         trial.contour.add(np.array([error]), np.array([True]))
         trial.velocity, trial.acceleration = velocity, acceleration

@@ -28,7 +28,7 @@ def test_duration(seconds: float, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "elapsed", "told"),
+    ("line", "elapsed", "printed"),
     [
         (b";TIME:1106", 0.0, b";TIME:2001"),
         (b"; estimated printing time (normal mode) = 1h 2m", 1.0,
@@ -37,8 +37,8 @@ def test_duration(seconds: float, text: str) -> None:
         (b"M73 Q10 S85 ; silent", 1000.0, b"M73 Q50 S17 ; silent"),
     ],
 )  # fmt: skip
-def test_print_times_are_with_times(line: bytes, elapsed: float, told: bytes) -> None:
-    assert with_times(DeferredLine(line, elapsed), 2000.2) == told
+def test_print_times_are_with_times(line: bytes, elapsed: float, printed: bytes) -> None:
+    assert with_times(DeferredLine(line, elapsed), 2000.2) == printed
 
 
 def test_with_timess_are_filled_in_at_their_place(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_with_timess_are_filled_in_at_their_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "printed"),
     [
         (b"; model printing time: 8m 57s; total estimated time: 15m 42s",
          b"; model printing time: 33m 20s; total estimated time: 40m 05s"),
@@ -71,10 +71,10 @@ def test_with_timess_are_filled_in_at_their_place(tmp_path: Path) -> None:
         (b"M73 C4 D5 P10 R7", b"M73 C4 D5 P50 R17"),
     ],
 )  # fmt: skip
-def test_print_times_are_told_in_the_words_of_every_slicer(line: bytes, told: bytes) -> None:
+def test_print_times_are_told_in_the_words_of_every_slicer(line: bytes, printed: bytes) -> None:
     deferred = passed_on(line, 1000.0)
     assert isinstance(deferred, DeferredLine)
-    assert with_times(deferred, 2000.2) == told
+    assert with_times(deferred, 2000.2) == printed
 
 
 @pytest.mark.parametrize(

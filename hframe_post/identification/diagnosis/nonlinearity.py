@@ -4,7 +4,7 @@ Each cause is simulated on the sweep of the linear printer; the harmonics that i
 compared with those that were measured.
 
 ===========  ================================================  ===============
-cause        force, or motion                                  heard through
+cause        force, or motion                                  seen through
 ===========  ================================================  ===============
 friction     −sign(v), on the carriage                         1 − G
 backlash     the motor's path, less the play b, less that path s²·G
@@ -105,14 +105,16 @@ def find_nonlinearity(axes: Mapping[str, AxisSweeps], step: float) -> Nonlineari
     matches: dict[str, dict[str, _Match]] = {}
     for name, axis in axes.items():
         measured = Harmonics.from_runs([one for _, one in axis.runs])
-        own = {order: measured.share(order) for order in (2, 3)}
-        matches[name] = {cause: _match(axis, cause, own[ORDER[cause]]) for cause in ORDER}
-        explained = {c: own[ORDER[c]] * match.correlation for c, match in matches[name].items()}
+        by_order = {order: measured.share(order) for order in (2, 3)}
+        matches[name] = {cause: _match(axis, cause, by_order[ORDER[cause]]) for cause in ORDER}
+        explained = {
+            c: by_order[ORDER[c]] * match.correlation for c, match in matches[name].items()
+        }
         best = max(explained, key=lambda cause: explained[cause])
-        whole = float(np.hypot(own[2], own[3]))
+        whole = float(np.hypot(by_order[2], by_order[3]))
         # A correlation with steps is 0.05 to 0.25, with a true cause 0.7 to 1. Harmonics above
         # 2 per mm of step cannot come from steps at all.
-        if explained[best] > max(0.004, 0.5 * own[ORDER[best]]) or whole > 2.0 * step:
+        if explained[best] > max(0.004, 0.5 * by_order[ORDER[best]]) or whole > 2.0 * step:
             shares[name] = whole
     if not shares:
         return None

@@ -136,7 +136,9 @@ def tried(
         _tried(*pair, branch, printer, drawn)
         for pair, branch in zip(compensators, branches(samples, len(compensators)), strict=True)
     )
-    for _ in zip_longest(*in_step, *running):  # no chunk is held for a branch far behind
+    for _ in zip_longest(
+        *in_step, *running
+    ):  # so that no branch falls behind and chunks need not wait
         pass
     furthest = max_deviation(printer.plant, printer.limits)
     for trial in trials:
