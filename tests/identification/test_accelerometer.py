@@ -175,10 +175,22 @@ def test_file_that_is_cut_off(tmp_path: Path, rows: Array) -> None:
 
 
 def test_missing_samples_are_located(tmp_path: Path, rows: Array) -> None:
-    lost = np.delete(rows, slice(1000, 1008), axis=0)
-    refused(file(tmp_path, klipper(lost)), "line 1002: samples are missing: 0.0028.* s")
-    some = np.delete(rows, slice(1000, 1003), axis=0)
-    assert len(read(file(tmp_path, klipper(some))).t) == len(some)
+    lost = np.delete(rows, slice(1000, 1400), axis=0)
+    refused(file(tmp_path, klipper(lost)), "line 1002: samples are missing: 0.12.* s")
+    often = rows[np.arange(len(rows)) % 50 > 2]
+    refused(file(tmp_path, klipper(often)), "samples are missing: 0.0012.* s .* 8 % .* in all")
+
+
+def test_a_few_missing_samples_are_filled_and_reported(tmp_path: Path, rows: Array) -> None:
+    some = np.delete(rows, [*range(1000, 1060), *range(3000, 3003)], axis=0)
+    found = read(file(tmp_path, klipper(some)))
+    assert len(found.t) == len(rows)
+    np.testing.assert_allclose(found.t, rows[:, 0], atol=2e-5)
+    between = np.linspace(rows[999], rows[1060], 62)[1:-1, 1:]
+    np.testing.assert_allclose(found.a[1000:1060], between, atol=1.0)
+    (note,) = diagnose(found, 0.5)
+    assert note.startswith("63 samples (")
+    assert "the longest gap is 19" in note
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_recordings_without_the_sweep_or_cut_or_clipped_are_refused(
         ("does not follow", silent),
         ("shorter|ends .* before", lambda rows: rows[: len(rows) // 2]),
         ("clipped", lambda rows: np.clip(rows, [-np.inf, -3000, -3000, -np.inf], np.inf)),
-        ("missing", lambda rows: np.delete(rows, slice(9000, 9100), axis=0)),
+        ("missing", lambda rows: np.delete(rows, slice(9000, 9400), axis=0)),
     ):
         bad = changed(path, tmp_path, change)
         axes = "x=x,y=y,z=z" if change is silent else AXES

@@ -16,13 +16,15 @@ from scipy import optimize
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.formats import Table, read_table
+from hframe_post.identification.recordings.formats import Table, read_tables
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
 AXES = "xyz"
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
+GAP = 2.5  # sample periods between neighbours, from which samples are missing
+LONGEST_GAP, MOST_LOST = 0.1, 0.01  # s, and share of a recording, that may be missing
 GAIN_SD = 0.005  # of a gain from readings at rest, relative: each is one noisy, rounded sample
 
 
@@ -31,11 +33,13 @@ class Recording:
     """Samples of a sensor: times t (n,) in s, rising and uneven; accelerations a (n, 3) in mm/s².
 
     started: the first sample follows the start of the command by at most one sample period.
+    notes: what was unusual about the file.
     """
 
     t: Array
     a: Array
     started: bool
+    notes: tuple[str, ...] = ()
 
     @property
     def period(self) -> float:
@@ -46,11 +50,11 @@ class Recording:
 def read(
     path: str | Path, columns: Sequence[str] | None = None, unit: str | None = None
 ) -> Recording:
-    """Return the recording in a file of Klipper's, or in a text, .npz or .mat file.
+    """Return the recording in a file of any known format, which must hold one only.
 
-    columns: names of time (s) and the three accelerations, needed unless Klipper wrote the file;
-    with them even a Klipper file is not taken to begin with the command. unit: one of UNITS;
-    by default the one in which the mean acceleration is gravity. Raises OSError and
+    columns: names of time (s) and the three accelerations, needed if the file's own do not say
+    what they are; with them even a Klipper file is not taken to begin with the command. unit: one
+    of UNITS; by default the one in which the mean acceleration is gravity. Raises OSError and
     IdentificationError, which names file, line and cause.
     """
     path = Path(path)
@@ -60,12 +64,42 @@ def read(
         raise IdentificationError(
             f"{','.join(columns)!r} does not name four columns: time, x, y and z"
         )
-    table = read_table(path, columns)
+    tables = read_tables(path, columns)
+    if len(tables) != 1:
+        names = ", ".join(table.name for table in tables[:5]) or "none"
+        raise IdentificationError(f"{path} does not hold one recording, but {len(tables)}: {names}")
+    return from_table(path, tables[0], unit)
+
+
+def from_table(path: Path, table: Table, unit: str | None = None) -> Recording:
+    """Return the recording in a table of a file. Short gaps are filled with straight lines.
+
+    Raises IdentificationError, which names file, line and cause.
+    """
     _check_samples(path, table)
     a = table.values[:, 1:]
     a = a * UNITS[table.unit or unit or _unit_by_gravity(a)]
     _check_clipping(path, table, a)
-    return Recording(table.values[:, 0].copy(), a, table.starts_with_command)
+    return _without_gaps(Recording(table.values[:, 0].copy(), a, table.starts_with_command))
+
+
+def _without_gaps(recording: Recording) -> Recording:
+    t, period = recording.t, recording.period
+    step = np.diff(t)
+    wide = np.flatnonzero(step > GAP * period)
+    if not wide.size:
+        return recording
+    added = np.concatenate([
+        np.linspace(t[k], t[k + 1], round(step[k] / period) + 1)[1:-1] for k in wide.tolist()
+    ])  # fmt: skip
+    whole = np.sort(np.concatenate([t, added]))
+    a = np.column_stack([np.interp(whole, t, values) for values in recording.a.T])
+    longest = int(wide[np.argmax(step[wide])])
+    note = (
+        f"{len(added)} samples ({100.0 * len(added) / len(whole):.2g} %) are missing; the longest "
+        f"gap is {1e3 * step[longest]:.3g} ms at {t[longest]:.6g} s"
+    )
+    return replace(recording, t=whole, a=a, notes=(note,))
 
 
 def _unit_by_gravity(a: Array) -> str:
@@ -79,8 +113,9 @@ def _unit_by_gravity(a: Array) -> str:
 
 
 def _error(path: Path, table: Table, row: int | None, cause: str) -> IdentificationError:
+    name = f"{table.name}: " if table.name else ""
     where = "" if row is None else f"{table.where(row)}: "
-    return IdentificationError(f"{path}: {where}{cause}")
+    return IdentificationError(f"{path}: {name}{where}{cause}")
 
 
 def _check_samples(path: Path, table: Table) -> None:
@@ -99,10 +134,12 @@ def _check_samples(path: Path, table: Table) -> None:
     if period > 1.0 / 300.0:  # slower sampling cannot show 100 Hz
         cause = f"{1.0 / period:.3g} samples a second are too few; 300 are needed"
         raise _error(path, table, None, f"{cause}. Check that time is in seconds")
-    if (bad := np.flatnonzero(step > 5.0 * period)).size:
-        k = int(bad[0])
+    lost = step[step > GAP * period]
+    if lost.max(initial=0.0) > LONGEST_GAP or lost.sum() > MOST_LOST * (t[-1] - t[0]):
+        k = int(np.argmax(step))
         cause = f"samples are missing: {step[k]:.4g} s between neighbours at {t[k]:.6g} s"
-        raise _error(path, table, k + 1, f"{cause}, {period:.3g} s elsewhere. Record again")
+        share = f"{100.0 * lost.sum() / (t[-1] - t[0]):.2g} % of the recording in all"
+        raise _error(path, table, k + 1, f"{cause}, {share}. Record again")
 
 
 def _check_clipping(path: Path, table: Table, a: Array) -> None:
@@ -151,10 +188,11 @@ def diagnose(recording: Recording, quiet: float) -> list[str]:
     """Return warnings about a recording as it was read; quiet: s of rest at its start."""
     gravity = float(np.linalg.norm(_at_rest(recording, quiet)))
     if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
-        return []
+        return list(recording.notes)
     return [
+        *recording.notes,
         f"at rest the sensor shows {gravity / 1000.0:.4g} m/s² instead of gravity, 9.81 m/s². "
-        "Its tilt is not removed. Check its unit, and that the printer stood still at the start"
+        "Its tilt is not removed. Check its unit, and that the printer stood still at the start",
     ]
 
 

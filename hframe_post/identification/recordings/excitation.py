@@ -26,6 +26,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.packed import unpacked
 from hframe_post.printer.settings import Sweep
 from hframe_post.writers.stream import digits
 
@@ -127,7 +128,7 @@ def read_command(path: Path) -> Array:
 
     Raises OSError, and IdentificationError with the line and the cause.
     """
-    lines = path.read_bytes().decode("latin-1").splitlines()
+    lines = unpacked(path).decode("latin-1").splitlines()
     if not lines or lines[0].strip().lower() != CSV_HEAD:
         raise IdentificationError(
             f"{path}: line 1: not the command of a sweep, which begins with {CSV_HEAD!r}"

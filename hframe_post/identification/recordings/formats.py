@@ -1,11 +1,13 @@
 """Formats of accelerometer files.
 
-To support another format, write a function that returns a Table, and call it in ``read_table``.
+To support another format, write a function that returns a Table, and call it in ``read_tables``.
 """
 
 from __future__ import annotations
 
 import io
+import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,24 +17,33 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.packed import unpacked
 
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
+M956 = ("Sample", "X", "Y", "Z")
+M956_END = re.compile(rb"\s*Rate (\d+), overflows (\d+)\s*")
+ACCELERATIONS = ("accel_{}", "acceleration_{}", "acc_{}", "a{}", "a_{}", "{}_accel", "{}_acc")
+UNIT = re.compile(r"[ _]*(?:\((?P<a>[^)]*)\)|\[(?P<b>[^\]]*)\]|_(?P<c>g|mm/s2|m/s2|s))$")
+UNIT_NAMES = {"g": "g", "m/s2": "m/s2", "m/s^2": "m/s2", "m/s²": "m/s2",
+              "mm/s2": "mm/s2", "mm/s^2": "mm/s2", "mm/s²": "mm/s2"}  # fmt: skip
 LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show it
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What a file holds: time (s) and three accelerations, (n, 4).
+    """One recording in a file: time (s) and three accelerations, (n, 4).
 
     text: the file, if it has lines, so that errors can name them. unit: of the accelerations;
     None if the format does not fix it. starts_with_command: whether the program that wrote the
-    file began recording with the first sample of the command.
+    file began recording with the first sample of the command. name: of the recording, if the
+    file names it.
     """
 
     values: Array
     text: bytes | None = None
     unit: str | None = None
     starts_with_command: bool = False
+    name: str = ""
 
     def where(self, row: int) -> str:
         """Return the place of a row for an error message: its line, or its number."""
@@ -42,17 +53,88 @@ class Table:
         return f"line {filled[row + 1]}"
 
 
-def read_table(path: Path, columns: Sequence[str] | None) -> Table:
-    """Read a file of any known format. columns: names of time, x, y, z if the user gave them.
+def read_tables(path: Path, columns: Sequence[str] | None) -> list[Table]:
+    """Read a file of any known format; it may hold several recordings.
 
-    Raises OSError or IdentificationError.
+    columns: names of time, x, y, z if the user gave them. Raises OSError or IdentificationError.
     """
-    content = path.read_bytes()
+    content = unpacked(path)
     if path.suffix in (".npz", ".mat"):
-        return Table(_named_arrays(path, _arrays(path, content), columns))
-    if columns is None and tuple(_header(content)[0]) == KLIPPER:  # always in mm/s²
-        return Table(_numbers(path, content, KLIPPER), content, "mm/s2", starts_with_command=True)
-    return _text(path, content, columns)
+        return [Table(_named_arrays(path, _arrays(path, content), columns))]
+    if columns is not None:
+        return [_text(path, content, columns)]
+    if content.startswith(b"{"):
+        return [_measurement(path, k, line) for k, line in enumerate(content.splitlines(), 1)]
+    names = tuple(_header(content)[0])
+    if names == KLIPPER:  # always in mm/s²
+        values = _numbers(path, content, KLIPPER)
+        return [Table(values, content, "mm/s2", starts_with_command=True)]
+    if names[:1] == M956[:1] and set(names) <= set(M956):
+        return [_m956(path, content, names)]
+    return [_recognized(path, content, names)]
+
+
+def _measurement(path: Path, number: int, line: bytes) -> Table:
+    """Read one line of a .stdata file of Shake&Tune: a JSON object with a name and samples."""
+    try:
+        read = json.loads(line)
+    except (ValueError, RecursionError):
+        raise IdentificationError(
+            f"{path}: measurement {number} is not complete. Is the file cut off?"
+        ) from None
+    try:
+        name, values = str(read["name"]), np.array(read["samples"] or np.zeros((0, 4)), float)
+        if values.ndim != 2 or values.shape[1] != 4:
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise IdentificationError(
+            f"{path}: measurement {number} does not consist of a name and samples of time, x, y "
+            "and z: Shake&Tune did not write this file"
+        ) from None
+    return Table(values, None, "mm/s2", False, name)
+
+
+def _m956(path: Path, content: bytes, names: Sequence[str]) -> Table:
+    """Read what M956 of RepRapFirmware wrote: samples in g, and their rate in the last line."""
+    if len(names) < len(M956):
+        raise IdentificationError(
+            f"{path} has only {', '.join(names[1:]) or 'no axis'}. Record all three axes: M956 "
+            "without X, Y and Z"
+        )
+    body, _, last = content.rstrip().rpartition(b"\n")
+    found = M956_END.fullmatch(last)
+    if found is None or not int(found[1]):
+        raise IdentificationError(
+            f"{path}: the last line is not 'Rate …, overflows …'. The file is cut off, or the "
+            "accelerometer failed"
+        )
+    if int(found[2]):
+        raise IdentificationError(
+            f"{path}: samples are missing: {int(found[2])} overflows at unknown times. Set a lower "
+            "rate (M955 S) and record again"
+        )
+    values = _numbers(path, body, M956)
+    values[:, 0] /= float(found[1])
+    return Table(values, body, "g")
+
+
+def _recognized(path: Path, content: bytes, names: Sequence[str]) -> Table:
+    """Read another program's table if its columns say what they are: time, and accelerations."""
+    bare = [UNIT.sub("", name.strip("# ").lower()) for name in names]
+    units = [_unit_of(name) for name in names]
+    times = [k for k, name in enumerate(bare) if name in ("time", "t", "timestamp")]
+    for form in ACCELERATIONS:
+        axes = [form.format(axis) for axis in "xyz"]
+        if len(times) == 1 and all(bare.count(axis) == 1 for axis in axes):
+            places = [times[0], *(bare.index(axis) for axis in axes)]
+            unit = UNIT_NAMES.get(units[places[1]])
+            return Table(_numbers(path, content, [names[k] for k in places]), content, unit)
+    return _text(path, content, None)
+
+
+def _unit_of(name: str) -> str:
+    found = UNIT.search(name.lower())
+    return next(filter(None, found.groups()), "").strip() if found else ""
 
 
 # ---------------------------------------------------------------------- text
@@ -68,10 +150,10 @@ def _text(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
     if not content.strip():
         raise IdentificationError(f"{path}: the file is empty")
     names, _ = _header(content)
-    if "psd_xyz" in names:
+    if any(name.lower().startswith("psd_") for name in names):
         raise IdentificationError(
-            f"{path} is a spectrum that Klipper has computed, not a recording. Use the file that "
-            "ACCELEROMETER_MEASURE wrote, which begins with #time"
+            f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
+            "TEST_RESONANCES AXIS=… OUTPUT=raw_data"
         )
     if columns is None:
         raise IdentificationError(

@@ -1,0 +1,136 @@
+"""Files of accelerometers as Klipper, Shake&Tune, RepRapFirmware and other programs write them."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import lzma
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+
+from hframe_post.arrays import Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import GRAVITY, read
+from hframe_post.identification.recordings.excitation import command_csv, read_command
+from hframe_post.identification.recordings.formats import read_tables
+
+HEAD = b"#time,accel_x,accel_y,accel_z\n"
+
+
+@pytest.fixture(scope="module")
+def rows() -> Array:
+    """Return time and three accelerations of a sensor that shakes, (n, 4)."""
+    rng = np.random.default_rng(0)
+    t = 100.0 + np.arange(2000) / 1600.0
+    return np.column_stack([t, rng.normal([300.0, -200.0, 9800.0], 500.0, (2000, 3))])
+
+
+def csv(rows: Array, head: bytes = HEAD) -> bytes:
+    return head + b"".join(b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist())
+
+
+def stdata(*measurements: tuple[str, Array]) -> bytes:
+    lines = [
+        json.dumps({"name": name, "samples": values.tolist()}) + "\n"
+        for name, values in measurements
+    ]
+    return zstandard.ZstdCompressor().compress("".join(lines).encode())
+
+
+def m956(rows: Array, end: bytes = b"Rate 1600, overflows 0\n") -> bytes:
+    lines = [b"%d,%.4f,%.4f,%.4f\n" % (k, *row) for k, row in enumerate(rows[:, 1:] / GRAVITY)]
+    return b"Sample,X,Y,Z\n" + b"".join(lines) + end
+
+
+@pytest.mark.parametrize(
+    "pack", [gzip.compress, lzma.compress, zstandard.ZstdCompressor().compress]
+)
+def test_compressed_files_are_read_whatever_their_name(
+    tmp_path: Path, rows: Array, pack: Callable[[bytes], bytes]
+) -> None:
+    path = tmp_path / "raw.csv"
+    path.write_bytes(pack(csv(rows)))
+    np.testing.assert_allclose(read(path).a, rows[:, 1:], atol=1e-6)
+    path.write_bytes(pack(csv(rows))[:-3000])
+    with pytest.raises(IdentificationError, match="is cut off"):
+        read(path)
+    path.write_bytes(pack(csv(rows))[:20] + bytes(range(200)))
+    with pytest.raises(IdentificationError, match=r"raw\.csv"):
+        read(path)
+
+
+def test_a_compressed_command_is_read(tmp_path: Path) -> None:
+    command = np.column_stack([np.sin(np.arange(1500) / 100.0), np.zeros(1500)])
+    path = tmp_path / "command.csv.gz"
+    path.write_bytes(gzip.compress(b"".join(command_csv(command))))
+    np.testing.assert_allclose(read_command(path), command, atol=1e-6)
+
+
+def test_shaketune_files_hold_several_measurements(tmp_path: Path, rows: Array) -> None:
+    path = tmp_path / "beltscomparison.stdata"
+    path.write_bytes(stdata(("belt_A_20250101_101010", rows), ("belt_B_20250101_101110", -rows)))
+    first, second = read_tables(path, None)
+    assert (first.name, second.name) == ("belt_A_20250101_101010", "belt_B_20250101_101110")
+    np.testing.assert_array_equal(first.values, rows)
+    with pytest.raises(IdentificationError, match="does not hold one recording, but 2: belt_A"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b'{"name": "axis_X", "samples": [[1, 2, 3, 4], [2', "measurement 1 is not complete"),
+        (b'{"name": "axis_X", "samples": []}', "axis_X: 0 samples are too few"),
+        (b'{"name": "axis_X"}', "measurement 1 does not consist of"),
+        (b'{"name": "axis_X", "samples": [[1, 2, 3]]}', "does not consist of"),
+        (b'{"name": "axis_X", "samples": [[1, 2, 3, "word"]]}', "does not consist of"),
+        (b'{"name": "axis_X", "samples": 5}', "does not consist of"),
+        (b"{" * 5000, "not complete"),
+    ],
+)
+def test_broken_shaketune_files_are_refused(tmp_path: Path, text: bytes, words: str) -> None:
+    path = tmp_path / "broken.stdata"
+    path.write_bytes(zstandard.ZstdCompressor().compress(text))
+    with pytest.raises(IdentificationError, match=words):
+        read(path)
+
+
+def test_m956_files_of_reprapfirmware_are_read(tmp_path: Path, rows: Array) -> None:
+    path = tmp_path / "0_2026-03-01_10.15.00.csv"
+    path.write_bytes(m956(rows))
+    found = read(path)
+    np.testing.assert_allclose(found.t, rows[:, 0] - rows[0, 0], atol=1e-9)
+    np.testing.assert_allclose(found.a, rows[:, 1:], atol=0.5)
+    assert not found.started
+    for text, words in (
+        (m956(rows, b""), "the last line is not 'Rate"),
+        (m956(rows, b"Failed to collect data from accelerometer\n"), "accelerometer failed"),
+        (m956(rows, b"Rate 1600, overflows 3\n"), "3 overflows"),
+        (m956(rows).replace(b"Sample,X,Y,Z", b"Sample,X"), "has only X.*all three axes"),
+    ):
+        path.write_bytes(text)
+        with pytest.raises(IdentificationError, match=words):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "scale"),
+    [
+        (b"time,accel_x,accel_y,accel_z\n", 1.0),
+        (b"Time (s),Acceleration_X (m/s^2),Acceleration_Y (m/s^2),Acceleration_Z (m/s^2)\n", 1e3),
+        (b"timestamp,ax_g,ay_g,az_g\n", GRAVITY),
+        (b"t,x_acc [g],y_acc [g],z_acc [g]\n", GRAVITY),
+    ],
+)
+def test_columns_that_say_what_they_are_need_no_option(
+    tmp_path: Path, rows: Array, head: bytes, scale: float
+) -> None:
+    path = tmp_path / "logged.csv"
+    path.write_bytes(csv(rows / [1.0, scale, scale, scale], head))
+    found = read(path)
+    np.testing.assert_allclose(found.a, rows[:, 1:], atol=1e-6 * scale)
+    assert not found.started
