@@ -1,5 +1,6 @@
 """The exceptions that a user can cause: each says where, what and what to do."""
 
+import sys
 from pathlib import Path
 
 
@@ -12,6 +13,13 @@ def one_line(text: str) -> str:
     return text if text.isprintable() else "".join(shown)
 
 
+def install_advice(package: str) -> str:
+    """Return the command that adds a package to this installation of hframe-post."""
+    if "pipx" in Path(sys.prefix).parts:
+        return f"pipx inject hframe-post {package}"
+    return f'"{sys.executable}" -m pip install {package}'
+
+
 def _place(line: int | None) -> str:
     return "" if line is None else f"line {line}: "
 
@@ -21,6 +29,10 @@ class HframeError(Exception):
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
+
+
+class ArgumentError(HframeError, ValueError):
+    """An argument of the library has a wrong shape or value."""
 
 
 class GcodeError(HframeError):

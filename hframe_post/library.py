@@ -22,7 +22,7 @@ from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, Retract, prepared, stamp
 from hframe_post.conversion.report import Report
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import lines_of, reread
 from hframe_post.gcode.state import Extrusion, LimitSource
@@ -69,8 +69,8 @@ def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Ar
     same for every strategy, and suffices for the fastest start and stop within its limits.
 
     strategy: ``racking``, ``fbs`` (ringing only) or ``none``. Only ``convert`` checks the limits
-    of bed and motors. Raises HframeError for a strategy or a profile that cannot be used,
-    ValueError for an array that is not a path.
+    of bed and motors. Raises HframeError for a strategy or a profile that cannot be used, or an
+    array that is not a path.
     """
     path, chosen = _points(xy, "xy"), strategy_of(strategy)
     compensator = prepared(printer)
@@ -86,7 +86,7 @@ def predict(command: ArrayLike, printer: Printer) -> Array:
 
     The printer stands at the command's first sample before it begins. For a printer that differs
     from the model, give one with another plant: ``dataclasses.replace(printer, plant=...)``.
-    Raises ValueError for an array that is not a command.
+    Raises ArgumentError for an array that is not a command.
     """
     points = _points(command, "command")
     return Response(printer.plant, points[0]).run(points)
@@ -98,12 +98,12 @@ def contour_error(nozzle: ArrayLike, path: ArrayLike) -> Array:
     nozzle (r + n + r, 2): as ``predict`` returns it for a command with r ≥ 0 samples of rest
     before and after the path; the rests do not count. path (n, 2). The error is the distance to
     the polyline through the path's samples within 24 ms of the time in question, not to where the
-    nozzle should be at that time. Raises ValueError if the lengths do not fit.
+    nozzle should be at that time. Raises ArgumentError if the lengths do not fit.
     """
     actual, desired = _points(nozzle, "nozzle"), _points(path, "path")
     r, odd = divmod(len(actual) - len(desired), 2)
     if r < 0 or odd:
-        raise ValueError(
+        raise ArgumentError(
             f"{len(actual)} samples of the nozzle do not belong to a path of {len(desired)}: the "
             "path needs as many samples of rest before it as after it"
         )
@@ -337,10 +337,13 @@ def _again(source: Source) -> Callable[[], Iterable[bytes]]:
 
 
 def _points(values: ArrayLike, name: str) -> Array:
-    """Return the values as an array (n, 2), n > 0, of finite numbers. Raises ValueError."""
-    points = np.asarray(values, dtype=np.float64)
+    """Return the values as an array (n, 2), n > 0, of finite numbers. Raises ArgumentError."""
+    try:
+        points = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name} must be an array (n, 2) of numbers") from None
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
-        raise ValueError(f"{name} must be (n, 2), n > 0; it is {points.shape}")
+        raise ArgumentError(f"{name} must be (n, 2), n > 0; it is {points.shape}")
     if not np.isfinite(points).all():
-        raise ValueError(f"{name} must be finite")
+        raise ArgumentError(f"{name} must be finite")
     return points

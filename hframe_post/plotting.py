@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from hframe_post.arrays import Array, Complex
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, install_advice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +50,9 @@ def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, 
         import matplotlib
         from matplotlib.figure import Figure
     except ImportError:
-        raise HframeError("drawing needs matplotlib: pip install 'hframe-post[plot]'") from None
+        raise HframeError(
+            f"drawing needs matplotlib. Install it with: {install_advice('matplotlib')}"
+        ) from None
     style: Any = matplotlib.rcParams
     style.update(STYLE)
     figure = Figure(figsize=size, layout="constrained")

@@ -135,18 +135,30 @@ def test_contour_error_is_the_distance_to_the_path_and_rests_do_not_count() -> N
 
 @pytest.mark.parametrize("n", [199, 201, 203])
 def test_nozzle_that_does_not_belong_to_the_path_is_refused(n: int) -> None:
-    with pytest.raises(ValueError, match=f"{n} samples of the nozzle"):
+    with pytest.raises(hp.HframeError, match=f"{n} samples of the nozzle"):
         hp.contour_error(np.zeros((n, 2)), np.zeros((200, 2)))
 
 
 @pytest.mark.parametrize(
-    "wrong", [[], [1.0, 2.0], [[1.0, 2.0, 3.0]], [[0.0, np.nan]], np.zeros((0, 2))]
+    "wrong", [[], [1.0, 2.0], [[1.0, 2.0, 3.0]], [[0.0, np.nan]], np.zeros((0, 2)), [[1], [2, 3]]]
 )
 def test_what_is_no_path_is_refused(paper: Printer, wrong: list[float]) -> None:
-    with pytest.raises(ValueError, match="xy must be"):
+    with pytest.raises(hp.HframeError, match="xy must be"):
         hp.compensate(wrong, paper)
-    with pytest.raises(ValueError, match="command must be"):
+    with pytest.raises(hp.HframeError, match="command must be"):
         hp.predict(wrong, paper)
+
+
+def test_mistakes_in_a_model_are_value_errors_of_the_tool(paper: Printer) -> None:
+    for mistake in (
+        lambda: hp.TransferFunction(np.zeros(0, complex), np.array([1.2 + 0.0j]), 1.0),
+        lambda: hp.Window(L=5, n_C=10, n_up=20, effort=1.0),
+        lambda: hp.Lpfbs(paper.plant.Gxx, hp.Window(L=20, n_C=11, n_up=5, effort=0.0)),
+        lambda: hp.compensate("a path", paper),
+    ):
+        with pytest.raises(hp.HframeError) as raised:
+            mistake()
+        assert isinstance(raised.value, ValueError)
 
 
 def test_unknown_strategies_and_profiles_are_the_tools_errors(paper: Printer) -> None:

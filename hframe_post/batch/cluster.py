@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hframe_post.batch.jobs import Conversion, Job, Outcome
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, install_advice
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs
 
@@ -111,7 +111,7 @@ def _connect(scheduler: str) -> Any:
         from distributed import Client
     except ImportError:
         raise HframeError(
-            "--scheduler needs dask.distributed: pip install 'hframe-post[cluster]'"
+            "--scheduler needs dask.distributed. Install it with: " + install_advice("distributed")
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported once, by us
     try:

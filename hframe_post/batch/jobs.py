@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, install_advice
 from hframe_post.process import ChildProcess, own_command, processor_count
 
 State = Literal["waiting", "running", "done", "skipped", "failed"]
@@ -207,7 +207,7 @@ def watch_folder(watched: Path, folder: Path, first_line: bytes) -> Iterator[lis
         from watchfiles import watch
     except ImportError:
         raise HframeError(
-            "--watch needs the package watchfiles: pip install 'hframe-post[watch]'"
+            f"--watch needs watchfiles. Install it with: {install_advice('watchfiles')}"
         ) from None
 
     failed: dict[Path, tuple[int, int]] = {}

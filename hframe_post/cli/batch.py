@@ -64,7 +64,7 @@ def address(text: str) -> str:
 @click.option(
     "--scheduler", type=address, metavar="tcp://HOST:PORT",
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
-    "dask.distributed: pip install 'hframe-post[cluster]'.",
+    "dask.distributed.",
 )  # fmt: skip
 @old_option("--send", "files are always sent to a cluster", is_flag=True, expose_value=False)
 @json_option

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -19,7 +20,7 @@ FILE = click.Path(path_type=Path, allow_dash=True)
 
 
 def tolerance(text: str) -> Tolerance:
-    """Read ``1um``, or ``1um,1ms``. Numbers without a unit are mm and s."""
+    """Read ``1um``, or ``1um,1ms``."""
     place, comma, slack = text.partition(",")
     if not comma:
         return Tolerance(quantity(place, LENGTHS))
@@ -29,8 +30,11 @@ def tolerance(text: str) -> Tolerance:
 def quantity(text: str, units: dict[str, float]) -> float:
     """Read a positive number with one of these units. Raises BadParameter."""
     unit = next((each for each in units if text.endswith(each)), "")
-    value = number(text.removesuffix(unit)) * units.get(unit, 1.0)
+    value = number(text.removesuffix(unit)) * units.get(unit, math.nan)
     if not 0.0 < value < 1e3:
+        if number(text) > 0.0:
+            choices = " or ".join(text + each for each in units if each.isascii())
+            raise click.BadParameter(f"{text!r} has no unit: type {choices}")
         raise click.BadParameter(f"{text!r} is not a positive number of {', '.join(units)}")
     return value
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import traceback
 from difflib import get_close_matches
@@ -58,12 +59,10 @@ class _Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Treat an unknown command as an argument of ``convert``, unless it looks mistyped."""
         if args[0] not in COMMANDS:
-            similar = get_close_matches(args[0], COMMANDS, n=1, cutoff=0.75)
-            if similar and not Path(args[0]).exists():
-                raise click.UsageError(
-                    f"there is no command and no file {args[0]!r}; did you mean "
-                    f"'hframe-post {similar[0]}'?"
-                )
+            if _looks_like_a_command(args[0]):
+                similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
+                advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
+                raise click.UsageError(f"there is no command and no file {args[0]!r}; {advice}")
             args = ["convert", *args]
         return super().resolve_command(context, args)
 
@@ -76,8 +75,24 @@ class _Commands(click.Group):
         except BrokenPipeError:
             raise
         except OSError as error:
-            where = f"{error.filename}: " if error.filename else ""
-            raise click.ClickException(f"{where}{error.strerror or error}") from None
+            raise click.ClickException(_cause(error)) from None
+
+
+def _looks_like_a_command(word: str) -> bool:
+    return re.fullmatch(r"[A-Za-z][A-Za-z-]*", word) is not None and not Path(word).exists()
+
+
+def _cause(error: OSError) -> str:
+    """Return what is wrong with a file, and with its folder if that is the cause."""
+    if not error.filename:
+        return error.strerror or str(error)
+    path = Path(os.fsdecode(error.filename))
+    cause = error.strerror or str(error)
+    if isinstance(error, FileNotFoundError) and not path.parent.exists():
+        cause = f"the folder {path.parent} does not exist"
+    elif isinstance(error, IsADirectoryError):
+        cause = "is a folder; name a file in it"
+    return f"{path}: {cause}"
 
 
 @click.group(

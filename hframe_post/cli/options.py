@@ -162,7 +162,8 @@ def share(text: str) -> float:
     """Read ``5%`` or ``0.05`` as 0.05."""
     value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     if not 0.0 <= value < 1.0:
-        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%")
+        hint = f"; for {value:g} percent type {text}%" if 1.0 <= value < 100.0 else ""
+        raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%{hint}")
     return value
 
 

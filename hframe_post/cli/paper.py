@@ -11,10 +11,11 @@ import click
 import numpy as np
 
 from hframe_post import plotting
-from hframe_post.cli.options import files_read, printer_option
+from hframe_post.cli.options import files_read
 from hframe_post.errors import PrinterError
 from hframe_post.paper import plots, results, tables
 from hframe_post.paper.widths import widths
+from hframe_post.printer.choice import FALLBACK
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -25,11 +26,14 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@printer_option
+@click.option(
+    "-p", "--printer", default=FALLBACK, show_default=True, metavar="NAME|FILE",
+    help="Another printer's profile, shipped or in a TOML file.",
+)  # fmt: skip
 @click.option(
     "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
     help="Folder for the figures (PNG and SVG) and tables.md, created if necessary. Needs "
-    "matplotlib: pip install 'hframe-post[plot]'.",
+    "matplotlib.",
 )  # fmt: skip
 @click.option(
     "--prism", type=click.Path(path_type=Path), metavar="GCODE",
@@ -47,7 +51,10 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
     profile = load(printer)
     if profile.plant.Gxtheta is None:
         raise PrinterError(
-            "this printer does not rack, so there is nothing to reproduce", "plant", printer
+            "this printer does not rack, so there is nothing to reproduce; without -p the "
+            "paper's printer is used",
+            "plant",
+            printer,
         )
     lines = prism.read_bytes().splitlines(keepends=True) if prism is not None else None
     if folder is not None:

@@ -23,6 +23,7 @@ from hframe_post.cli.options import (
 from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.page.build import page
+from hframe_post.printer.choice import invented_as_text
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
@@ -102,7 +103,8 @@ def simulate(
             steps=steps, limits=limits, extrusion=extrusion, clamp=on_limit == "clamp",
         )  # fmt: skip
         choice = chosen_printer()
-        text = f"{choice.as_text()}\n{report.as_text(layers)}"
+        head = [choice.as_text(), *invented_as_text(simulated)]
+        text = "\n".join([*head, report.as_text(layers)])
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
             options = Options("racking", (), limits, True, extrusion=extrusion)
@@ -114,7 +116,7 @@ def simulate(
             options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
             with source.open("rb") as again:
                 outputs.open(report_file).write(
-                    page(again, profile, options, source.name, [choice.as_text()], simulated)
+                    page(again, profile, options, source.name, head, simulated)
                 )
     if not quiet:
         click.echo(text, err=str(json_file) == "-")

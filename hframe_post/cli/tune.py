@@ -78,7 +78,7 @@ def weight(text: str) -> float:
 @click.option(
     "--figure", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
     help="Draw error against motor effort, and against print time (.png or .svg). Needs "
-    "matplotlib: pip install 'hframe-post[plot]'.",
+    "matplotlib.",
 )  # fmt: skip
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
@@ -87,8 +87,8 @@ def weight(text: str) -> float:
 @click.option("--keep-limits", is_flag=True, help="Do not recommend another acceleration and jerk.")
 @click.option(
     "--shaper", is_flag=True,
-    help="Instead, recommend an [input_shaper] section for Klipper's printer.cfg, to print files "
-    "without converting them.",
+    help="Instead, recommend input shapers (Klipper's [input_shaper], Marlin's M593), to print "
+    "files without converting them.",
 )  # fmt: skip
 @json_option
 def tune(
@@ -181,4 +181,4 @@ def _recommend_shaper(
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))
-    click.echo(shapings_as_text(found, usual), err=str(json_file) == "-")
+    click.echo(shapings_as_text(found, usual, profile.firmware.dialect), err=str(json_file) == "-")

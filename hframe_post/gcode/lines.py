@@ -14,10 +14,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
-from hframe_post.errors import GcodeError, HframeError
+from hframe_post.errors import GcodeError, HframeError, install_advice
 from hframe_post.gcode.lexer import Line
 
 MAGIC = b"GCDE"
+NOT_TEXT = {  # first bytes of files that are taken for G-code
+    MAGIC: "this is binary G-code, not its text",
+    b"\x1f\x8b": "this file is compressed: unpack it first, with gunzip or 7-Zip",
+    b"PK\x03\x04": "this is a ZIP archive, such as a project (.3mf): export the G-code from it",
+    b"\xff\xfe": "this file is UTF-16, as PowerShell's > writes it: use -o instead of >",
+    b"\xfe\xff": "this file is UTF-16: save it as UTF-8",
+}
 SUFFIX = ".bgcode"
 MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
 MAX_LINES_AHEAD = 4000  # that can be seen before their turn
@@ -67,8 +74,9 @@ def _convert(function: str, source: Path, target: Path, verify: bool = False) ->
         import pybgcode as bgcode
     except ImportError:
         raise HframeError(
-            "this is binary G-code: run pip install 'hframe-post[bgcode]' to read and write it, "
-            "or turn off 'Supports binary G-code' in the slicer's printer settings and slice again"
+            "this is binary G-code. Turn off 'Supports binary G-code' in the slicer's printer "
+            "settings and slice again, or install the package that reads and writes it: "
+            + install_advice("pybgcode-jneilliii")
         ) from None
     opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
     try:
@@ -92,6 +100,12 @@ def lines_of(file: IO[bytes]) -> Iterator[bytes]:
     elif first:
         yield first
         yield from iter(lambda: file.readline(MAX_LINE_BYTES + 2), b"")
+
+
+def _check_start(first: bytes) -> None:
+    for start, cause in NOT_TEXT.items():
+        if first.startswith(start):
+            raise GcodeError(cause)
 
 
 def reread(path: Path) -> Callable[[], Iterator[bytes]]:
@@ -187,12 +201,12 @@ class Lines:
 
     def _split(self, number: int, raw: bytes) -> Iterable[Line]:
         """Return the lines in a line of the file: one, except for carriage returns."""
+        if number == 1:
+            _check_start(raw)
         text = raw.removesuffix(b"\n")
         if len(text) > MAX_LINE_BYTES:
             raise GcodeError(f"a line of more than {MAX_LINE_BYTES} bytes", number, text[:80])
         if number == 1:
-            if text.startswith(MAGIC):
-                raise GcodeError("this is binary G-code, not its text")
             text = text.removeprefix(b"\xef\xbb\xbf")
         if self._cr_ends_lines and b"\r" in text[:-1]:
             return [Line(number, part) for part in text.removesuffix(b"\r").split(b"\r")]

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.errors import ArgumentError
 from hframe_post.model.transfer_function import Recursion, TransferFunction
 
 RANK_TOLERANCE = 1e-11  # least relative singular value of a window that can be solved
@@ -42,9 +43,9 @@ class Window:
 
     def __post_init__(self) -> None:
         if self.L < 2 or self.degree < 2 or not 1 <= self.n_up <= self.n_C:
-            raise ValueError("a window needs L ≥ 2, degree ≥ 2 and 1 ≤ n_up ≤ n_C")
+            raise ArgumentError("a window needs L ≥ 2, degree ≥ 2 and 1 ≤ n_up ≤ n_C")
         if not self.effort >= 0.0:
-            raise ValueError("effort must not be negative")
+            raise ArgumentError("effort must not be negative")
 
     @property
     def L_C(self) -> int:
@@ -97,7 +98,7 @@ def window_splines(w: Window) -> tuple[Array, Array, Array, Array]:
 class Lpfbs:
     """Solver of one axis: from the target x_d to the command x_dm, with the past s passed along.
 
-    Raises ValueError where the window cannot be solved or the recursion would diverge:
+    Raises ArgumentError where the window cannot be solved or the recursion would diverge:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
     """
 
@@ -109,7 +110,7 @@ class Lpfbs:
         self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
         if not self.radius < 1.0:
-            raise ValueError(
+            raise ArgumentError(
                 f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
                 f"n_C = {window.n_C}, n_up = {window.n_up}, effort = {window.effort:g}; "
                 "take a longer preview (larger n_C), wider knots (larger L) or more effort"
@@ -133,11 +134,11 @@ class Lpfbs:
 
         x_d has (W − 1)·stride + L_C samples, of which the last L_C − stride are the preview and
         come again with the next call. Both are relative to where the axis stood when the stream
-        began. Raises ValueError for any other length.
+        began. Raises ArgumentError for any other length.
         """
         w = self.window
         if len(x_d) < w.L_C or (len(x_d) - w.L_C) % w.stride:
-            raise ValueError(
+            raise ArgumentError(
                 f"{len(x_d)} samples are not a whole number of windows ({w.L_C} plus any multiple "
                 f"of {w.stride}); command() takes any length"
             )
@@ -166,7 +167,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     normal = np.vstack([N_C_filtered, weight * D_C])
     U, sigma, Vt = np.linalg.svd(normal, full_matrices=False)
     if not sigma[-1] > RANK_TOLERANCE * sigma[0]:
-        raise ValueError(
+        raise ArgumentError(
             f"the window is rank deficient: L = {w.L}, n_C = {w.n_C} leave control points "
             "without influence on the window; take smaller n_C or larger effort"
         )

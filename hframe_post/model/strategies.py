@@ -29,7 +29,7 @@ from hframe_post.model.plant import LiftedFilter, Plant
 
 
 class Compensator:
-    """A plant with the certified solvers of its axes. Raises ValueError as ``Lpfbs`` does.
+    """A plant with the certified solvers of its axes. Raises ArgumentError as ``Lpfbs`` does.
 
     windows: those of x and y, of the same sizes.
     """

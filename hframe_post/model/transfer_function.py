@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from hframe_post.arrays import Array, Complex
+from hframe_post.errors import ArgumentError
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
@@ -35,7 +36,7 @@ class TransferFunction:
     """A stable, proper, real discrete transfer function gain·Π(z − zeros)/Π(z − poles).
 
     zeros (q,), poles (d,) complex, closed under conjugation, q ≤ d, |poles| < 1.
-    Raises ValueError otherwise.
+    Raises ArgumentError otherwise.
     """
 
     zeros: Complex
@@ -47,16 +48,16 @@ class TransferFunction:
             roots = np.atleast_1d(np.asarray(getattr(self, name), dtype=complex))
             object.__setattr__(self, name, roots)
             if not np.isfinite(roots).all():
-                raise ValueError(f"{name} must be finite")
+                raise ArgumentError(f"{name} must be finite")
             if not _closed(roots):
-                raise ValueError(f"complex {name} must come in conjugate pairs")
+                raise ArgumentError(f"complex {name} must come in conjugate pairs")
         if not np.isfinite(self.gain):
-            raise ValueError("gain must be finite")
+            raise ArgumentError("gain must be finite")
         if len(self.zeros) > len(self.poles):
-            raise ValueError("more zeros than poles: the transfer function would need the future")
+            raise ArgumentError("more zeros than poles: that would need the future")
         radius = np.abs(self.poles).max(initial=0.0)
         if radius >= 1.0:
-            raise ValueError(f"unstable: largest pole modulus {radius:.6g}")
+            raise ArgumentError(f"unstable: largest pole modulus {radius:.6g}")
 
     @property
     def order(self) -> int:

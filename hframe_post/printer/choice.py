@@ -93,6 +93,16 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
     return Choice(FALLBACK, "the paper's printer, NOT YOURS: see 'hframe-post use'")
 
 
+def invented_as_text(printer: Printer) -> list[str]:
+    """Return a warning if the plant was not measured on the user's printer, else nothing."""
+    if not printer.invented:
+        return []
+    return [
+        "NOT YOUR PLANT   this profile's plant is invented: the figures below say nothing about "
+        "your printer until 'hframe-post identify' has measured it"
+    ]
+
+
 def verification_as_text(printer: Printer) -> str:
     """Return a line for the summary: what ``verify`` measured with this profile."""
     mark = printer.verified

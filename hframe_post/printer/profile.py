@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import hashlib
+import re
 import tomllib
 from dataclasses import replace
 from importlib import resources
@@ -33,6 +35,8 @@ from hframe_post.printer.settings import (
 
 T = TypeVar("T")
 LARGEST_FILE = 1 << 20  # bytes of a profile
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes it
+KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
 
 def shipped() -> dict[str, str]:
@@ -60,8 +64,10 @@ def text_of(path: str) -> str:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise PrinterError(f"a profile is not larger than {LARGEST_FILE} bytes", source=path)
-        return content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
+    except UnicodeError:
+        raise PrinterError("cannot be read as text: save it as UTF-8", source=path) from None
+    except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
 
@@ -82,6 +88,11 @@ def _loaded(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except ValueError as error:  # also a number of thousands of digits
+        if KLIPPER_SECTION.search(text):
+            raise PrinterError(
+                "this is Klipper's configuration, not a profile. Make a profile from it with "
+                "'hframe-post setup printer.cfg'"
+            ) from None
         raise PrinterError(f"not valid TOML: {error}") from None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from hframe_post.errors import ArgumentError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
@@ -38,7 +39,7 @@ class Limits:
 
     flow (mm³/s) and min_layer_time limit only what is printed faster than in the file.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
-    Raises ValueError if reaching full speed would take more than LONGEST_RAMP.
+    Raises ArgumentError if reaching full speed would take more than LONGEST_RAMP.
     """
 
     velocity: float = within(1.0, 1e4)
@@ -81,7 +82,7 @@ class Limits:
         }
         for name, seconds in ramps.items():
             if not seconds <= LONGEST_RAMP:
-                raise ValueError(
+                raise ArgumentError(
                     f"with this {name} full speed takes {seconds:g} s; "
                     f"at most {LONGEST_RAMP:g} s are possible"
                 )
@@ -113,7 +114,7 @@ class Steps:
 class Compensation:
     """Strategy, window of the limited-preview filtered B-splines, and method for stops.
 
-    Raises ValueError if the window is impossible or longer than LONGEST_PREVIEW.
+    Raises ArgumentError if the window is impossible or longer than LONGEST_PREVIEW.
     """
 
     L: int = positive(most=500)
@@ -127,7 +128,7 @@ class Compensation:
     def __post_init__(self) -> None:
         for window in self.windows:
             if window.L_C > LONGEST_PREVIEW:
-                raise ValueError(
+                raise ArgumentError(
                     f"L = {self.L} and n_C = {self.n_C} are a window of {window.L_C} samples; "
                     f"at most {LONGEST_PREVIEW} are possible"
                 )
@@ -140,7 +141,7 @@ class Compensation:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """The motion that measures a printer. Raises ValueError if the settings do not fit together.
+    """The motion that measures a printer. Raises ArgumentError if the settings do not fit together.
 
     amplitude: mm/s²; stroke: limit of the amplitude at low frequencies, ± mm; sway: amplitude of
     the slow motion below the sweep, ± mm; quiet: s of rest before, after and between the parts.
@@ -157,18 +158,18 @@ class Sweep:
     def __post_init__(self) -> None:
         values = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
         if not all(0.0 < value < math.inf for value in values):
-            raise ValueError("frequencies, rate, amplitude and stroke must be above 0")
+            raise ArgumentError("frequencies, rate, amplitude and stroke must be above 0")
         if not 0.0 <= self.sway < math.inf:
-            raise ValueError(f"sway must be at least 0, it is {self.sway:g}")
+            raise ArgumentError(f"sway must be at least 0, it is {self.sway:g}")
         if not self.start_hz < self.end_hz <= HIGHEST_HZ:
-            raise ValueError(
+            raise ArgumentError(
                 f"from {self.start_hz:g} to {self.end_hz:g} Hz is not a sweep: end_hz must be "
                 f"above start_hz and at most {HIGHEST_HZ:g}"
             )
         if not self.quiet >= QUIET:
-            raise ValueError(f"quiet must be at least {QUIET:g} s, it is {self.quiet:g}")
+            raise ArgumentError(f"quiet must be at least {QUIET:g} s, it is {self.quiet:g}")
         if not SHORTEST <= self.seconds <= LONGEST - 4.0 * self.quiet:
-            raise ValueError(
+            raise ArgumentError(
                 f"at {self.rate_hz_per_s:g} Hz/s the sweep takes {self.seconds:g} s; between "
                 f"{SHORTEST:g} s and, with the rests, {LONGEST:g} s are possible"
             )

@@ -36,9 +36,16 @@ def test_standard_input_and_json(moved: Path) -> None:
     assert summary["first_difference"]["what"].startswith("b is elsewhere")
 
 
-@pytest.mark.parametrize("bad", ["0", "-1um", "1 parsec", "nan", "um", "1um,", "1um,1mm"])
+@pytest.mark.parametrize(
+    "bad", ["0", "-1um", "1 parsec", "nan", "um", "1um,", "1um,1mm", "1", "0.001", "1um,1"]
+)
 def test_a_tolerance_must_be_a_length(bad: str) -> None:
     assert run("compare", RECTANGLE, RECTANGLE, "--tolerance", bad).returncode == 2
+
+
+def test_a_tolerance_without_a_unit_is_answered_with_units() -> None:
+    done = run("compare", RECTANGLE, RECTANGLE, "--tolerance", "1")
+    assert b"'1' has no unit: type 1nm or 1um or 1mm" in done.stderr
 
 
 def test_unreadable_files_are_errors(tmp_path: Path) -> None:

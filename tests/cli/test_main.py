@@ -119,6 +119,9 @@ def test_version_and_help() -> None:
     [
         (b"", b"the file is empty"),
         (b"GCDE\x01\x00", b"binary G-code"),
+        (b"\x1f\x8b\x08\x00" * 9, b"unpack it first"),
+        (b"PK\x03\x04\x14\x00", b"export the G-code"),
+        ("G1 X10 Y10\n".encode("utf-16"), b"UTF-16, as PowerShell's > writes it"),
         (b"\x7fELF\x00\x00\n", b"not a text file"),
         (b"; only a comment\n", b"not a single move"),
         (b"G1 X10 Y10\nG1 XNaN\n", b"line 2: "),
@@ -156,6 +159,7 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2
     assert b"did you mean 'hframe-post simulate'?" in done.stderr
+    assert b"no command and no file 'job'; see --help" in run("job", RECTANGLE).stderr
     own = Path(shutil.copy(RECTANGLE, tmp_path / "simulat"))
     assert run(own, "-n", "-q").returncode == 0
 
@@ -174,10 +178,18 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     assert b"none.gcode: No such file" in done.stderr
     nowhere = run(RECTANGLE, "-o", tmp_path / "no" / "out.gcode")
     assert nowhere.returncode == 1
-    assert b"No such file" in nowhere.stderr
+    assert b"the folder %b does not exist" % bytes(tmp_path / "no") in nowhere.stderr
     profile = run(RECTANGLE, "-n", "-p", "nobody")
     assert profile.returncode == 1
     assert b"shipped are: example-cartesian, example-corexy, example-ender," in profile.stderr
+
+
+def test_a_printer_cfg_is_no_profile(tmp_path: Path) -> None:
+    config = tmp_path / "printer.cfg"
+    config.write_text("[include mainsail.cfg]\n[printer]\nkinematics: corexy\n")
+    done = run(RECTANGLE, "-n", "-p", config)
+    assert done.returncode == 1
+    assert b"Klipper's configuration, not a profile" in done.stderr
 
 
 def test_broken_profile_names_its_key(tmp_path: Path) -> None:

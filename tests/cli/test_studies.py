@@ -266,6 +266,18 @@ def test_other_shares_are_refused(text: str) -> None:
         share(text)
 
 
+def test_a_share_without_its_percent_sign_is_answered_with_it() -> None:
+    with pytest.raises(click.BadParameter, match="for 5 percent type 5%"):
+        share("5")
+
+
+def test_simulate_says_that_a_plant_is_invented(tmp_path: Path) -> None:
+    profile = tmp_path / "my.toml"
+    profile.write_text('extends = "paper"\n[plant]\ninvented = true\n')
+    assert b"NOT YOUR PLANT" in run("simulate", "-p", profile).stdout
+    assert b"NOT YOUR PLANT" not in run("simulate", "-p", "paper").stdout
+
+
 @pytest.mark.parametrize("text", ["", "heavy", "-1", "-0.1", "nan", "inf", "1e15"])
 def test_weights_are_numbers_that_a_profile_can_hold(text: str) -> None:
     assert (weight("0"), weight("1e3")) == (0.0, 1000.0)
@@ -297,7 +309,7 @@ def test_an_output_that_cannot_be_written_is_named(
 ) -> None:
     more = SMALL_TUNE if command == "tune" else ()
     done = run(command, *more, option, tmp_path / "no" / name)
-    refused(done, 1, "No such file or directory")
+    refused(done, 1, f"the folder {tmp_path / 'no'} does not exist")
     assert str(tmp_path / "no") in done.stderr.decode()
     assert not list(tmp_path.iterdir())
 
@@ -319,7 +331,8 @@ def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> 
 
 @pytest.mark.paper
 def test_paper_prints_its_tables() -> None:
-    done = run("paper")
+    # another default profile is not the paper's printer
+    done = run("paper", HFRAME_PRINTER="example-cartesian")
     assert (done.returncode, done.stderr) == (0, b"")
     titles = [line for line in done.stdout.decode().splitlines() if line and line[0] != "|"]
     starts = ["Tables I, II", "Fig. 8", "Fig. 9", "Appendix C"]

@@ -15,7 +15,7 @@ from tests.command_line import run
 from tests.gcode_tools import follow
 from tests.slices import SLICES
 
-pytest.importorskip("pybgcode", reason="pip install 'hframe-post[bgcode]'")
+pytest.importorskip("pybgcode", reason="pip install pybgcode-jneilliii")
 TEXT = b"".join(SLICES["prusaslicer"].lines)
 
 
@@ -84,5 +84,5 @@ def test_without_the_library_the_refusal_says_what_to_do(
 ) -> None:
     packed = binary()
     monkeypatch.setitem(sys.modules, "pybgcode", None)
-    with pytest.raises(HframeError, match=r"run pip install 'hframe-post\[bgcode\]'"):
+    with pytest.raises(HframeError, match="pip install pybgcode"):
         list(lines_of(io.BytesIO(packed)))

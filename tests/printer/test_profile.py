@@ -71,6 +71,13 @@ def test_file_is_loaded_and_named_by_its_stem(tmp_path: Path) -> None:
     assert profile.digest == load("paper").digest
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_files_that_powershell_writes_are_read(encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text(PAPER, encoding=encoding)
+    assert load(str(path)).digest == load("paper").digest
+
+
 def test_extension_takes_the_rest_from_its_base() -> None:
     paper = load("paper")
     mine = parse(extending("[limits]\nvelocity = 120\n[compensation]\neffort = [1.0, 2]"), "mine")

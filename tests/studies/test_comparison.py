@@ -58,7 +58,7 @@ def test_a_file_is_the_same_as_itself() -> None:
         changed(b"F3000", b"F3000.05"),
         changed(b"12.5", b"13.125"),
         changed(b"\n", b"\r\n"),
-        b"; processed by hframe-post 9, printer p, settings 0\n" + PART,
+        b"; processed by hframe-post 9, printer p\n; hframe-post: a\n; hframe-post: b\n" + PART,
         changed(b"G92 E0", b"G92 E0.0004"),
     ],
 )  # fmt: skip

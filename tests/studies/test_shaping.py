@@ -25,6 +25,7 @@ from hframe_post.studies.shapers.search import (
     error,
     paths,
     shape,
+    shapings_as_text,
 )
 from tests.command_line import run
 from tests.conftest import SAMPLES
@@ -93,6 +94,15 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
         assert rms[name] < rms[f"{name} as calibrated"] < rms["none"]
     times = {each["name"]: each["print_time_s"] for each in compared}
     assert times["none"] <= min(times.values())
+
+
+@pytest.mark.parametrize(
+    ("dialect", "shown"),
+    [("klipper", "shaper_type_x: mzv"), ("marlin", "M593 X F40.0 D0.100")],
+)
+def test_the_settings_are_those_of_the_firmware(dialect: str, shown: str) -> None:
+    mzv, zv = (Shaping(each, each) for each in (AxisShaping(n, 40.0, 0.1) for n in ("mzv", "zv")))
+    assert shown in shapings_as_text([mzv, zv], mzv, dialect)
 
 
 @pytest.mark.slow

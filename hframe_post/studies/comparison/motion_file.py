@@ -25,6 +25,7 @@ from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import AXES, Bed, State
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
+from hframe_post.writers.stream.print_time import SUMMARY
 
 EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
 
@@ -48,13 +49,13 @@ def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[Section]:
     """Yield the file in sections, streaming. Raises GcodeError.
 
     A dwell (G4) counts as motion that stays in place: its length depends on how motion was cut.
-    Comments behind moves are left out, and so is the stamp of this tool.
+    Comments behind moves are left out, and so are the stamp and the summary of this tool.
     """
     source = Lines(lines, dialect.cr_ends_lines)
     reader = _Reader(source, dialect)
     for line in source:
         moves = reader.apply(line)
-        if not (moves or line.text.startswith(STAMP)):
+        if not (moves or line.text.startswith((STAMP, SUMMARY.line))):
             yield reader.section(line._replace(text=line.text.rstrip()))
         reader.apply_plain_moves()
     yield reader.section(None)

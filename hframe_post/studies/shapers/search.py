@@ -33,6 +33,7 @@ BY_ERROR = attrgetter("rms")
 
 # Klipper's calibration (klippy/extras/shaper_calibrate.py)
 KLIPPER = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
+FIRMWARE = {"klipper": KLIPPER, "marlin": ("zv",)}  # shapers by dialect
 KLIPPER_HZ = np.arange(5.0, 200.0, 0.2)
 KLIPPER_DAMPING = 0.1
 KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, of the smoothing
@@ -62,10 +63,15 @@ class Shaping:
     y: AxisShaping
     rms: float = np.inf
 
-    def config(self) -> str:
-        """Return the section for Klipper's printer.cfg."""
+    def config(self, dialect: str) -> str:
+        """Return the section for Klipper's printer.cfg, or Marlin's commands."""
+        axes = (("x", self.x), ("y", self.y))
+        if dialect == "marlin":
+            lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
+            lines += [f"M593 {a.upper()} F{s.hz:.1f} D{s.damping:.3f}" for a, s in axes]
+            return "\n".join([*lines, "M500 ; saves it"])
         lines = ["[input_shaper]"]
-        for axis, chosen in (("x", self.x), ("y", self.y)):
+        for axis, chosen in axes:
             lines += [
                 f"shaper_type_{axis}: {chosen.name}",
                 f"shaper_freq_{axis}: {chosen.hz:.1f}",
@@ -226,14 +232,14 @@ def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
     return {"shapers": shapers, "klipper_calibration": calibration}
 
 
-def shapings_as_text(found: list[Shaping], usual: Shaping) -> str:
-    """Return a table, and the section for printer.cfg."""
+def shapings_as_text(found: list[Shaping], usual: Shaping, dialect: str) -> str:
+    """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [f"{'shaper':12s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
     lines += [_row(s.x.name, s) for s in found]
     names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
     lines += [_row(f"Klipper's calibration: {names}", usual)]
-    best = next(s for s in found if s.x.name in KLIPPER)
-    return "\n".join([*lines, "", best.config()])
+    best = next(s for s in found if s.x.name in FIRMWARE[dialect])
+    return "\n".join([*lines, "", best.config(dialect)])
 
 
 def _row(name: str, s: Shaping) -> str:
