@@ -61,7 +61,9 @@ class Job:
         errors = self.summary.get("contour_error_um", {})
         names = ("none", self.summary.get("compensation"))
         values = [errors[name]["rms"] for name in names if name in errors]
-        return f", {values[0]:.0f} → {values[-1]:.1f} µm" if len(values) > 1 else ""
+        if len(values) < 2:
+            return ""
+        return f"; contour error {values[-1]:.1f} µm instead of {values[0]:.0f}, predicted"
 
 
 def jobs_for(sources: Sequence[Path], folder: Path, first_line: bytes) -> list[Job]:

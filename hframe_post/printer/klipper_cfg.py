@@ -173,8 +173,8 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         if math.isnan(has):
             yield Finding(
                 False,
-                f"[{section}] {option} is not given: Klipper computes its own; set it to {key} = "
-                f"{wanted:g}",
+                f"[{section}] {option} is missing, so Klipper chooses it: add the line "
+                f"'{option}: {wanted:g}', the profile's {key}",
             )
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"

@@ -147,10 +147,10 @@ class SimulationReport(Report):
         if not groups:
             return []
         width = max(19, len(title), *(len(name) for name, _ in groups)) + 2
-        head = "".join(f"{name:>10s}" for name in self.strategies)
+        head = "".join(f"{'-c ' + name:>12s}" for name in self.strategies)
         lines = ["", f"{title:{width}s}{head}   RMS contour error, µm"]
         for name, group in groups:
-            cells = "".join(f"{group[s].contour.rms * 1e3:10.1f}" for s in self.strategies)
+            cells = "".join(f"{group[s].contour.rms * 1e3:12.1f}" for s in self.strategies)
             lines.append(f"{name:{width}s}{cells}")
         return lines
 
@@ -161,12 +161,13 @@ class SimulationReport(Report):
         best, lines = self.strategies[-1], [""]
         for error in self.model_error:
             values, count = error.as_json(self.strategies), len(error.printers)
-            medians = ", ".join(f"{s} {values[s]['median_um']:.1f}" for s in self.strategies)
+            medians = ", ".join(
+                f"{STRATEGIES[s].label} {values[s]['median_um']:.1f}" for s in self.strategies
+            )
             lines.append(
-                f"model off by up to {100 * error.share:g} %: "
-                f"median of {count} printers {medians} µm; "
-                f"worst {best} {values[best]['worst_um']:.1f} µm; "
-                f"better than none on {error.better(best, 'none')}"
+                f"model off by up to {100 * error.share:g} %: median µm of {count} printers: "
+                f"{medians}, at worst {values[best]['worst_um']:.1f}; better than without "
+                f"compensation on {error.better(best, 'none')} of {count}"
             )
         harmed = [
             f"{kind} {name}"
