@@ -165,7 +165,7 @@ class SimulationReport(Report):
                 f"{STRATEGIES[s].label} {values[s]['median_um']:.1f}" for s in self.strategies
             )
             lines.append(
-                f"model off by up to {100 * error.share:g} %: median µm of {count} printers: "
+                f"model off by up to {100 * error.share:g} %: median of {count} printers, µm: "
                 f"{medians}, at worst {values[best]['worst_um']:.1f}; better than without "
                 f"compensation on {error.better(best, 'none')} of {count}"
             )
