@@ -19,6 +19,7 @@ from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 
 COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
+    "setup": ("setup.setup", "Make a profile and macros from Klipper's printer.cfg."),
     "convert": ("convert.convert", "Convert a sliced file. This is the default command."),
     "batch": ("batch.batch", "Convert many files, here or on a cluster."),
     "compare": ("compare.compare", "Compare the motion of two G-code files."),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -11,10 +13,12 @@ from hframe_post.cli.options import number, old_option
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
-from hframe_post.printer.edit import BASES, Known, from_klipper, text
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse, shipped
+from hframe_post.printer.setup import CLOCK, JERK, Known, Tables, as_float, motors, profile_text
 from hframe_post.writers.files import Outputs
+
+ANSWER = "your answer"
+KLIPPERS = ("velocity", "acceleration", "square_corner_velocity")  # limits that its table repeats
 
 
 @click.group(invoke_without_command=True)
@@ -53,32 +57,22 @@ def show(name: str) -> None:
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
     metavar="PROFILE.TOML", help="The profile to write. An existing file is not replaced.",
 )  # fmt: skip
-@click.option(
-    "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Klipper's printer.cfg: its values are used and no questions are asked.",
-)  # fmt: skip
-@click.option(
-    "--kinematics", type=click.Choice(tuple(ROWS)),
-    help="How belts move the nozzle. Default: as in printer.cfg, where corexy is taken for hbot "
-    "(Klipper calls both corexy).",
-)  # fmt: skip
-@old_option("--description", "change the first lines of the profile")
-def new(output: Path, config: Path | None, kinematics: str | None, description: str | None) -> None:
-    """Create a profile from Klipper's printer.cfg, or from answers to a few questions.
+@old_option("--printer-cfg", "run 'hframe-post setup printer.cfg' instead", removed=True)
+@old_option("--kinematics", "answer the question instead", removed=True)
+@old_option("--description", "change the first lines of the profile", removed=True)
+def new(output: Path) -> None:
+    """Create a profile from answers, for a printer without a printer.cfg, such as one with Marlin.
 
-    The new profile compensates nothing until you have measured the printer (docs/identify.md).
+    For Klipper use 'hframe-post setup printer.cfg'. The new profile compensates nothing until you
+    have measured the printer (docs/identify.md).
 
     \b
     Example:
-      hframe-post printers new -o my.toml --printer-cfg printer.cfg
+      hframe-post printers new -o my.toml
     """
     if output.exists():
         raise HframeError(f"{output} exists already: choose another name")
-    if config is not None:
-        known = from_klipper(KlipperConfig(config), description or output.stem, kinematics)
-    else:
-        known = _ask(kinematics, description, output.stem)
-    written = text(known)
+    written = profile_text(_asked(), click.prompt("Name of the printer", default=output.stem))
     parse(written, output.stem, str(output))  # raises before anything is written
     with Outputs() as outputs:
         outputs.open(output).write(written.encode())
@@ -88,27 +82,86 @@ def new(output: Path, config: Path | None, kinematics: str | None, description: 
     )
 
 
-def _ask(kinematics: str | None, description: str | None, name: str) -> Known:
-    def asked(question: str, default: float) -> float:
-        return float(click.prompt(question, default=f"{default:g}", value_proc=_positive))
+def _asked() -> Tables:
+    """Ask for all settings; M… names the line of Marlin's M503 that has them."""
+    marlin = _choice("Firmware: marlin or klipper", ["marlin", "klipper"]) == "marlin"
+    kinematics = _choice(
+        "Kinematics: cartesian, corexy (two belts, crossed), hbot (one belt, H), hybrid-corexy or "
+        "corexz",
+        list(ROWS)[::-1],
+    )
+    travel = {
+        axis: Known(
+            click.prompt(f"{axis} from, to (mm)", default="0,220", value_proc=_range), ANSWER
+        )
+        for axis in "xy"
+    }
+    velocity = _number("Maximum speed of x and y (mm/s; M203 X Y)", 200.0)
+    acceleration = _number("Acceleration of prints (mm/s²; M204 P)", 1500.0)
+    limits = {
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "jerk": JERK,
+        "square_corner_velocity": _number("Speed in a square corner (mm/s)", 5.0),
+        "z_velocity": _number("Maximum speed of z (mm/s; M203 Z)", 5.0),
+        "z_acceleration": _number("Maximum acceleration of z (mm/s²; M201 Z)", 100.0),
+        "extruder_velocity": _number("Maximum speed of filament (mm/s; M203 E)", 25.0),
+        "extruder_acceleration": _number("Acceleration of retractions (mm/s²; M204 R)", 1000.0),
+    }
+    tables: Tables = {
+        "kinematics": {"type": Known(kinematics, ANSWER)},
+        "travel": travel,
+        "limits": limits,
+        "motors": motors(kinematics, velocity, acceleration),
+    }
+    if not marlin:
+        return tables | {"firmware.klipper": {key: limits[key] for key in KLIPPERS}}
+    return tables | {"steps": _steps(), "firmware.marlin": _marlin(limits)}
 
-    return Known(
-        description or click.prompt("Name of the printer", default=name),
-        kinematics or click.prompt(
-            "Kinematics: hbot (one belt, H), corexy (two belts, crossed), hybrid-corexy, corexz "
-            "or cartesian",
-            type=click.Choice(list(BASES)), default="hbot", show_choices=False,
-        ),
-        click.prompt("x from, to (mm)", default="0,250", value_proc=_range),
-        click.prompt("y from, to (mm)", default="0,250", value_proc=_range),
-        asked("Maximum speed (mm/s; max_velocity)", 300.0),
-        asked("Maximum acceleration (mm/s²; max_accel)", 3000.0),
-        asked("Speed in a square corner (mm/s; square_corner_velocity)", 5.0),
-        asked("Maximum speed of z (mm/s; max_z_velocity)", 15.0),
-        asked("Maximum acceleration of z (mm/s²; max_z_accel)", 100.0),
-        asked("Maximum speed of retractions (mm/s; max_extrude_only_velocity)", 60.0),
-        asked("Maximum acceleration of retractions (mm/s²; max_extrude_only_accel)", 2000.0),
-    )  # fmt: skip
+
+def _steps() -> dict[str, Known]:
+    usual = {"belt": ("x and y; M92 X", 80.0), "z": ("z; M92 Z", 400.0), "e": ("E; M92 E", 93.0)}
+    sizes = {
+        key: replace(_number(f"Steps per mm of {axis}", steps), origin=f"1 / {ANSWER}")
+        for key, (axis, steps) in usual.items()
+    }
+    inverted = {key: replace(known, value=1.0 / as_float(known)) for key, known in sizes.items()}
+    return inverted | {"clock_hz": CLOCK}
+
+
+def _marlin(limits: dict[str, Known]) -> dict[str, Known]:
+    velocity, acceleration = as_float(limits["velocity"]), as_float(limits["acceleration"])
+    greatest = as_float(_number("Highest acceleration of x and y (mm/s²; M201 X Y)", acceleration))
+    deviation = _number("Junction deviation (mm; M205 J; 0 if M205 shows X and Y instead)", 0.08, 0)
+    corners = {"junction_deviation": deviation}
+    if not deviation.value:
+        jerk = as_float(_number("Jerk of x and y (mm/s; M205 X Y)", 8.0))
+        corners = {"jerk": Known((jerk, jerk), ANSWER), "jerk_e": _number("M205 E (mm/s)", 5.0)}
+    return {
+        "max_velocity": Known((velocity, velocity), ANSWER),
+        "max_acceleration": Known((greatest, greatest), ANSWER),
+        "acceleration": limits["acceleration"],
+        "travel_acceleration": _number("Acceleration of travel (mm/s²; M204 T)", acceleration),
+        "retract_acceleration": limits["extruder_acceleration"],
+        **corners,
+    }
+
+
+def _choice(question: str, kinds: Sequence[str]) -> str:
+    answer: str = click.prompt(
+        question, type=click.Choice(kinds), default=kinds[0], show_choices=False
+    )
+    return answer
+
+
+def _number(question: str, default: float, least: float = 1e-9) -> Known:
+    def value(text: str) -> float:
+        given = number(text)
+        if not least <= given < 1e6:
+            raise click.BadParameter(f"{text!r} is not a number above 0")
+        return given
+
+    return Known(click.prompt(question, default=f"{default:g}", value_proc=value), ANSWER)
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -119,13 +172,6 @@ def _range(text: str) -> tuple[float, float]:
     if not -1e4 <= low < high <= 1e4:
         raise click.BadParameter(f"{text!r}: the first must be the smaller, both within ±10000 mm")
     return low, high
-
-
-def _positive(text: str) -> float:
-    value = number(text)
-    if not 0.0 < value < 1e6:
-        raise click.BadParameter(f"{text!r} is not a number above 0")
-    return value
 
 
 @click.command()

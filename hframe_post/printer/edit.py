@@ -1,12 +1,10 @@
-"""Profiles as TOML text: changes that keep the rest of it, comments included, and new ones."""
+"""Profiles as TOML text: changes that keep the rest of it, comments included."""
 
 from __future__ import annotations
 
-import json
-import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,15 +12,16 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import model_digest, parse, shipped, text_of
+from hframe_post.printer.setup import Known, Tables
 
 Windows = tuple[Window, Window]
-Tables = Mapping[str, dict[str, Any]]  # settings, by the names of their tables
+Settings = Mapping[str, dict[str, Any]]  # by the names of their tables
+COMMENT = re.compile(r"# *(\[.*?\]|\".*?\"|[^\s(]+) \(")  # the value that `setup` wrote
 
 
 def with_windows(
@@ -70,7 +69,7 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
 
 
 def _changed(
-    name_or_path: str, tables: Tables, appended: str = "", dropped: Sequence[str] = ()
+    name_or_path: str, tables: Settings, appended: str = "", dropped: Sequence[str] = ()
 ) -> str:
     """Return the profile's text with these settings, and with TOML that replaces some tables."""
     text, newline = _text_and_newline(name_or_path)
@@ -109,7 +108,7 @@ def _settings(windows: Windows) -> dict[str, Any]:
     return {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": effort}
 
 
-def _edited(text: str, tables: Tables, appended: str, dropped: Sequence[str]) -> str:
+def _edited(text: str, tables: Settings, appended: str, dropped: Sequence[str]) -> str:
     document = tomlkit.parse(text)
     for name, settings in tables.items():
         if name not in document:
@@ -155,143 +154,51 @@ def _pairs(roots: Complex) -> str:
     return "\n" + "".join(pairs) if len(roots) else ""
 
 
-# ---------------------------------------------------------------------- new profiles
-
-BASES = {
-    "hbot": "paper",
-    "corexy": "example-corexy",
-    "hybrid-corexy": "example-corexy",
-    "corexz": "example-cartesian",
-    "cartesian": "example-cartesian",
-}
-KINEMATICS = {  # ours, by Klipper's name; Klipper calls hbot corexy, too
-    "corexy": "hbot",
-    "hybrid_corexy": "hybrid-corexy",
-    "corexz": "corexz",
-    "cartesian": "cartesian",
-}
-START_JERK = 3e6  # mm/s³; costs 1 % of print time and reduces the error by an eighth
-Range = tuple[float, float]
+# ---------------------------------------------------------------------- new values from printer.cfg
 
 
-@dataclass
-class Known:
-    """A printer's properties; mm, s. The base profile has the rest, and those that are nan."""
+def updated(text: str, tables: Tables, source: str = "") -> tuple[str, list[str]]:
+    """Return a profile's text with newly found settings, and a line for each change.
 
-    description: str
-    kinematics: str
-    x: Range
-    y: Range
-    velocity: float
-    acceleration: float
-    corner: float = 5.0
-    z_velocity: float = math.nan
-    z_acceleration: float = math.nan
-    extruder_velocity: float = math.nan
-    extruder_acceleration: float = math.nan
-    extruder_corner_velocity: float = 1.0
-    minimum_cruise_ratio: float = 0.5
-    shaper_freq: Range = (0.0, 0.0)
-    steps: dict[str, float] = field(default_factory=dict)
-
-
-def from_klipper(config: KlipperConfig, description: str, kinematics: str | None) -> Known:
-    """Return the properties in a printer.cfg.
-
-    kinematics: needed to tell corexy from hbot; hbot if None. Raises HframeError if a number is
-    missing.
+    A value that differs from the one that its comment begins with was changed by its owner, and
+    stays. Raises PrinterError.
     """
-    kind = config.text("printer", "kinematics")
-    if kind not in KINEMATICS:
-        usable = ", ".join(KINEMATICS)
-        raise HframeError(f"[printer] kinematics: {kind!r} is not supported, only {usable}")
-    ranges = []
-    for axis in "xy":
-        low = config.number(f"stepper_{axis}", "position_min", 0.0)
-        high = config.number(f"stepper_{axis}", "position_max")
-        if not low < high:
-            raise HframeError(f"[stepper_{axis}] position_max is missing, or below position_min")
-        ranges.append((low, high))
-    velocity, acceleration = (
-        config.number("printer", f"max_{name}") for name in ("velocity", "accel")
-    )
-    if not (velocity > 0.0 and acceleration > 0.0):
-        raise HframeError("[printer] max_velocity or max_accel is missing")
-    steps = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
-    shaper = tuple(config.number("input_shaper", f"shaper_freq_{a}", 0.0) for a in "xy")
-    return Known(
-        description, kinematics or KINEMATICS[kind],
-        ranges[0], ranges[1], velocity, acceleration,
-        config.number("printer", "square_corner_velocity", 5.0),
-        config.number("printer", "max_z_velocity", velocity),
-        config.number("printer", "max_z_accel", acceleration),
-        config.number("extruder", "max_extrude_only_velocity"),
-        config.number("extruder", "max_extrude_only_accel"),
-        config.number("extruder", "instantaneous_corner_velocity", 1.0),
-        config.number("printer", "minimum_cruise_ratio", 0.5),
-        (shaper[0], shaper[1]),
-        {name: config.step(motor) for name, motor in steps.items()},
-    )  # fmt: skip
+    document: Any = tomlkit.parse(text)
+    changes = [
+        line
+        for name, table in tables.items()
+        for key, known in table.items()
+        if (line := _update(_table_in(document, name), key, known, f"{name}.{key}"))
+    ]
+    changed: str = document.as_string()
+    parse(changed, "changed", source)  # raises if it cannot be loaded
+    return changed, changes
 
 
-def text(known: Known) -> str:
-    """Return the profile as TOML with comments. Its plant is marked as not measured."""
-    base = BASES[known.kinematics]
-    return f"""\
-# A profile for hframe-post. Lengths in mm, times in s. All other settings are those of the
-# profile that this one extends: 'hframe-post printers show {base}'.
-
-extends = "{base}"
-description = {json.dumps(known.description, ensure_ascii=False)}
-
-[kinematics]
-type = "{known.kinematics}"
-
-[travel]                # where the nozzle may go, within position_min and position_max
-x = [{known.x[0]!r}, {known.x[1]!r}]
-y = [{known.y[0]!r}, {known.y[1]!r}]
-
-[limits]                # limits of the planned path; limits set in a file lower these
-velocity = {known.velocity:g}
-acceleration = {known.acceleration:g}
-jerk = {START_JERK!r}        # low, for a model with small errors; see `hframe-post tune`
-square_corner_velocity = {known.corner:g}
-{_given("z_velocity", known.z_velocity, "max_z_velocity of printer.cfg")}\
-{_given("z_acceleration", known.z_acceleration, "max_z_accel")}\
-{_given("extruder_velocity", known.extruder_velocity, "max_extrude_only_velocity")}\
-{_given("extruder_acceleration", known.extruder_acceleration, "max_extrude_only_accel")}\
-extruder_corner_velocity = {known.extruder_corner_velocity:g}  # instantaneous_corner_velocity
-
-# [motors]              # limits of every command; without this table, the base profile's
-# belt_velocity = …
-# belt_acceleration = …
-
-{_klipper(known)}
-[plant]                 # Not measured yet, so nothing is compensated until `hframe-post
-invented = true         # identify` has written your printer's plant here (docs/identify.md)
-"""
+def _table_in(document: Any, name: str) -> Any:
+    for part in name.split("."):
+        if part not in document:
+            document.add(part, tomlkit.table())
+        document = document[part]
+    return document
 
 
-def _klipper(known: Known) -> str:
-    steps_lines = [f"{name} = {step:.9g}\n" for name, step in known.steps.items() if step > 0.0]
-    comment = "[steps]                 # mm per step, from rotation_distance and microsteps\n"
-    steps = "".join([comment, *steps_lines, "\n"]) if steps_lines else ""
-    shapers = "".join(
-        f"shaper_freq_{axis} = {hz:g}\n"
-        for axis, hz in zip("xy", known.shaper_freq, strict=True)
-        if hz > 0.0
-    )
-    return f"""\
-{steps}[firmware]
-dialect = "klipper"
-
-[firmware.klipper]      # limits before and after a print: those of printer.cfg
-velocity = {known.velocity:g}
-acceleration = {known.acceleration:g}
-square_corner_velocity = {known.corner:g}
-minimum_cruise_ratio = {known.minimum_cruise_ratio:g}
-{shapers}"""
-
-
-def _given(name: str, value: float, comment: str) -> str:
-    return "" if math.isnan(value) else f"{name} = {value:g}  # {comment}\n"
+def _update(table: Any, key: str, known: Known, name: str) -> str:
+    """Set a value unless it was changed by hand; return what is worth saying."""
+    new = tomllib.loads(f"value = {known.as_toml()}")["value"]
+    line = f"{known.as_toml()} ({known.origin})"
+    if key not in table:
+        table.add(key, new)
+        table[key].comment(known.comment())
+        return f"{name} = {line}: added"
+    before = table[key].unwrap()
+    found = COMMENT.match(table[key].trivia.comment)
+    written = found[1] if found else None
+    table[key].comment(known.comment())
+    if before == new:
+        return ""
+    if written is None or tomllib.loads(f"value = {written}")["value"] != before:
+        return f"{name} = {table[key].as_string()}: kept, because it was changed by hand; {line}"
+    table[key] = new
+    table[key].comment(known.comment())
+    return f"{name} = {line}: it was {written}"

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import configparser
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from hframe_post.errors import HframeError
+from hframe_post.printer.decoding import decoded
 from hframe_post.printer.settings import Printer
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 AUTOSAVE = "#*# "  # starts each line that SAVE_CONFIG wrote
 MAX_DEPTH = 10  # of nested includes
 MAX_SIZE = 1 << 22  # bytes
+ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,24 +43,22 @@ class KlipperConfig:
             allow_no_value=True, empty_lines_in_values=True,
         )  # fmt: skip
         self.missing: list[str] = []
-        self._path = path
+        self.path = path
         self._read(path, MAX_DEPTH)
         if not self._parser.has_section("printer"):
-            raise HframeError(f"{path} has no section [printer]: is it a printer.cfg?")
+            lost = f"; {', '.join(self.missing)} was not found" if self.missing else ""
+            raise HframeError(
+                _advice(path, _text(path))
+                or f"{path} has no section [printer]{lost}: is it a printer.cfg?"
+            )
 
     def _read(self, path: Path, depth: int) -> None:
-        with path.open("rb") as file:
-            content = file.read(MAX_SIZE + 1)
-        if len(content) > MAX_SIZE:
-            raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: is it a printer.cfg?")
-        lines = (
-            line.removeprefix(AUTOSAVE) for line in content.decode("utf-8", "replace").splitlines()
-        )
+        text = _text(path)
         before = set(self._parser.sections())
         try:
-            self._parser.read_string("\n".join(lines), str(path))
+            self._parser.read_string(text, str(path))
         except configparser.Error as error:
-            raise HframeError(f"{path}: {error}") from None
+            raise HframeError(_advice(path, text) or f"{path}: {_cause(error)}") from None
         except AttributeError:  # raised by configparser for a value before the first key
             raise HframeError(f"{path}: a value begins before its key") from None
         for section in [each for each in self._parser.sections() if each not in before]:
@@ -87,9 +88,12 @@ class KlipperConfig:
         try:
             return float(text)
         except ValueError:
-            raise HframeError(
-                f"{self._path}: [{section}] {key}: {text!r} is not a number"
-            ) from None
+            raise HframeError(f"{self.path}: [{section}] {key}: {text!r} is not a number") from None
+
+    def accelerometers(self) -> list[str]:
+        """Return the names by which Klipper's commands know the accelerometers."""
+        sections = (section.split() for section in self._parser.sections())
+        return [words[-1] for words in sections if words and words[0] in ACCELEROMETERS]
 
     def step(self, section: str) -> float:
         """Return mm per step of a motor; nan if it cannot be computed."""
@@ -103,6 +107,38 @@ class KlipperConfig:
         steps = self.number(section, "full_steps_per_rotation", 200.0)
         steps *= self.number(section, "microsteps") * gears
         return self.number(section, "rotation_distance") / steps if steps else math.nan
+
+
+MARLIN = re.compile(r"^\s*(#define\s|(echo:\s*)?M(92|203|205) |/\*\*|// )", re.MULTILINE)
+PROFILE = re.compile(r"^\s*(extends\s*=|\[(compensation|plant|travel)\b)", re.MULTILINE)
+
+
+def _text(path: Path) -> str:
+    with path.open("rb") as file:
+        content = file.read(MAX_SIZE + 1)
+    if len(content) > MAX_SIZE:
+        raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: is it a printer.cfg?")
+    lines = decoded(content, str(path)).splitlines()
+    return "\n".join(line.removeprefix(AUTOSAVE) for line in lines)
+
+
+def _advice(path: Path, text: str) -> str:
+    """Return what to do with a file of another kind; nothing if it is unknown."""
+    if PROFILE.search(text):
+        return f"{path} is a profile of hframe-post: give Klipper's printer.cfg instead"
+    if MARLIN.search(text):
+        return (
+            f"{path} is of Marlin, which has no printer.cfg: answer the questions of 'hframe-post "
+            "printers new -o my.toml'"
+        )
+    return ""
+
+
+def _cause(error: configparser.Error) -> str:
+    """Return the cause without the file's name, which configparser repeats."""
+    number = getattr(error, "lineno", None) or next(iter(getattr(error, "errors", [])), (None,))[0]
+    where = f"line {number} " if number else ""
+    return f"{where}is neither a [section] nor an option of one: is it a printer.cfg?"
 
 
 def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:

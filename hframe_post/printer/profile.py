@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import hashlib
 import re
 import tomllib
@@ -16,6 +15,7 @@ from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer.decoding import decoded
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
 from hframe_post.printer.schema import checked, checked_value, known_keys, roots
 from hframe_post.printer.settings import (
@@ -35,7 +35,6 @@ from hframe_post.printer.settings import (
 
 T = TypeVar("T")
 LARGEST_FILE = 1 << 20  # bytes of a profile
-UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes it
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
 
@@ -64,11 +63,9 @@ def text_of(path: str) -> str:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise PrinterError(f"a profile is not larger than {LARGEST_FILE} bytes", source=path)
-        return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
-    except UnicodeError:
-        raise PrinterError("cannot be read as text: save it as UTF-8", source=path) from None
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
+    return decoded(content, path)
 
 
 def parse(text: str, name: str, source: str = "") -> Printer:

@@ -16,13 +16,13 @@ from hframe_post.arrays import Array
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load
 from hframe_post.studies.comparison.compare import compare
 from hframe_post.writers import step_file
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
+from tests.printers import profile_of
 from tests.slices import SLICES
 from tests.step_tools import write_steps
 
@@ -73,7 +73,7 @@ def _compared(path: Path) -> object:
 
 def _configured(path: Path) -> object:
     config = KlipperConfig(path)
-    own = parse(text(from_klipper(config, "own", None)), "own")
+    own = profile_of(config)
     return [*check(config, own), *check(config, load("paper"))]
 
 

@@ -9,9 +9,13 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.errors import PrinterError
-from hframe_post.printer.edit import BASES, Known, text, with_plant
+from hframe_post.model.kinematics import ROWS
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse, shipped
+from hframe_post.printer.setup import Known, from_klipper, profile_text
 from tests.command_line import RECTANGLE, run
+from tests.printers import REAL
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
 
@@ -56,15 +60,18 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout
 
 
-@pytest.mark.parametrize("kind", sorted(BASES))
+@pytest.mark.parametrize("kind", ROWS)
 def test_a_new_profile_of_each_kind_is_marked_until_it_is_identified(
     kind: str, tmp_path: Path
 ) -> None:
+    config = tmp_path / "printer.cfg"
+    config.write_text(REAL.read_text().replace("corexy", "cartesian"))
     own = tmp_path / "own.toml"
-    own.write_text(text(Known("mine", kind, (0.0, 200.0), (0.0, 200.0), 200.0, 3000.0)))
+    tables = from_klipper(KlipperConfig(config), kind)
+    own.write_text(profile_text({"kinematics": {"type": Known(kind, "")}, **tables}, "mine"))
     printer = load(str(own))
     assert (printer.kinematics.type, printer.invented) == (kind, True)
-    found = replace(printer.plant, Gxtheta=None)
+    found = replace(load("paper").plant, Gxtheta=None)
     identified = parse(with_plant(str(own), found, printer.compensation.windows, []), "own")
     assert not identified.invented
     assert identified.compensation.strategy == "racking"

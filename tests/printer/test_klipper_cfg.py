@@ -8,16 +8,15 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.edit import from_klipper, text
 from hframe_post.printer.klipper_cfg import KlipperConfig, check
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.printers import REAL
+from tests.printers import REAL, profile_of
 
 
 @pytest.fixture(scope="module")
 def own() -> Printer:
-    return parse(text(from_klipper(KlipperConfig(REAL), "own", None)), "own")
+    return profile_of(KlipperConfig(REAL))
 
 
 def wrong(path: Path, printer: Printer) -> list[str]:

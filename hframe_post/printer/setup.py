@@ -1,0 +1,272 @@
+"""New profiles, from Klipper's printer.cfg or from answers: each number, and where it came from.
+
+A line of such a profile is ``acceleration = 8000    # 8000 (max_accel of [printer])``. The comment
+repeats the value: `edit.updated` sees from it what was changed since.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from hframe_post.errors import HframeError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.klipper_cfg import KlipperConfig
+
+KINEMATICS = {  # ours, the safest first, by Klipper's name
+    "corexy": ("corexy", "hbot"),
+    "hybrid_corexy": ("hybrid-corexy",),
+    "corexz": ("corexz",),
+    "cartesian": ("cartesian",),
+}
+# Compensation moves harder than the path. With twice its acceleration, identified printers with
+# modes from 18 to 55 Hz get the same window as without any limit.
+ACCELERATION_HEADROOM = 2.0
+VELOCITY_HEADROOM = 1.1
+SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
+DEFAULT = "Klipper's default"
+
+Value = float | tuple[float, float] | str
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A value of a profile and its origin, in words."""
+
+    value: Value
+    origin: str
+
+    def as_toml(self) -> str:
+        if isinstance(self.value, str):
+            return json.dumps(self.value, ensure_ascii=False)
+        if isinstance(self.value, tuple):
+            return f"[{', '.join(f'{number:.9g}' for number in self.value)}]"
+        return f"{self.value:.9g}"
+
+    def comment(self) -> str:
+        return f"{self.as_toml()} ({self.origin})"
+
+
+Tables = dict[str, dict[str, Known]]  # settings, by the names of their tables
+
+JERK = Known(3e6, "low, for small errors; 'hframe-post tune' finds yours")  # costs 1 % of time
+CLOCK = Known(1e5, "for files of steps: at most one step per tick")
+
+
+def as_float(known: Known) -> float:
+    assert isinstance(known.value, float)
+    return known.value
+
+
+# ---------------------------------------------------------------------- from printer.cfg
+
+
+def kinematics_in(config: KlipperConfig) -> tuple[str, ...]:
+    """Return the kinematics that the printer may have, the safest first. Raises HframeError."""
+    kind = config.text("printer", "kinematics")
+    if kind not in KINEMATICS:
+        usable = ", ".join(KINEMATICS)
+        raise HframeError(
+            f"{config.path}: [printer] kinematics: {kind or 'missing'}; hframe-post can only "
+            f"compensate {usable}"
+        )
+    return KINEMATICS[kind]
+
+
+def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
+    """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
+    velocity = _needed(config, "printer", "max_velocity")
+    acceleration = _needed(config, "printer", "max_accel")
+    tables: Tables = {
+        "travel": {axis: _range(config, axis) for axis in "xy"},
+        "limits": {
+            "velocity": velocity,
+            "acceleration": acceleration,
+            "jerk": JERK,
+            "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
+            "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
+            "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
+            **_extruder(config, velocity, acceleration),
+        },
+        "motors": motors(kinematics, velocity, acceleration),
+        "steps": _steps(config),
+        "retraction": _retraction(config),
+        "sweep": _sweep(acceleration),
+        "firmware.klipper": {
+            "velocity": velocity,
+            "acceleration": acceleration,
+            "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
+            "minimum_cruise_ratio": _or(config, "printer", "minimum_cruise_ratio", 0.5),
+            **_shaper(config),
+        },
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def motors(kinematics: str, velocity: Known, acceleration: Known) -> dict[str, Known]:
+    """Return the limits of the belts for a path with these limits in any direction."""
+    belts = 1.0 / Kinematics(kinematics).min_speed_ratio
+    diagonal = "√2 × " if belts > 1.0 else ""
+    return {
+        "belt_velocity": Known(
+            round(VELOCITY_HEADROOM * belts * as_float(velocity), 1),
+            f"{VELOCITY_HEADROOM:g} × {diagonal}the velocity above",
+        ),
+        "belt_acceleration": Known(
+            float(round(ACCELERATION_HEADROOM * belts * as_float(acceleration))),
+            f"{ACCELERATION_HEADROOM:g} × {diagonal}the acceleration above; less if motors skip",
+        ),
+    }
+
+
+def _sweep(acceleration: Known) -> dict[str, Known]:
+    if as_float(acceleration) < SWEEP_AMPLITUDE:
+        return {"amplitude": acceleration}
+    return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; max_accel allows it")}
+
+
+def _needed(config: KlipperConfig, section: str, key: str) -> Known:
+    value = config.number(section, key)
+    if math.isnan(value):
+        where = f"{config.path}: [{section}] {key} is missing"
+        lost = f"; [include {config.missing[0]}] was not found" if config.missing else ""
+        raise HframeError(where + lost)
+    if not 0.0 < value < 1e9:
+        raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
+    return Known(value, f"{key} of [{section}]")
+
+
+def _or(config: KlipperConfig, section: str, key: str, default: float | Known) -> Known:
+    """Return the number in printer.cfg, or what Klipper uses without it."""
+    value = config.number(section, key)
+    if not math.isnan(value):
+        return Known(value, f"{key} of [{section}]")
+    if isinstance(default, Known):
+        return Known(default.value, f"{default.origin}, without {key}")
+    return Known(default, f"{DEFAULT} for {key}")
+
+
+def _range(config: KlipperConfig, axis: str) -> Known:
+    section = f"stepper_{axis}"
+    low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
+    if not low < high:
+        raise HframeError(
+            f"{config.path}: [{section}] position_max is missing, or below position_min"
+        )
+    return Known((low, high), f"position_min and position_max of [{section}]")
+
+
+def _extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
+    """Return the limits of filament; those not given as Klipper computes them.
+
+    Klipper lets the extruder follow a move whose line is max_extrude_cross_section (mm²) thick.
+    """
+    diameter = _or(config, "extruder", "filament_diameter", 1.75)
+    if not as_float(diameter) > 0.0:
+        raise HframeError(f"{config.path}: [extruder] filament_diameter must be above 0")
+    thickest = 4.0 * config.number("extruder", "nozzle_diameter", 0.4) ** 2
+    thickest = config.number("extruder", "max_extrude_cross_section", thickest)
+    share = thickest / (math.pi / 4.0 * as_float(diameter) ** 2)
+
+    def limit(key: str, of: Known) -> Known:
+        computed = float(f"{share * as_float(of):.6g}")
+        return _or(config, "extruder", key, Known(computed, "as Klipper computes it"))
+
+    return {
+        "extruder_velocity": limit("max_extrude_only_velocity", velocity),
+        "extruder_acceleration": limit("max_extrude_only_accel", acceleration),
+        "extruder_corner_velocity": _or(config, "extruder", "instantaneous_corner_velocity", 1.0),
+        "filament_diameter": diameter,
+    }
+
+
+def _steps(config: KlipperConfig) -> dict[str, Known]:
+    """Return mm per step of each motor; nothing if one of them cannot be computed."""
+    sections = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
+    sizes = {name: config.step(section) for name, section in sections.items()}
+    if not all(1e-6 <= size <= 10.0 for size in sizes.values()):
+        return {}
+    found = {
+        name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]")
+        for name, section in sections.items()
+    }
+    return {**found, "clock_hz": CLOCK}
+
+
+def _retraction(config: KlipperConfig) -> dict[str, Known]:
+    section = "firmware_retraction"
+    if not config.number(section, "retract_length", 0.0) > 0.0:
+        return {}
+    return {
+        "length": _or(config, section, "retract_length", 0.0),
+        "speed": _or(config, section, "retract_speed", 20.0),
+        "return_speed": _or(config, section, "unretract_speed", 10.0),
+        "extra": _or(config, section, "unretract_extra_length", 0.0),
+    }
+
+
+def _shaper(config: KlipperConfig) -> dict[str, Known]:
+    keys = [f"shaper_freq_{axis}" for axis in "xy"]
+    found = {key: _or(config, "input_shaper", key, 0.0) for key in keys}
+    return {key: known for key, known in found.items() if known.value}
+
+
+# ---------------------------------------------------------------------- as text
+
+TITLES = {
+    "kinematics": "how the belts move the nozzle",
+    "travel": "where the nozzle may go",
+    "limits": "of the planned path; limits set in a file lower these",
+    "motors": "limits of every command, measured at the belts",
+    "steps": "mm per step",
+    "retraction": "what G10 and G11 do",
+    "sweep": "the motion that measures the printer",
+    "firmware.klipper": "limits before and after a print",
+    "firmware.marlin": "settings before and after a print: those of M503",
+}
+COLUMN = 32
+
+
+def profile_text(tables: Tables, description: str) -> str:
+    """Return a new profile as TOML. It has no plant yet: the nozzle follows the motors exactly."""
+    dialect = "marlin" if "firmware.marlin" in tables else "klipper"
+    settings = "\n".join(line for name in tables for line in _table(name, tables[name]))
+    x = tables["travel"]["x"].value
+    assert isinstance(x, tuple)
+    return f"""\
+# A profile for hframe-post. Lengths in mm, times in s. A comment that begins with a value shows
+# what was found, and where. Change what you like: 'hframe-post setup' keeps your changes.
+
+description = {json.dumps(description, ensure_ascii=False)}
+
+{settings}
+[firmware]
+dialect = "{dialect}"
+
+[compensation]          # 'hframe-post identify' chooses these for your printer
+strategy = "racking"    # ringing and, on an H-bot, racking
+L = 5                   # samples between knots
+n_C = 88                # control points in a window
+n_up = 44               # control points kept from each window
+effort = [10, 10]       # weight on the second difference of the command in x and y
+
+[plant]                 # Not measured yet: 'hframe-post identify' writes it (docs/identify.md).
+invented = true         # Until then nothing is compensated.
+Ts = 0.001
+x_c = {sum(x) / 2.0:.9g}
+Gxx = {{gain = 1.0, zeros = [], poles = []}}
+Gyy = {{gain = 1.0, zeros = [], poles = []}}
+"""
+
+
+def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
+    yield f"{f'[{name}]':24s}# {TITLES[name]}"
+    for key, known in table.items():
+        yield _line(key, known)
+    yield ""
+
+
+def _line(key: str, known: Known) -> str:
+    return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.comment()}"

@@ -1,0 +1,177 @@
+"""``setup`` from printer.cfg, again after changes, and wrong input; ``printers new`` by answers."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.profile import load
+from tests.command_line import RECTANGLE, run
+from tests.printers import REAL
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "printer.cfg"
+    path.write_text(REAL.read_text())
+    return path
+
+
+def set_up(config: Path, *options: str | Path, status: int = 0) -> str:
+    """Run setup into the folder of printer.cfg and return what it printed, as one text."""
+    folder = config.parent
+    home = str(folder / "config")
+    done = run("setup", config, "-o", folder, *options, XDG_CONFIG_HOME=home)
+    assert done.returncode == status, done.stderr
+    return (done.stdout + done.stderr).decode()
+
+
+def edited(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(config: Path) -> None:
+    before = config.read_text()
+    printed = set_up(config)
+    profile = load(str(config.parent / "printer.toml"))
+    assert "[gcode_macro HFRAME_END]" in (config.parent / "hframe.cfg").read_text()
+    assert "[include hframe.cfg]" in printed
+    assert config.read_text() == before
+    assert profile.invented
+    at_home = partial(run, XDG_CONFIG_HOME=str(config.parent / "config"))
+    assert str(config.parent / "printer.toml") in at_home("use").stdout.decode()
+    assert at_home(RECTANGLE, "-n").returncode == 0
+
+
+def test_without_a_terminal_corexy_is_taken_which_does_not_rack(config: Path) -> None:
+    printed = set_up(config)
+    assert "assumed" in printed
+    assert "--kinematics hbot" in printed
+    own = config.parent / "printer.toml"
+    assert load(str(own)).kinematics.type == "corexy"
+    set_up(config, "--kinematics", "hbot")
+    assert load(str(own)).kinematics.type == "hbot"
+    assert "assumed" not in set_up(config)  # it is known by now
+    assert load(str(own)).kinematics.type == "hbot"
+
+
+def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Path) -> None:
+    edited(config, "max_velocity: 500", "max_velocity: 800")
+    set_up(config)
+    own = load(str(config.parent / "printer.toml"))
+    assert (own.limits.velocity, own.limits.acceleration) == (800.0, 10000.0)
+    assert own.motors.belt_velocity > 2**0.5 * 800.0
+    assert own.motors.belt_acceleration == round(2.0 * 2**0.5 * 10000.0)
+    assert own.sweep.amplitude == 5000.0
+    edited(config, "max_accel: 10000", "max_accel: 3000")
+    set_up(config)
+    assert load(str(config.parent / "printer.toml")).sweep.amplitude == 3000.0
+
+
+def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: Path) -> None:
+    own = config.parent / "printer.toml"
+    set_up(config)
+    assert "no changes" in set_up(config)
+    edited(own, "belt_acceleration = 28284", "belt_acceleration = 20000")
+    edited(own, "dialect = ", 'harmless = ["BEEP"]\ndialect = ')
+    edited(config, "max_accel: 10000", "max_accel: 8000")
+    printed = set_up(config)
+    assert "limits.acceleration = 8000 (max_accel of [printer]): it was 10000" in printed
+    assert "motors.belt_acceleration = 20000: kept, because it was changed by hand" in printed
+    profile = load(str(own))
+    assert (profile.limits.acceleration, profile.motors.belt_acceleration) == (8000.0, 20000.0)
+    assert profile.firmware.harmless == ("BEEP",)
+    assert "motors.belt_acceleration = 20000: kept" in set_up(config)
+
+
+def test_again_it_keeps_an_identified_plant(config: Path) -> None:
+    own = config.parent / "printer.toml"
+    set_up(config, "--kinematics", "hbot")
+    paper = load("paper")
+    own.write_text(with_plant(str(own), paper.plant, paper.compensation.windows, ["measured"]))
+    edited(config, "max_accel: 10000", "max_accel: 8000")
+    set_up(config)
+    profile = load(str(own))
+    assert profile.limits.acceleration == 8000.0
+    assert profile.plant.Gxx.gain == paper.plant.Gxx.gain
+    assert profile.plant.Gxtheta is not None
+    assert not profile.invented
+    assert profile.compensation.effort == paper.compensation.effort
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"[printer]\nmax_velocity: \xff\n", "cannot be read as text: save it as UTF-8"),
+        (b'extends = "paper"\n[travel]\nx = [0, 1]\n', "is a profile of hframe-post"),
+        (b"#define X_BED_SIZE 220\n", "hframe-post printers new"),
+        (b"[extruder]\nnozzle_diameter: 0.4\n", "no section [printer]"),
+        (b"[include gone.cfg]\n", "gone.cfg was not found"),
+        (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
+        (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
+        (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),
+        (b"nonsense\n", "line 1 is neither a [section]"),
+        (b"", "no section [printer]"),
+    ],
+)
+def test_what_is_no_printer_cfg_is_an_error_of_one_line(
+    config: Path, content: bytes, message: str
+) -> None:
+    config.write_bytes(content)
+    printed = set_up(config, status=1)
+    assert message in printed
+    assert printed.startswith("Error: ")
+    assert printed.count("\n") == 1
+    assert sorted(each.name for each in config.parent.iterdir()) == ["printer.cfg"]
+
+
+def test_a_byte_order_mark_is_no_problem(config: Path) -> None:
+    config.write_text(config.read_text(), "utf-16")  # as PowerShell's > writes it
+    set_up(config)
+    config.write_bytes(b"\xef\xbb\xbf" + REAL.read_bytes())
+    set_up(config)
+    own = config.parent / "printer.toml"
+    own.write_bytes(b"\xef\xbb\xbf" + own.read_bytes())
+    assert load(str(own)).limits.acceleration == 10000.0
+
+
+def test_a_printer_cfg_as_profile_names_setup(config: Path) -> None:
+    done = run(RECTANGLE, "-n", "-p", config)
+    assert done.returncode == 1
+    assert b"'hframe-post setup printer.cfg'" in done.stderr
+
+
+def test_a_new_profile_from_answers(tmp_path: Path) -> None:
+    answers = b"klipper\ncorexy\n5,1\n0,310\n\n250\n2500\n\n\n\n\n\nBig Blue\n"
+    done = run("printers", "new", "-o", tmp_path / "blue.toml", stdin=answers)
+    assert done.returncode == 0, done.stderr
+    blue = load(str(tmp_path / "blue.toml"))
+    assert blue.description == "Big Blue"
+    assert blue.kinematics.type == "corexy"
+    assert blue.travel.x == (0.0, 310.0)  # the second answer: the first was not a range
+    assert (blue.limits.velocity, blue.limits.acceleration) == (250.0, 2500.0)
+    assert not (tmp_path / "no.toml").exists()
+    assert run("printers", "new", "-o", tmp_path / "no.toml", stdin=b"a\n").returncode == 1
+    assert not (tmp_path / "no.toml").exists()
+
+
+def test_a_new_profile_for_marlin(tmp_path: Path) -> None:
+    own = tmp_path / "ender.toml"
+    done = run("printers", "new", "-o", own, stdin=b"marlin\n\n0,300\n0,300\n" + 20 * b"\n")
+    assert done.returncode == 0, done.stderr
+    printer = load(str(own))
+    assert printer.firmware.dialect == "marlin"
+    assert printer.steps is not None
+    assert printer.steps.belt == pytest.approx(1 / 80)
+    assert run(RECTANGLE, "-n", "-p", own).returncode == 0
+    again = run("printers", "new", "-o", own)
+    assert again.returncode == 1
+    assert b"exists already" in again.stderr
+    old = run("printers", "new", "-o", own, "--printer-cfg", REAL)
+    assert old.returncode == 2
+    assert b"hframe-post setup printer.cfg" in old.stderr
