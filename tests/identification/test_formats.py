@@ -17,6 +17,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import GRAVITY, read
 from hframe_post.identification.recordings.excitation import command_csv, read_command
 from hframe_post.identification.recordings.formats import read_tables
+from hframe_post.identification.recordings.packed import unpacked
 
 HEAD = b"#time,accel_x,accel_y,accel_z\n"
 
@@ -73,7 +74,7 @@ def test_a_compressed_command_is_read(tmp_path: Path) -> None:
 def test_shaketune_files_hold_several_measurements(tmp_path: Path, rows: Array) -> None:
     path = tmp_path / "beltscomparison.stdata"
     path.write_bytes(stdata(("belt_A_20250101_101010", rows), ("belt_B_20250101_101110", -rows)))
-    first, second = read_tables(path, None)
+    first, second = read_tables(path, unpacked(path), None)
     assert (first.name, second.name) == ("belt_A_20250101_101010", "belt_B_20250101_101110")
     np.testing.assert_array_equal(first.values, rows)
     with pytest.raises(IdentificationError, match="does not hold one recording, but 2: belt_A"):

@@ -17,6 +17,7 @@ from scipy import optimize
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.formats import Table, read_tables
+from hframe_post.identification.recordings.packed import unpacked
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
@@ -64,7 +65,7 @@ def read(
         raise IdentificationError(
             f"{','.join(columns)!r} does not name four columns: time, x, y and z"
         )
-    tables = read_tables(path, columns)
+    tables = read_tables(path, unpacked(path), columns)
     if len(tables) != 1:
         names = ", ".join(table.name for table in tables[:5]) or "none"
         raise IdentificationError(f"{path} does not hold one recording, but {len(tables)}: {names}")

@@ -17,7 +17,6 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.packed import unpacked
 
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
 M956 = ("Sample", "X", "Y", "Z")
@@ -53,12 +52,12 @@ class Table:
         return f"line {filled[row + 1]}"
 
 
-def read_tables(path: Path, columns: Sequence[str] | None) -> list[Table]:
-    """Read a file of any known format; it may hold several recordings.
+def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Table]:
+    """Return the recordings in a file of any known format.
 
-    columns: names of time, x, y, z if the user gave them. Raises OSError or IdentificationError.
+    content: of the file, decompressed. columns: names of time, x, y, z if the user gave them.
+    Raises IdentificationError.
     """
-    content = unpacked(path)
     if path.suffix in (".npz", ".mat"):
         return [Table(_named_arrays(path, _arrays(path, content), columns))]
     if columns is not None:

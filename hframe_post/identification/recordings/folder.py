@@ -1,0 +1,261 @@
+"""Which recordings a folder holds, and of which motion each of them is.
+
+files → commands of sweeps, recordings → recordings with their motions
+      → without copies and second sensors → sessions
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import HframeError, IdentificationError
+from hframe_post.identification.recordings.accelerometer import Recording, from_table
+from hframe_post.identification.recordings.clock_sync import MOST_DRIFT
+from hframe_post.identification.recordings.excitation import CSV_HEAD, read_command
+from hframe_post.identification.recordings.formats import read_tables
+from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed
+from hframe_post.identification.recordings.packed import unpacked
+
+SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
+ARRAYS = (".npz", ".mat")  # which are recordings only if the user names their columns
+DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
+WAITING = 30.0  # s before and after the motion, in a recording that was started by hand
+UNUSABLE = {
+    "axes map": "a test of the sensor's axes, which the other recordings show as well",
+    "vibrations": "a test at constant speeds, which excites no band of frequencies",
+    "constant frequency": "a test at a constant frequency, which excites no band of frequencies",
+}
+EXPLICIT = "or name it with its command: --nozzle COMMAND RECORDING"
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The motion of a sweep: x and y (m, 2) in mm every 1 ms. run: the last word of its name."""
+
+    path: Path
+    run: str
+    motion: Array
+
+    @property
+    def direction(self) -> tuple[float, float, float] | None:
+        """Return a unit vector along the one axis that moves; None if both or none move."""
+        x, y = (float(width > 0.0) for width in np.ptp(self.motion, axis=0))
+        return None if x == y else (x, y, 0.0)
+
+    def lasts_as_long_as(self, recording: Recording) -> bool:
+        """Return whether the recording covers the motion, and little more."""
+        moving = np.flatnonzero((np.diff(self.motion, axis=0) != 0.0).any(axis=1))
+        if not moving.size:
+            return False
+        recorded = float(recording.t[-1] - recording.t[0])
+        least, most = TS * float(np.ptp(moving)), TS * len(self.motion) + WAITING
+        return least * (1.0 - MOST_DRIFT) <= recorded <= most * (1.0 + MOST_DRIFT)
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A recording in a file.
+
+    label: the file, and the measurement in it if there are several. digest: of the samples.
+    command: its motion; None for a test of resonances, whose motion printer.cfg describes.
+    session: 1, or more for recordings that repeat the test of an earlier one.
+    """
+
+    label: str
+    path: Path
+    recording: Recording
+    name: RecordingName
+    digest: str
+    command: Command | None = None
+    session: int = 1
+
+    @property
+    def direction(self) -> tuple[float, float, float] | None:
+        return self.command.direction if self.command else self.name.direction
+
+    @property
+    def test(self) -> tuple[object, ...]:
+        """Return what the recordings of a repeated test share."""
+        motion = self.command.run if self.command else self.name.point
+        return (motion, self.direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Aside:
+    """A file or measurement that is not used, and why."""
+
+    label: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a folder holds: measurements of known motions, and what is left aside."""
+
+    measurements: list[Measurement]
+    aside: list[Aside]
+
+
+def contents(
+    paths: Sequence[Path],
+    columns: Sequence[str] | None = None,
+    chips: Mapping[str, str] = MappingProxyType({}),
+) -> Contents:
+    """Return the recordings in files and folders, each with its motion.
+
+    columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensor to
+    use where several recorded tests along one direction. Raises OSError if a folder cannot be
+    read, and IdentificationError if no file is of a kind that recordings have.
+    """
+    files = _files(paths, columns is not None)
+    if not files:
+        raise IdentificationError(
+            f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
+            "raw_data_x_….csv, adxl345-….csv or ….stdata. To record, run TEST_RESONANCES AXIS=X "
+            "OUTPUT=raw_data, and AXIS=Y; Klipper writes to /tmp of its host"
+        )
+    read = [each for path in files for each in _read(path, columns)]
+    commands = [each for each in read if isinstance(each, Command)]
+    steps: Iterable[Measurement | Aside] = (
+        _with_motion(each, commands) if isinstance(each, Measurement) else each
+        for each in read
+        if not isinstance(each, Command)
+    )
+    for step in (_without_copies, lambda each: _one_sensor(each, chips), _in_sessions):
+        steps = step(list(steps))
+    done = list(steps)
+    return Contents(
+        [each for each in done if isinstance(each, Measurement)],
+        [each for each in done if isinstance(each, Aside)],
+    )
+
+
+def _files(paths: Sequence[Path], arrays: bool) -> list[Path]:
+    """Return the files given, and those in the folders given that may be recordings."""
+    suffixes = (*SUFFIXES, *ARRAYS) if arrays else SUFFIXES
+    files: dict[Path, None] = {}
+    for path in paths:
+        if not path.is_dir():
+            files[path] = None
+            continue
+        for folder, inner, names in os.walk(path, onerror=_raise):
+            deep = len(Path(folder).relative_to(path).parts) >= DEPTH
+            inner[:] = [] if deep else sorted(name for name in inner if not name.startswith("."))
+            chosen = [n for n in names if n.lower().endswith(suffixes) and not n.startswith(".")]
+            files |= dict.fromkeys(Path(folder) / name for name in sorted(chosen))
+    if len(files) > MOST_FILES:
+        raise IdentificationError(
+            f"{paths[0]}: {len(files)} files are too many. Give a folder with the recordings of "
+            "one printer"
+        )
+    return list(files)
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def _read(path: Path, columns: Sequence[str] | None) -> list[Command | Measurement | Aside]:
+    by_file = parsed(path.name)
+    if by_file.other:
+        return [Aside(str(path), UNUSABLE[by_file.other])]
+    try:
+        content = unpacked(path)
+        if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
+            run = ENDINGS.sub("", path.name).rpartition(".")[2]
+            return [Command(path, run, read_command(path))]
+        tables = read_tables(path, content, columns)
+    except (HframeError, OSError) as error:
+        return [Aside(str(path), _reason(path, error))]
+    found: list[Command | Measurement | Aside] = []
+    for table in tables:
+        label = f"{path}: {table.name}" if len(tables) > 1 else str(path)
+        name = parsed(table.name) | by_file if table.name else by_file
+        try:
+            recording = from_table(path, table)
+        except HframeError as error:
+            found.append(Aside(label, _reason(path, error)))
+            continue
+        digest = hashlib.sha256(table.values.tobytes()).hexdigest()[:16]
+        found.append(Measurement(label, path, recording, name, digest))
+    return found
+
+
+def _reason(path: Path, error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return str(error).removeprefix(str(path)).removeprefix(":").strip()
+
+
+# ---------------------------------------------------------------------- motions
+
+
+def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside:
+    """Return a recording with its command, if it is not one of a test of resonances."""
+    name = one.name
+    if name.other:
+        return Aside(one.label, UNUSABLE[name.other])
+    fitting = [c for c in commands if not name.certain and c.lasts_as_long_as(one.recording)]
+    stem = ENDINGS.sub("", one.path.name)
+    named = [c for c in fitting if stem.endswith(c.run)]
+    longest = max((len(c.run) for c in named), default=0)
+    along = [c for c in fitting if name.direction and c.direction == name.direction]
+    possible = [c for c in named if len(c.run) == longest] or along
+    near = [c for c in possible if c.path.parent == one.path.parent] or possible
+    if near and all(np.array_equal(c.motion, near[0].motion) for c in near):
+        chip = stem.removesuffix(near[0].run).rstrip("-_.").replace("-", "_") if named else ""
+        return replace(one, command=near[0], name=replace(name, chip=chip or name.chip))
+    if near:
+        which = ", ".join(c.path.name for c in near[:4])
+        return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")
+    if name.direction is None:
+        unknown = "neither its name nor a command next to it shows which axis moved"
+        return Aside(one.label, f"{unknown}. Rename it, as raw_data_x_1.csv; {EXPLICIT}")
+    if abs(name.direction[2]) > 0.0:
+        return Aside(one.label, "a test in which z moves, which is not compensated")
+    return replace(one, recording=replace(one.recording, started=False))
+
+
+# ---------------------------------------------------------------------- copies and sessions
+
+
+def _without_copies(found: list[Measurement | Aside]) -> Iterator[Measurement | Aside]:
+    first: dict[str, Measurement] = {}
+    for one in found:
+        if isinstance(one, Measurement) and first.setdefault(one.digest, one) is not one:
+            yield Aside(one.label, f"a copy of {first[one.digest].label}")
+        else:
+            yield one
+
+
+def _one_sensor(
+    found: list[Measurement | Aside], chips: Mapping[str, str]
+) -> Iterator[Measurement | Aside]:
+    """Keep one sensor for each direction, where several are named."""
+    known = [one for one in found if isinstance(one, Measurement)]
+    for one in found:
+        if isinstance(one, Measurement) and one.name.chip:
+            rivals = {each.name.chip for each in known if each.direction == one.direction} - {""}
+            wanted = chips.get("x" if one.direction and one.direction[0] else "y", "")
+            if one.name.chip != (wanted if wanted in rivals else min(rivals, key=len)):
+                yield Aside(one.label, f"of a second sensor, {one.name.chip}, which is not used")
+                continue
+        yield one
+
+
+def _in_sessions(found: list[Measurement | Aside]) -> Iterator[Measurement | Aside]:
+    counts: Counter[tuple[object, ...]] = Counter()
+    known = [one for one in found if isinstance(one, Measurement)]
+    for one in sorted(known, key=lambda each: (each.name.date, each.label)):
+        counts[one.test] += 1
+        yield replace(one, session=counts[one.test])
+    yield from (one for one in found if isinstance(one, Aside))

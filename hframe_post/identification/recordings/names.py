@@ -1,0 +1,115 @@
+"""What the name of a recording says about its test.
+
+    raw_data_x_adxl345_hotend_100.000_110.000_20.000_20250805_220709.csv    Klipper, Kalico
+    raw_data_axis=1.000,-1.000,0.000_b.csv
+    adxl345-hotend-x-at-110.csv                                             ACCELEROMETER_MEASURE
+    resonances_20231016_101500_X.csv, belt_20231016_101500_A.csv            Shake&Tune, 2023
+    shaketune-axis_X_20240620_101500.csv, inputshaper_20240620_101500_X.csv     2024
+    axis_Y_20250805_220709, belt_A_…, axesmap_X_… (within .stdata)              since 2024-12
+    0_2026-03-01_10.15.00.csv                                               M956 of RepRapFirmware
+
+Any other name may contain x or y as a word, such as ``sv08_x_1.csv``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+NUMBER = r"-?\d+(?:\.\d+)?"
+ENDINGS = re.compile(r"(\.(csv|txt|stdata|npz|mat|gz|xz|zst))+$", re.IGNORECASE)
+RAW_DATA = re.compile(
+    r"(?:^|.*[^a-z])raw_data_(?:axis=(?P<dir>[-+\d.,]+)|(?P<axis>[xyz]))(?:_(?P<rest>.*))?$"
+)
+POINT = re.compile(r"(?:^|_)(-?\d+\.\d{3})_(-?\d+\.\d{3})_(-?\d+\.\d{3})(?=_|$)")
+PLACE = re.compile(rf"(?<![a-z])at[-_]({NUMBER})[-_]({NUMBER})(?![\d.])")
+DATE = re.compile(
+    r"(20\d\d)-?([01]\d)-?([0-3]\d)(?:[-_ T]?([0-2]\d)[-.:_]?([0-5]\d)[-.:_]?([0-5]\d))?"
+)
+CHIP = re.compile(
+    r"(?:adxl345|lis2dw12|lis2dw|lis3dh|mpu[-_]?\d+|icm\d+|bmi\d+|bma\d+|beacon|cartographer)"
+    r"(?:_(?!at_)[a-z]\w*?(?=_20\d{6}))?"
+)
+WORD = re.compile(r"(?<![a-z0-9])([xyz])(?![a-z0-9])")
+NUMBERED = re.compile(r"(?<![a-z0-9])([xyz])(?=\d)")
+BELT = re.compile(r"belts?(?:comparison)?(?:[-_].*?)?[-_]([abxz])(?![a-z0-9])")
+OTHER_TESTS = {
+    "axes map": re.compile(r"axe?s?_?map"),
+    "vibrations": re.compile(r"(?<![a-z])vib|(?<![a-z])an\d+_\d+sp\d"),
+    "constant frequency": re.compile(r"static_?freq"),
+}
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+BELTS = {"a": (1.0, -1.0, 0.0), "b": (1.0, 1.0, 0.0), "x": (1.0, 0.0, 1.0), "z": (-1.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingName:
+    """What a name says. Whatever it does not say is None or empty.
+
+    direction: of the motion, a unit vector. point: x and y in mm. chip: of the sensor, words
+    joined by ``_``. date: sortable. certain: whether the name is that of a test of resonances.
+    other: the kind of a test that shows no resonances.
+    """
+
+    direction: tuple[float, float, float] | None = None
+    point: tuple[float, float] | None = None
+    chip: str = ""
+    date: str = ""
+    certain: bool = False
+    other: str = ""
+
+    def __or__(self, known: RecordingName) -> RecordingName:
+        """Return this with what it does not say taken from another name."""
+        return RecordingName(
+            self.direction or known.direction, self.point or known.point, self.chip or known.chip,
+            self.date or known.date, self.certain or known.certain, self.other or known.other,
+        )  # fmt: skip
+
+
+def parsed(name: str) -> RecordingName:
+    """Return what the name of a file, or of a measurement in it, says about its test."""
+    name = ENDINGS.sub("", name.lower())
+    dates = ["".join(filter(None, found.groups())) for found in DATE.finditer(name)]
+    date = dates[-1] if dates else ""
+    other = next((kind for kind, form in OTHER_TESTS.items() if form.search(name)), "")
+    if found := RAW_DATA.match(name):
+        rest = found["rest"] or ""
+        point = POINT.search(rest)
+        direction = AXES[found["axis"]] if found["axis"] else _direction(found["dir"])
+        chip = rest[: point.start()] if point else _chip(rest)
+        place = (float(point[1]), float(point[2])) if point else _place(rest)
+        return RecordingName(direction, place, chip, date, direction is not None, other)
+    shaketune = re.match(r"(shaketune-|inputshaper_|shaper_|resonances_20|axis_)", name) is not None
+    if found := BELT.search(name):
+        return RecordingName(_unit(BELTS[found[1]]), _place(name), _chip(name), date, True, other)
+    words = set(WORD.findall(name)) or set(NUMBERED.findall(name))
+    axis = AXES[words.pop()] if len(words) == 1 else None
+    return RecordingName(
+        axis, _place(name), _chip(name), date, shaketune and axis is not None, other
+    )
+
+
+def _direction(text: str) -> tuple[float, float, float] | None:
+    try:
+        x, y, *z = (float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return _unit((x, y, z[0] if z else 0.0)) if len(z) < 2 else None
+
+
+def _unit(vector: tuple[float, float, float]) -> tuple[float, float, float] | None:
+    length = math.hypot(*vector)
+    x, y, z = vector
+    return (x / length, y / length, z / length) if length > 0.0 else None
+
+
+def _chip(text: str) -> str:
+    found = CHIP.match(text)
+    return found[0].replace("-", "_") if found else ""
+
+
+def _place(text: str) -> tuple[float, float] | None:
+    """Return the place in a name such as ``at_110_150`` or ``x-at-110-150``."""
+    found = PLACE.search(DATE.sub("", text))
+    return (float(found[1]), float(found[2])) if found else None
