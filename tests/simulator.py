@@ -194,7 +194,7 @@ class Chip:
     """An accelerometer: gains by axis, cross-axis terms, tilt, steps, noise, uneven times.
 
     rate_error: of its sampling, visible in its times; drift: of its times; offset: from the
-    nozzle to the sensor (x, y), mm.
+    nozzle to the sensor (x, y), mm; filtered: without frequencies above half the rate.
     """
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -209,6 +209,7 @@ class Chip:
     drift: float = 0.0
     lead: float = 0.0
     offset: tuple[float, float] = (0.0, 0.0)
+    filtered: bool = False
 
     def record(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
         """Return its recording while the machine plays the command. step: as in ``played``."""
@@ -220,6 +221,9 @@ class Chip:
         grid = np.arange(len(motion)) / RATE
         ax = motion[:, 2] - self.offset[1] * motion[:, 5]
         ay = motion[:, 3] + self.offset[0] * motion[:, 5]
+        if self.filtered:
+            taps = signal.firwin(2 * int(5 * RATE / self.rate) + 1, 0.45 * self.rate, fs=RATE)
+            ax, ay = (signal.oaconvolve(one, taps, "same") for one in (ax, ay))
         a = np.column_stack([np.interp(t, grid, one, 0.0, 0.0) for one in (ax, ay)] + [0.0 * t])
         a[:, 2] += GRAVITY
         a = Rotation.from_euler("ZYX", self.turned, degrees=True).inv().apply(a)

@@ -1,0 +1,328 @@
+"""A resonance test found in its recording: its true parameters, its start and the clock's drift.
+
+The pulses draw a line into the spectrogram (``chirp_line``). On a sensor's clock that is fast by
+d its slope is hz_per_sec / (1 + d)². Then the motion itself is compared with the recording at low
+frequencies, where a printer still follows its motors: this gives the first frequency, the kind
+of pulses, the start, and the levels of pulses and sweeping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import rfft, rfftfreq
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.signal import fftconvolve
+from scipy.signal.windows import hann
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.chirp_line import Line, find_line
+from hframe_post.identification.recordings.resonance_test import DEFAULTS, ResonanceTest
+
+RATE = 500.0  # samples a second of a recording that is searched
+LEAST_SCORE = 0.3  # of a line
+MOST_DRIFT = 0.03
+USUAL_RATES = (1.0, 0.5, 2.0, 0.25, 0.2, 0.1, 1.5, 0.75, 3.0, 4.0, 5.0)  # Hz/s
+LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates earlier
+RISE = 1.4  # of the level, where that is
+SMOOTHING = 9.0  # ms, of motions before they are compared
+STEP = 5  # ms between their samples
+REACH = 16  # steps by which the start may be off the line's
+LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
+PERIODS = (0.3, 4.0)  # s, of sweeping
+LEAST_SWEEPING = 30.0  # mm/s²
+SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
+LEAD = 11  # steps of rest before a motion
+END = 0.15  # s over which the end of the pulses is looked for
+NOTED = {
+    "min_freq": "", "max_freq": "", "hz_per_sec": "", "accel_per_hz": "near ",
+    "sweeping_accel": "near ", "sweeping_period": "",
+}  # fmt: skip
+REST = 0.05  # s before the motion that a whole recording has
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a recording shows of a resonance test.
+
+    test: the motion that was played; start: s on the sensor's clock at the first moment of the
+    motion, within 5 ms; drift: by how much that clock runs fast, within 0.05 %; along: unit
+    vector (3,) of the test's direction in the sensor's axes; notes: sentences about what differs
+    from the test that was expected.
+    """
+
+    test: ResonanceTest
+    start: float
+    drift: float
+    along: Array
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A test compared with a recording.
+
+    start: s on the command's clock; like: share explained; pulses, sweeping: answers to
+    accelerations of 1 in the sensor's axes, (3,).
+    """
+
+    test: ResonanceTest
+    start: float
+    like: float
+    pulses: Array
+    sweeping: Array
+
+
+def find(recording: Recording, expected: ResonanceTest) -> Found:
+    """Return the resonance test in a recording, which printer.cfg describes as ``expected``.
+
+    Raises IdentificationError if there is none, if a part is missing, or if input shaping was on.
+    """
+    a = _uniform(recording)
+    line = find_line(a, RATE)
+    if line.score < LEAST_SCORE or line.last - line.first < 5.0:
+        raise IdentificationError(
+            "the recording shows no resonance test, whose frequency grows steadily"
+        )
+    hz_per_sec, drift = _rate(line.slope, expected.hz_per_sec)
+    hz, level = _levels(a, line)
+    low, high = _low_band(hz, level)
+    known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
+    fit = _best(_low(a, drift), known, line, drift, high)
+    _check_start(fit, line, expected)
+    last = _last_hz(a, line, drift, fit, expected)
+    _check_shaping(hz, level, low)
+    test = _with_levels(fit, low / (1.0 + drift), expected)
+    test = replace(test, max_freq=last)
+    answer = fit.pulses if not test.sweeping_period else fit.pulses + fit.sweeping
+    return Found(
+        test,
+        float(recording.t[0] + fit.start * (1.0 + drift)),
+        drift,
+        np.asarray(answer / np.linalg.norm(answer)),
+        tuple(_notes(test, expected)),
+    )
+
+
+def _uniform(recording: Recording) -> Array:
+    """Return accelerations (n, 3) without gravity, ``RATE`` samples a second."""
+    t = recording.t - recording.t[0]
+    at = np.arange(int(t[-1] * RATE)) / RATE
+    smooth = uniform_filter1d(recording.a, max(1, round(1.0 / RATE / recording.period)), axis=0)
+    a = np.column_stack([np.interp(at, t, column) for column in smooth.T])
+    return np.asarray(a - a.mean(axis=0))
+
+
+def _rate(slope: float, expected: float) -> tuple[float, float]:
+    """Return hz_per_sec and the drift of the clock on which a line has a slope in Hz/s."""
+    for rate in (expected, *USUAL_RATES):
+        drift = float(np.sqrt(rate / slope)) - 1.0
+        if abs(drift) < MOST_DRIFT:
+            return rate, drift
+    raise IdentificationError(
+        f"the recording's frequency grows by {slope:.3g} Hz/s, not by hz_per_sec "
+        f"{expected:g}. Set it in [resonance_tester] as it was in the test"
+    )
+
+
+def _levels(a: Array, line: Line) -> tuple[Array, Array]:
+    """Return frequencies (k,) and the answers (k,) to pulses there, mm/s² per Hz."""
+    t = np.arange(len(a)) / RATE
+    turning = np.exp(-1j * np.pi * line.slope * np.square(t - line.origin))
+    window = hann(round(RATE))[:, None]
+    size = np.linalg.norm(fftconvolve(a * turning[:, None], window / window.sum(), "same"), axis=1)
+    hz = line.slope * (t - line.origin)
+    keep = (hz >= line.first + 0.5) & (hz <= line.last - 0.5)
+    # a square wave's fundamental is 4/π times as large, half of it at positive frequencies
+    return hz[keep][::25], (size[keep] / hz[keep])[::25] * np.pi / 2.0
+
+
+def _low_band(hz: Array, level: Array) -> tuple[float, float]:
+    """Return the level at 0 Hz and the frequency up to which a printer follows its motors."""
+    base = float(np.median(level[hz < hz[0] + 5.0]))
+    risen = np.flatnonzero(level > RISE * base)
+    edge = max(float(hz[risen[0]]) if risen.size else LOW_HZ, hz[0] + 4.0)
+    low = hz <= edge
+    # below a mode at f₀ the level is that at 0 Hz / (1 − (f/f₀)²); other modes are outliers
+    columns = np.column_stack([np.ones(int(low.sum())), -np.square(hz[low])])
+    wanted, weight = 1.0 / level[low], np.ones(int(low.sum()))
+    for _ in range(20):
+        fit = np.linalg.lstsq(columns * weight[:, None], wanted * weight)[0]
+        miss = np.abs(wanted - columns @ fit)
+        weight = 1.0 / np.sqrt(miss + 0.01 * np.median(miss) + 1e-12)
+    return (1.0 / float(fit[0]) if fit.min() > 0.0 else base), min(edge, max(LOW_HZ, hz[0] + 8.0))
+
+
+def _swept(a: Array, expected: ResonanceTest, drift: float) -> ResonanceTest:
+    """Return the test with the period of sweeping that a recording shows, 0 if there is none."""
+    size = 4 * len(a)
+    hz = rfftfreq(size, 1.0 / RATE) * (1.0 + drift)
+    inside = (hz > 1.0 / PERIODS[1]) & (hz < 1.0 / PERIODS[0])
+    wave = np.linalg.norm(np.abs(rfft(a * hann(len(a))[:, None], size, axis=0))[inside], axis=1)
+    wave *= 4.0 / len(a) * np.pi / 4.0
+    at = int(np.argmax(wave))
+    if wave[at] < max(LEAST_SWEEPING, 10.0 * float(np.median(wave))):
+        return replace(expected, sweeping_period=0.0)
+    period = 1.0 / float(hz[inside][at])
+    usual = (p for p in (expected.sweeping_period, 1.2) if abs(period - p) < 0.02 * period)
+    return replace(expected, sweeping_period=next(usual, round(period, 2)))
+
+
+# ---------------------------------------------------------------------- comparison
+
+
+def _low(a: Array, drift: float) -> Array:
+    """Return the slow part of a recording every ``STEP`` ms of the command's clock."""
+    smooth = gaussian_filter1d(a, SMOOTHING * TS * RATE, axis=0)
+    t = np.arange(len(a)) / RATE / (1.0 + drift)
+    at = np.arange(int(t[-1] / (STEP * TS))) * STEP * TS
+    return np.column_stack([np.interp(at, t, column) for column in smooth.T])
+
+
+def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: float) -> _Fit:
+    """Return the best comparison among all first frequencies and kinds of pulses."""
+    origin = line.origin / (1.0 + drift)
+    earliest = -known.hz_per_sec * origin - 0.5 * known.hz_per_sec
+    latest = line.first * (1.0 + drift) + 1.0
+    usual = np.arange(1.0, 300.0, 0.5)
+    starts = [known.min_freq, *usual[usual != known.min_freq].tolist()]
+    starts = [f for f in starts if max(earliest, 1.0) <= f <= latest]
+    if not starts:
+        raise _cut_at_start(line)
+    seconds = high / known.hz_per_sec + origin
+    low = low[: max(int(seconds / (STEP * TS)), 1)]
+    hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
+    kinds = [False] if known.sweeping_period else [False, True]
+    fits = [
+        _compared(low, 1.0 / hz, replace(known, min_freq=f, around_point=kind, accel_per_hz=1.0,
+                                         sweeping_accel=1.0), f / known.hz_per_sec + origin)
+        for f, kind in product(starts, kinds)
+    ]  # fmt: skip
+    return max(fits, key=lambda fit: fit.like)
+
+
+def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _Fit:
+    """Return the comparison at the best start near the one given, in s."""
+    n, first = len(low), round(start / (STEP * TS))
+    parts = [_slow(test.pulses())]
+    if test.sweeping_period:
+        parts.append(_slow(test.sweeping()))
+    margin = n + REACH + LEAD
+    least = margin - first + LEAD - REACH
+    views = [
+        sliding_window_view(np.pad(part, margin)[least : least + n + 2 * REACH], n)[::-1]
+        for part in parts
+    ]
+    columns = np.stack([*views, np.ones_like(views[0])], axis=2) * weight[:, None]
+    wanted = low * weight[:, None]
+    transposed = columns.transpose(0, 2, 1)
+    solved = np.linalg.solve(transposed @ columns, transposed @ wanted)
+    left = np.square(wanted - columns @ solved).sum(axis=(1, 2))
+    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted)[0]
+    like = 1.0 - left / float(np.square(wanted - offset).sum())
+    k = int(np.argmax(like))
+    late, top = float(k - REACH), float(like[k])
+    if 0 < k < len(like) - 1:  # the summit of a parabola
+        before, after = like[k - 1], like[k + 1]
+        by = 0.5 * float((before - after) / (before - 2.0 * top + after))
+        late, top = late + by, top - 0.25 * float(before - after) * by
+    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(3)
+    return _Fit(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping)
+
+
+def _slow(displacement: Array) -> Array:
+    """Return the slow part of an acceleration, every ``STEP`` ms from ``LEAD`` steps before it."""
+    padded = np.pad(displacement, (LEAD * STEP, 0), mode="edge")
+    acceleration = np.diff(padded, 2, prepend=padded[0], append=padded[-1]) / TS**2
+    return np.asarray(gaussian_filter1d(acceleration, SMOOTHING)[::STEP])
+
+
+# ---------------------------------------------------------------------- checks and levels
+
+
+def _cut_at_start(line: Line) -> IdentificationError:
+    return IdentificationError(
+        "the recording begins in the middle of the resonance test, at "
+        f"{-line.slope * line.origin:.0f} Hz: it was cut. Use the whole file"
+    )
+
+
+def _check_start(fit: _Fit, line: Line, expected: ResonanceTest) -> None:
+    if fit.start < REST and fit.test.min_freq != expected.min_freq:
+        raise _cut_at_start(line)
+    if fit.like < LEAST_LIKE:
+        raise IdentificationError(
+            f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but "
+            "it does not follow the motion of TEST_RESONANCES"
+        )
+
+
+def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceTest) -> float:
+    """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
+    t = np.arange(len(a)) / RATE
+    turning = np.exp(-1j * np.pi * line.slope * np.square(t - line.origin))
+    window = hann(round(END * RATE))[:, None]
+    size = np.linalg.norm(fftconvolve(a * turning[:, None], window, "same"), axis=1)
+    hz = line.slope * (t - line.origin)
+    before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
+    near = before | (hz >= line.last - line.slope) & (hz < line.last + 2.0 * line.slope)
+    strong = size > 0.5 * np.median(size[before])
+    last = float(hz[near & strong][-1]) * (1.0 + drift)
+    ended = hz[-1] * (1.0 + drift) - last > END * line.slope
+    tolerance = 0.4 * max(1.0, line.slope)
+    usual = [expected.max_freq, *(default["max_freq"] for default in DEFAULTS.values())]
+    if ended:
+        usual.append(5.0 * round(last / 5.0))
+    found = min(usual, key=lambda f: abs(f - last))
+    if abs(found - last) < tolerance:
+        return found
+    if not ended:
+        raise IdentificationError(
+            f"the recording ends in the middle of the resonance test, at {last:.0f} Hz of "
+            f"{expected.max_freq:g} Hz: it was cut. Use the whole file"
+        )
+    return round(last, 1)
+
+
+def _check_shaping(hz: Array, level: Array, base: float) -> None:
+    if level.max() < 1.2 * base and level.min() < 0.5 * base:
+        raise IdentificationError(
+            "the recording shows no resonance: input shaping was on during the test. Repeat it "
+            "without INPUT_SHAPING=1"
+        )
+
+
+def _with_levels(fit: _Fit, level: float, expected: ResonanceTest) -> ResonanceTest:
+    """Return the test with levels from the recording where they are not those expected."""
+    swept = float(np.linalg.norm(fit.sweeping))
+    sweeping_accel, gain = expected.sweeping_accel, 1.0
+    if fit.test.sweeping_period:
+        sweeping_accel = _usual(swept, (sweeping_accel, 400.0, 200.0), 10.0)
+        gain = swept / sweeping_accel
+    accel_per_hz = _usual(level / gain, (expected.accel_per_hz, 60.0, 75.0), 1.0)
+    return replace(fit.test, accel_per_hz=accel_per_hz, sweeping_accel=sweeping_accel)
+
+
+def _usual(found: float, usual: tuple[float, ...], step: float) -> float:
+    """Return the expected, first value if it is near enough, another if nearer, or a round one."""
+    for value, tolerance in zip(usual, (SAME_LEVEL, 0.1, 0.1), strict=True):
+        if abs(found / value - 1.0) < tolerance:
+            return value
+    return max(step, step * round(found / step))
+
+
+def _notes(test: ResonanceTest, expected: ResonanceTest) -> list[str]:
+    notes = [
+        f"the recording shows {name} {near}{getattr(test, name):g}; "
+        f"printer.cfg says {getattr(expected, name):g}"
+        for name, near in NOTED.items()
+        if getattr(test, name) != getattr(expected, name)
+    ]
+    if test.around_point:
+        notes.append("the pulses are those of Klipper before December 2024")
+    return notes

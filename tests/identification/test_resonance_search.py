@@ -1,0 +1,111 @@
+"""The parameters, start and clock of a resonance test, found in its recording."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.resonance_search import Found, find
+from tests.resonance_recordings import (
+    BELTS,
+    START,
+    Recorded,
+    X,
+    Y,
+    drawn_sensor,
+    klipper,
+    linear_printer,
+    recorded,
+)
+
+QUICK = {"hz_per_sec": 2.0, "max_freq": 100.0}
+
+
+def made(seed: int, kind: str, direction: tuple[float, ...], **changes: Any) -> Recorded:
+    test = klipper(direction, **QUICK, **changes)
+    return recorded(linear_printer(seed), test, drawn_sensor(seed, kind), seed)
+
+
+def checked(seed: int, kind: str, it: Recorded, **expected: Any) -> Found:
+    """Find the test where printer.cfg says something else; compare all with the truth."""
+    found = find(it.recording, replace(it.test, **expected))
+    assert found.test == it.test
+    assert abs(found.start - START) < 6e-3  # the printer's own delay of up to 3 ms included
+    assert abs(found.drift - drawn_sensor(seed, kind).drift) < 5e-4
+    true = it.sensor @ np.append(it.test.direction, 0.0)
+    assert found.along @ true > 0.98
+    return found
+
+
+def test_lis2dw_at_its_slowest_with_a_wrong_printer_cfg() -> None:
+    seed, kind = 2, "lis2dw-394"
+    it = made(seed, kind, BELTS[1])
+    wrong = {"min_freq": 10.0, "max_freq": 135.0, "hz_per_sec": 1.0, "sweeping_period": 0.0}
+    found = checked(seed, kind, it, **wrong)
+    assert found.notes == (
+        "the recording shows min_freq 5; printer.cfg says 10",
+        "the recording shows max_freq 100; printer.cfg says 135",
+        "the recording shows hz_per_sec 2; printer.cfg says 1",
+        "the recording shows sweeping_period 1.2; printer.cfg says 0",
+    )
+
+
+def test_noise_of_fans_and_another_level() -> None:
+    seed, kind = 4, "lis2dw"
+    it = made(seed, kind, Y, accel_per_hz=90.0)
+    r = it.recording
+    noisy = r.a + np.random.default_rng(1).normal(0.0, 1300.0, r.a.shape)
+    found = find(replace(r, a=noisy), replace(it.test, accel_per_hz=60.0))
+    assert found.test.accel_per_hz == pytest.approx(90.0, rel=0.15)
+    assert replace(found.test, accel_per_hz=90.0) == it.test
+    assert "near" in found.notes[0]
+
+
+@pytest.mark.parametrize("around_point", [False, True])
+def test_without_sweeping(around_point: bool) -> None:
+    seed, kind = 8, "lis2dw-394"
+    it = made(seed, kind, X, sweeping_period=0.0, around_point=around_point)
+    for at in (seed,):
+        found = find(it.recording, replace(it.test, sweeping_period=1.2, around_point=False))
+        assert found.test == it.test
+        assert abs(found.drift - drawn_sensor(at, kind).drift) < 5e-4
+        assert any("before December 2024" in note for note in found.notes) == around_point
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recorded:
+    return made(11, "lis2dw-394", X)
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (
+            slice(0, 10000),
+            "ends in the middle of the resonance test, at 5[56] Hz of 100 Hz: it was cut",
+        ),
+        (slice(6000, None), "begins in the middle of the resonance test, at 3[56] Hz: it was cut"),
+        (slice(0, 800), "no resonance test"),
+    ],
+)
+def test_a_cut_recording_is_refused(whole: Recorded, part: slice, message: str) -> None:
+    r = whole.recording
+    with pytest.raises(IdentificationError, match=message):
+        find(Recording(r.t[part], r.a[part], False), whole.test)
+
+
+def test_other_recordings_are_refused(whole: Recorded) -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(20000) / 400.0
+    still = rng.normal(0.0, 50.0, (len(t), 3))
+    moves = still + 2000.0 * np.sign(np.sin(2.0 * np.pi * 25.0 * t))[:, None]
+    for a in (still, moves):
+        with pytest.raises(IdentificationError, match="no resonance test"):
+            find(Recording(t, a, False), whole.test)
+    moving = np.maximum(t - 2.0, 0.0)
+    sine = 4000.0 * np.sin(2.0 * np.pi * (4.0 + 0.5 * 2.0 * moving) * moving)
+    with pytest.raises(IdentificationError, match="does not follow the motion"):
+        find(Recording(t, still + sine[:, None] * [1.0, 0.0, 0.0], False), whole.test)
