@@ -131,7 +131,8 @@ def read_command(path: Path) -> Array:
     lines = unpacked(path).decode("latin-1").splitlines()
     if not lines or lines[0].strip().lower() != CSV_HEAD:
         raise IdentificationError(
-            f"{path}: line 1: not the command of a sweep, which begins with {CSV_HEAD!r}"
+            f"{path} is not the command of a motion, whose first line is {CSV_HEAD}. Give the "
+            "command first and the recording after it"
         )
     if sum(bool(line.strip()) for line in lines[1:]) < 1000:
         raise IdentificationError(f"{path}: too short for a command: at least 1000 rows are needed")

@@ -18,6 +18,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 
+COMMAND = ("t", "x", "y")  # as sweep and verify write it
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
 M956 = ("Sample", "X", "Y", "Z")
 M956_END = re.compile(rb"\s*Rate (\d+), overflows (\d+)\s*")
@@ -68,6 +69,11 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     if names == KLIPPER:  # always in mm/s²
         values = _numbers(path, content, KLIPPER)
         return [Table(values, content, "mm/s2", starts_with_command=True)]
+    if names == COMMAND:
+        raise IdentificationError(
+            f"{path} is the command of a motion, not a recording. Give the command first and the "
+            "recording after it"
+        )
     if names[:1] == M956[:1] and set(names) <= set(M956):
         return [_m956(path, content, names)]
     return [_recognized(path, content, names)]
