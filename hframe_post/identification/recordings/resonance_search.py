@@ -34,6 +34,7 @@ SMOOTHING = 9.0  # ms, of motions before they are compared
 STEP = 5  # ms between their samples
 REACH = 16  # steps by which the start may be off the line's
 LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
+LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency
 PERIODS = (0.3, 4.0)  # s, of sweeping
 LEAST_SWEEPING = 30.0  # mm/s²
 SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
@@ -94,7 +95,7 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     low, high = _low_band(hz, level)
     known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
     fit = _best(_low(a, drift), known, line, drift, high)
-    _check_start(fit, line, expected)
+    _check_motion(fit, line, hz[hz <= high], level[hz <= high], expected)
     last = _last_hz(a, line, drift, fit, expected)
     _check_shaping(hz, level, low)
     test = _with_levels(fit, low / (1.0 + drift), expected)
@@ -252,10 +253,12 @@ def _cut_at_start(line: Line) -> IdentificationError:
     )
 
 
-def _check_start(fit: _Fit, line: Line, expected: ResonanceTest) -> None:
+def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array, expected: ResonanceTest) -> None:
     if fit.start < REST and fit.test.min_freq != expected.min_freq:
         raise _cut_at_start(line)
-    if fit.like < LEAST_LIKE:
+    # pulses grow with the frequency, which a sine sweep of constant acceleration does not
+    growth = float(np.polyfit(np.log(hz), np.log(level), 1)[0])
+    if fit.like < LEAST_LIKE or growth < LEAST_GROWTH:
         raise IdentificationError(
             f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but "
             "it does not follow the motion of TEST_RESONANCES"
