@@ -22,13 +22,12 @@ from hframe_post.writers.files import Outputs
 @click.command("klipper-macros")
 @printer_option
 def klipper_macros(printer: str) -> None:
-    """Print macros for Klipper's printer.cfg, with this printer's limits.
+    """Print macros for Klipper, with this printer's limits.
 
     A converted file changes Klipper's limits while it prints. The macros restore the printer's
-    limits when a print is paused or cancelled, and the file's when it is resumed. They replace
-    PAUSE, RESUME and CANCEL_PRINT. Save them in a file next to printer.cfg and add the line
-    [include hframe.cfg] at the top of printer.cfg; never append to it, because the end of
-    printer.cfg belongs to Klipper's SAVE_CONFIG.
+    limits when a print is paused, cancelled or fails, and the file's when it is resumed. They call
+    your PAUSE, RESUME and CANCEL_PRINT. Save them in a file next to printer.cfg. Make the line
+    [include hframe.cfg] the last one before the block that Klipper's SAVE_CONFIG writes.
 
     \b
     Example:

@@ -61,7 +61,7 @@ def setup(config: Path, folder: Path, kinematics: str | None) -> None:
         text, changes = updated(old, tables, str(target))
     # raises before anything is written
     profile = parse(text, target.stem, str(target if old else config))
-    sections = macros(profile)
+    sections = macros(profile, klipper)
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(config)) as outputs:
         outputs.open(target).write(text.encode())

@@ -77,6 +77,14 @@ class KlipperConfig:
         sections = (section.upper().split() for section in self._parser.sections())
         return ["GCODE_MACRO", name.upper()] in sections
 
+    def replaces(self, command: str) -> bool:
+        """Return whether a macro takes a command's name and does not call what had it before."""
+        return any(
+            section.upper().split() == ["GCODE_MACRO", command.upper()]
+            and not self.text(section, "rename_existing")
+            for section in self._parser.sections()
+        )
+
     def text(self, section: str, key: str, default: str = "") -> str:
         return (self._parser.get(section, key, fallback=None) or default).strip()
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.macros import macros
+from hframe_post.firmware.klipper.macros import WRAPPERS, macros
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.printer.profile import load
 
@@ -31,6 +31,7 @@ def test_another_printer_has_other_limits() -> None:
 
 def test_the_docs_name_each_macro() -> None:
     names = re.findall(r"\[gcode_macro ([A-Z]\w+)\]", macros(load("paper")))
+    names += WRAPPERS
     assert len(names) == 5
     assert not [name for name in names if f"`{name}`" not in DOCS.read_text(encoding="utf-8")]
 

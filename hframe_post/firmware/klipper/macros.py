@@ -1,27 +1,44 @@
-"""Macros for printer.cfg that end, pause and resume a print inside a stream.
+"""The text of hframe.cfg: macros that bring back Klipper's own limits and input shaping.
 
-A print that stops inside the stream leaves Klipper with the stream's limits. These macros read
-the printer's own limits from its configuration, which G-code cannot. A profile may name them as
+A print that stops inside the stream leaves Klipper with the stream's limits. The macros read the
+printer's own from its configuration, which G-code cannot. A profile may name two of them as
 ``begin_macro`` and ``end_macro``.
+
+Klipper merges two sections of one name, so a second ``[gcode_macro PAUSE]`` would replace an
+owner's. But it compares names of sections by case and those of commands without it. So a section in
+unusual spelling, with ``rename_existing``, is called first and passes the command on.
 """
 
 from __future__ import annotations
 
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.klipper.segments import SQUARE_CORNER_VELOCITY
+from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 
+FILE = "hframe.cfg"
 BEGIN, END = "HFRAME_BEGIN", "HFRAME_END"
+WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
+"""Klipper's command, and the spelling of the section that is called before it."""
 
-_OWN = (
-    "SET_VELOCITY_LIMIT VELOCITY={own.printer.max_velocity} ACCEL={own.printer.max_accel} "
-    "SQUARE_CORNER_VELOCITY={own.printer.square_corner_velocity} "
-    "MINIMUM_CRUISE_RATIO={own.printer.minimum_cruise_ratio}"
-)
-_MACROS = f"""\
-[pause_resume]
-
+_HEAD = f"""\
+# {FILE}, written by hframe-post. Do not edit: it is written anew when the profile changes.
+#
+# A converted file raises Klipper's velocity limits and turns input shaping off while it prints.
+# These macros restore your own settings when such a print is paused, cancelled or fails, and
+# the file's when it is resumed. Your PAUSE, RESUME and CANCEL_PRINT run as before, whether they
+# are Mainsail's, Fluidd's, yours or Klipper's. Let
+#
+#   [include {FILE}]
+#
+# be the last line of printer.cfg before the block that SAVE_CONFIG writes.
+"""
+_BUILTIN = "\n[pause_resume]\n"
+_FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
+_LIMITS = f"""
 [gcode_macro {BEGIN}]
+description: Set the limits of a converted file and turn input shaping off
 gcode:
     {{% if "input_shaper" in printer.configfile.settings %}}
     @shaper_off
@@ -29,67 +46,99 @@ gcode:
     @limits
 
 [gcode_macro {END}]
+description: Restore this printer's own limits and input shaping
 gcode:
     {{% set own = printer.configfile.settings %}}
-    {_OWN}
+    SET_VELOCITY_LIMIT VELOCITY={{own.printer.max_velocity}} ACCEL={{own.printer.max_accel}} \
+SQUARE_CORNER_VELOCITY={{own.printer.square_corner_velocity}} \
+MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio|default(0.5)}}
     {{% if "input_shaper" in own %}}
     SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} \
-SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}}
+SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}} \
+SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
 
-[gcode_macro CANCEL_PRINT]
-rename_existing: CANCEL_PRINT_BASE
+# stream: velocity and acceleration of the converted file that is paused
+[gcode_macro _HFRAME_LEAVE]
+description: If the limits of a converted file are in force, note them and restore the printer's
+variable_stream: None
+variable_ended: 0
 gcode:
+    {{% set now, own = printer.toolhead, printer.configfile.settings.printer %}}
+    {{% set distinct = own.square_corner_velocity != @corner or own.minimum_cruise_ratio != 0 %}}
+    {{% if now.square_corner_velocity == @corner and now.minimum_cruise_ratio|default(0) == 0 \
+and (distinct or now.max_accel == @acceleration) %}}
+    SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream \
+VALUE="{{(now.max_velocity, now.max_accel)}}"
     {END}
-    G90
-    M82
-    # parking moves go here
-    CANCEL_PRINT_BASE
-
-[gcode_macro PAUSE]
-rename_existing: PAUSE_BASE
-variable_velocity: 0.0
-variable_accel: 0.0
-variable_corner: 0.0
-variable_cruise: 0.0
-gcode:
-    {{% if not printer.pause_resume.is_paused %}}
-    {{% set now = printer.toolhead %}}
-    {{% set own = printer.configfile.settings %}}
-    SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=velocity VALUE={{now.max_velocity}}
-    SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=accel VALUE={{now.max_accel}}
-    SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=corner VALUE={{now.square_corner_velocity}}
-    SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=cruise VALUE={{now.minimum_cruise_ratio}}
-    PAUSE_BASE
-    {_OWN}
-    # parking moves go here
     {{% endif %}}
 
-[gcode_macro _HFRAME_RESUME]
+[gcode_macro _HFRAME_RETURN]
+description: Set the limits that _HFRAME_LEAVE noted, if the print goes on
 gcode:
-    {{% set then = printer["gcode_macro PAUSE"] %}}
-    SET_VELOCITY_LIMIT VELOCITY={{then.velocity}} ACCEL={{then.accel}} \
-SQUARE_CORNER_VELOCITY={{then.corner}} MINIMUM_CRUISE_RATIO={{then.cruise}}
+    {{% set stream = printer["gcode_macro _HFRAME_LEAVE"].stream %}}
+    {{% if stream and not ("pause_resume" in printer and printer.pause_resume.is_paused) %}}
+    G4 P0
+    {BEGIN}
+    SET_VELOCITY_LIMIT VELOCITY={{stream[0]}} ACCEL={{stream[1]}}
+    {_FORGET}
+    {{% endif %}}
 
-[gcode_macro RESUME]
-rename_existing: RESUME_BASE
+# A print that ends in an error may call no macro at all. ended: duration of the last one seen
+[delayed_gcode _HFRAME_WATCH]
+initial_duration: 2
 gcode:
-    {{% if printer.pause_resume.is_paused %}}
-    RESTORE_GCODE_STATE NAME=PAUSE_STATE MOVE=1 MOVE_SPEED=50
-    M400
-    _HFRAME_RESUME
-    RESUME_BASE
+    UPDATE_DELAYED_GCODE ID=_HFRAME_WATCH DURATION=2
+    {{% set seen = printer["gcode_macro _HFRAME_LEAVE"].ended %}}
+    {{% set stats = printer.print_stats if "print_stats" in printer else {{"state": "none"}} %}}
+    {{% set over = stats.state in ("complete", "cancelled", "error") %}}
+    {{% set ended = stats.total_duration|round(6) if over else 0 %}}
+    {{% set idle = printer.idle_timeout.state == "Idle" and stats.state != "paused" %}}
+    {{% if idle or ended not in (0, seen) %}}
+    _HFRAME_LEAVE
+    {_FORGET}
+    {{% endif %}}
+    {{% if ended != seen %}}
+    SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=ended VALUE={{ended}}
     {{% endif %}}
 """
+_WRAPPER = """
+[gcode_macro @section]
+description: Restore the printer's limits around a converted file, and call the former @name
+rename_existing: _HFRAME_@name
+gcode:
+    @calls
+"""
+_CALLS = {
+    "PAUSE": ("_HFRAME_LEAVE", "_HFRAME_PAUSE {rawparams}"),
+    "RESUME": ("_HFRAME_RESUME {rawparams}", "_HFRAME_RETURN"),
+    "CANCEL_PRINT": ("_HFRAME_LEAVE", _FORGET, "_HFRAME_CANCEL_PRINT {rawparams}"),
+}
 
 
-def macros(printer: Printer) -> str:
-    """Return sections for printer.cfg, with the limits of a stream for this printer.
+def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
+    """Return the text of hframe.cfg for this printer.
 
-    Raises PrinterError where the printer's firmware is not Klipper.
+    config: its printer.cfg; without it nothing but Klipper's own commands is assumed. Raises
+    PrinterError where the printer's firmware is not Klipper.
     """
     if printer.firmware.dialect != "klipper":
         cause = f"{printer.firmware.dialect} has no macros: they are for printer.cfg of Klipper"
         raise PrinterError(cause, "firmware.dialect", printer.name)
-    shaper_off, limits = Klipper.from_printer(printer).limits_of_stream
-    return _MACROS.replace("@shaper_off", shaper_off).replace("@limits", limits)
+    player = Klipper.from_printer(printer)
+    shaper_off, limits = player.limits_of_stream
+    text = (
+        _LIMITS.replace("@shaper_off", shaper_off)
+        .replace("@limits", limits)
+        .replace("@corner", f"{SQUARE_CORNER_VELOCITY:g}")
+        .replace("@acceleration", f"{player.limits.acceleration:g}")
+    )
+    # Klipper's own commands refuse a macro of their name that does not rename them
+    own = [] if config is None else [name for name in WRAPPERS if config.replaces(name)]
+    builtin = [] if own and config is not None and not config.has("pause_resume") else [_BUILTIN]
+    return "".join([_HEAD, *builtin, text, *map(_wrapper, WRAPPERS if builtin else own)])
+
+
+def _wrapper(name: str) -> str:
+    text = _WRAPPER.replace("@calls", "\n    ".join(_CALLS[name]))
+    return text.replace("@section", WRAPPERS[name]).replace("@name", name)
