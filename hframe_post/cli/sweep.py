@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from hframe_post.arrays import X, Y
 from hframe_post.cli.options import files_read, old_option, position, printer_option, say
 from hframe_post.identification.recordings.excitation import command_csv
 from hframe_post.identification.recordings.sweep import (
@@ -67,33 +68,38 @@ def write_motion(
 )  # fmt: skip
 @printer_option
 @click.option(
-    "--axis", type=click.Choice(["x", "y"]), default="x", show_default=True,
-    help="The axis that moves.",
+    "--axis", type=click.Choice(["x", "y"]),
+    help="Sweep this axis only. Default: both, one after the other.",
 )  # fmt: skip
 @click.option(
     "--position", "places", type=position, multiple=True, metavar="X,Y",
-    help="Where to measure (mm); may be repeated. Default: at x_c and 30 and 60 mm to either side "
-    "of it, as far as the travel allows, in the middle of y.",
+    help="Where to measure (mm); may be repeated. Default: the middle of the travel and, for x of "
+    "a printer that can rack, 60 mm to either side of it.",
 )  # fmt: skip
 @chips_option
 @height_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def sweep(
-    output: Path, printer: str, axis: str, places: tuple[tuple[float, float], ...],
+    output: Path, printer: str, axis: str | None, places: tuple[tuple[float, float], ...],
     chips: tuple[str, ...], z: float | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Write G-code that shakes the printer and records its accelerometers with Klipper.
 
-    Each position is one run: a sine of rising frequency between two short equal marks. The exact
-    command of a run is written next to the G-code, as SWEEP.RUN.csv; identify needs it. The
-    profile's table [sweep] sets the frequencies and the acceleration. Home the printer first.
+    Each position is one run of 40 s: a sine of rising frequency between two short equal marks. The
+    exact command of a run is written next to the G-code, as SWEEP.RUN.csv; identify needs it. The
+    profile's table [sweep] sets the frequencies and the acceleration, [limits] the most that they
+    may be. Home the printer first.
 
     \b
     Example:
-      hframe-post sweep --axis x -p my.toml -o sweep.gcode
+      hframe-post sweep -p my.toml -o sweep.gcode
     """
     profile = load(printer)
-    planned = runs(profile, "xy".index(axis), list(places) or positions(profile))
+    planned = [
+        run
+        for each in ((X, Y) if axis is None else ("xy".index(axis),))
+        for run in runs(profile, each, list(places) or positions(profile, each))
+    ]
     write_motion(output, printer, profile, planned, chips, z)
     if not quiet:
-        say("\n".join(summary(profile, run) for run in planned))
+        say(summary(profile, planned))

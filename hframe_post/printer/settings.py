@@ -149,7 +149,7 @@ class Sweep:
 
     start_hz: float = positive(2.0)
     end_hz: float = positive(120.0)
-    rate_hz_per_s: float = positive(1.0)
+    rate_hz_per_s: float = positive(3.4)
     amplitude: float = positive(5000.0)
     stroke: float = positive(5.0)
     sway: float = not_negative(2.0)

@@ -79,5 +79,5 @@ def tables() -> list[bytes]:
         rows.append(f"{k * 3.1e-4:.6f},{x:.1f},{y:.1f},{z:.1f}")
     klipper = "#time,accel_x,accel_y,accel_z\n" + "\n".join(rows) + "\n"
     paper = load("paper")
-    [planned] = runs(paper, 0, positions(paper)[:1])
+    [planned] = runs(paper, 0, positions(paper, 0)[:1])
     return [klipper.encode(), b"".join(excitation.command_csv(planned.command))[:300_000]]

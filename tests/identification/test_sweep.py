@@ -48,13 +48,22 @@ def table(path: Path) -> Array:
 # ---------------------------------------------------------------------- where and what
 
 
-def test_measures_where_the_paper_did_and_inside_the_travel(paper: Printer) -> None:
-    assert positions(paper) == [(x, 147.5) for x in (80.0, 110.0, 140.0, 170.0, 200.0)]
+def test_places_lie_around_the_middle_of_x_only_where_the_printer_can_rack(paper: Printer) -> None:
+    assert positions(paper, 0) == [(x, 147.5) for x in (80.0, 140.0, 200.0)]
+    assert positions(paper, 1) == [(140.0, 147.5)]
     off = profiles.parse('extends = "paper"\n[plant]\nx_c = 230.0\n', "off")
-    assert [x for x, _ in positions(off)] == [170.0, 200.0, 230.0, 260.0]
-    straight = profiles.load("example-corexy")
-    low, high = straight.travel.x
-    assert np.mean([x for x, _ in positions(straight)]) == (low + high) / 2.0
+    assert positions(off, 0) == positions(paper, 0)
+    assert positions(profiles.load("example-corexy"), 0) == [(150.0, 150.0)]
+
+
+@pytest.mark.parametrize(
+    ("x", "places"), [(120.0, [7.0, 60.0, 113.0]), (36.0, [7.0, 18.0, 29.0]), (30.0, [15.0])]
+)
+def test_places_lie_inside_a_small_bed(x: float, places: list[float]) -> None:
+    small = profiles.parse(f'extends = "paper"\n[travel]\nx = [0.0, {x}]\ny = [0.0, 120.0]\n', "s")
+    assert positions(small, 0) == [(place, 60.0) for place in places]
+    for one in runs(small, 0, positions(small, 0)):
+        assert 0.0 <= one.command[:, 0].min() <= one.command[:, 0].max() <= x
 
 
 def test_names_are_unique(paper: Printer) -> None:
@@ -78,19 +87,34 @@ def test_one_axis_moves_within_travel_and_motors(paper: Printer, axis: int) -> N
         assert a <= paper.motors.belt_acceleration
 
 
-def test_the_summary_says_where_the_acceleration_is_reduced(paper: Printer) -> None:
-    (middle,) = runs(paper, 0, [(140.0, 150.0)])
-    (edge,) = runs(paper, 0, [(1.0, 150.0)])
-    assert "stays below sweep.amplitude" in summary(paper, middle)
-    until = [
-        float(re.search(r"below ([\d.]+) Hz", summary(paper, r))[1])  # type: ignore[index]
-        for r in (middle, edge)
-    ]
-    assert until[1] > until[0]
+def test_the_summary_compares_the_time_with_test_resonances(paper: Printer) -> None:
+    both = [run for axis in (0, 1) for run in runs(paper, axis, positions(paper, axis))]
+    told = summary(paper, both)
+    assert "2m 49s in all" in told
+    assert "takes 4m 20s for x and y " in told
+    assert all(f"{run.name}: 40 s, at most ±6.8" in told for run in both)
+    assert "takes 2m 10s for x and" in summary(paper, both[:3])
+
+
+def test_the_summary_warns_of_clipping_and_of_a_moving_bed(paper: Printer) -> None:
     hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 9000.0\n', "hard")
-    assert "16 g" in summary(hard, runs(hard, 0, [(140.0, 150.0)])[0])
-    gentle = profiles.parse('extends = "paper"\n[sweep]\namplitude = 500.0\n', "gentle")
-    assert "stays below" not in summary(gentle, runs(gentle, 0, [(140.0, 150.0)])[0])
+    assert "16 g" in summary(hard, runs(hard, 0, [(140.0, 150.0)]))
+    assert "16 g" not in summary(paper, runs(paper, 0, [(140.0, 150.0)]))
+    slinger = profiles.load("example-cartesian")
+    both = [run for axis in (0, 1) for run in runs(slinger, axis, [(150.0, 150.0)])]
+    assert "sensor on the bed for y" in summary(slinger, both)
+    assert "sensor on the bed for y" not in summary(slinger, both[:1])
+
+
+@pytest.mark.parametrize("table", ["limits", "firmware.klipper"])
+def test_a_sweep_stays_within_the_printers_speed_and_acceleration(table: str) -> None:
+    limits = f'extends = "paper"\n[{table}]\nvelocity = 60.0\nacceleration = 3000.0\n'
+    gentle = profiles.parse(limits, "gentle")
+    (one,) = runs(gentle, 0, [(140.0, 150.0)])
+    _, v, a = peaks(one.command[:, 0])
+    assert 50.0 < v <= 60.001
+    assert 2900.0 < a <= 3000.001
+    assert "lowered from 5000 to 3000 mm/s²" in summary(gentle, [one])
 
 
 @pytest.mark.parametrize("place", [(-1.0, 100.0), (100.0, 296.0), (0.0, 100.0)])
@@ -100,7 +124,7 @@ def test_a_place_without_room_is_an_error(paper: Printer, place: tuple[float, fl
 
 
 def test_a_sweep_that_outruns_a_motor_is_an_error() -> None:
-    hard = profiles.parse('extends = "paper"\n[sweep]\namplitude = 60000.0\n', "hard")
+    hard = profiles.parse('extends = "paper"\n[motors]\nbelt_acceleration = 4000.0\n', "hard")
     with pytest.raises(LimitError, match=r"belt acceleration.*sweep\.amplitude"):
         runs(hard, 0, [(140.0, 150.0)])
     slow = profiles.parse('extends = "paper"\n[motors]\nbelt_velocity = 50.0\n', "slow")
@@ -147,6 +171,30 @@ def test_the_stream_begins_before_each_recording_and_ends_after_it(short: Path) 
         assert lines[k + 1] == "G4 P0"
         assert lines[k + 2].startswith("SET_VELOCITY_LIMIT VELOCITY=300")
     assert lines[-1].startswith("RESTORE_GCODE_STATE")
+
+
+def test_the_stream_is_allowed_no_more_than_the_sweep_needs(short: Path) -> None:
+    """A cancelled file leaves its limits in force."""
+    for macro in (
+        "",
+        '[firmware.klipper]\nbegin_macro = "HFRAME_BEGIN"\nend_macro = "HFRAME_END"\n',
+    ):
+        printer = profiles.parse(short.read_text() + macro, "short")
+        (one,) = runs(printer, 0, [(140.0, 147.5)])
+        _, v, a = peaks(one.command[:, 0])
+        (limit,) = re.findall(
+            r"VELOCITY=(\d+) ACCEL=(\d+) ", text(printer, [one]).split("NAME=x")[0]
+        )
+        assert v < float(limit[0]) < 1.2 * v < printer.limits.velocity
+        assert 3.0 * a < float(limit[1]) < printer.motors.belt_acceleration
+        assert ("HFRAME_END" in text(printer, [one])) == bool(macro)
+
+
+def test_a_sweep_for_another_firmware_is_an_error(tmp_path: Path) -> None:
+    done = run("sweep", "-p", "example-ender", "-o", tmp_path / "out.gcode")
+    assert done.returncode == 1
+    assert b"marlin cannot record" in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_equal_input_gives_equal_bytes(short: Path, tmp_path: Path) -> None:
@@ -202,7 +250,8 @@ def test_klipper_plays_the_whole_sweep(tmp_path: Path, paper: Printer) -> None:
 
 def test_writes_gcode_and_a_command_for_each_run(short: Path, tmp_path: Path) -> None:
     out = tmp_path / "my.sweep.gcode"
-    done = run("sweep", "-p", short, "-o", out, "--position", "80,100", "--position", "140,100")
+    places = ("--position", "80,100", "--position", "140,100")
+    done = run("sweep", "-p", short, "-o", out, "--axis", "x", *places)
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "my.sweep.gcode", "my.sweep.x-at-140.csv", "my.sweep.x-at-80.csv", "short.toml"
@@ -214,6 +263,14 @@ def test_writes_gcode_and_a_command_for_each_run(short: Path, tmp_path: Path) ->
         assert np.abs(rows[:, 1:] - planned.command).max() < 1e-6
         assert rows[0, 1:].tolist() == rows[-1, 1:].tolist() == list(planned.position)
         assert planned.name in done.stderr.decode()
+
+
+def test_both_axes_are_swept_by_one_file(short: Path, tmp_path: Path) -> None:
+    out = tmp_path / "my.gcode"
+    assert run("sweep", "-p", short, "-q", "-o", out).returncode == 0
+    names = re.findall(r"NAME=([xy]-.*)", out.read_text())
+    assert names == ["x-at-80", "x-at-140", "x-at-200", "y-at-140"]
+    assert all((tmp_path / f"my.{name}.csv").is_file() for name in names)
 
 
 @pytest.mark.parametrize(

@@ -11,25 +11,29 @@ begins with the first row of its command and ends with the last, if
 With several accelerometers the first one's second call waits for the end of the motion, so the
 other recordings are longer. Klipper plays straight lines between the samples: the motion is the
 command times sinc²(f·1 ms), 2 % less at 80 Hz, as in a print of every sample.
+
+Between the samples the speed changes in a part of each millisecond, so Klipper must allow a
+multiple of the sweep's acceleration while a run lasts. A cancelled file leaves that in force.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers
-from hframe_post.errors import HframeError, LimitError
+from hframe_post.arrays import TS, Array, Integers, X
+from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.player import plain
+from hframe_post.firmware.player import VELOCITY_HEADROOM, plain
 from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.accelerometer import FULL_SCALE
-from hframe_post.identification.recordings.excitation import amplitude, peaks, trajectory
-from hframe_post.printer.settings import Printer
+from hframe_post.identification.recordings.excitation import peaks, trajectory
+from hframe_post.printer.settings import Printer, Sweep
 from hframe_post.stream.types import (
     Handling,
     ModalState,
@@ -41,19 +45,24 @@ from hframe_post.stream.types import (
 )
 from hframe_post.version import __version__
 from hframe_post.writers.stream.gcode import GcodeWriter
-from hframe_post.writers.stream.print_time import Output
+from hframe_post.writers.stream.print_time import Output, duration
 
-OFFSETS = (-60.0, -30.0, 0.0, 30.0, 60.0)  # mm from x_c: where the paper measured (its Fig. 4)
+OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
+NEAREST = 10.0  # mm; racking cannot be told from places that are closer
+MULTIPLE = 5.0  # of a run's acceleration, allowed to Klipper: with 3 it is late by 0.03 ms
+TEST_RESONANCES = (130.0, 8100.0)  # s for an axis and mm/s² at its end, by Klipper's defaults
 APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of standstill before a recording, in which the sensors are set up
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 STATE = "hframe_post_sweep"
 HEAD = """\
-; sweeps for the identification of printer {printer}, {version}
+; accelerometer runs for printer {printer}, {version}: {runs}, {total}
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature
 ; at which you print, and check that the accelerometers answer (ACCELEROMETER_QUERY).
 ; The nozzle rises to z {z} mm and moves in x and y; nothing is extruded.
+; If you cancel it, Klipper keeps this file's limits: run FIRMWARE_RESTART. Where the macros of
+; hframe-post klipper-macros are installed, cancelling restores the printer's limits by itself.
 SAVE_GCODE_STATE NAME={state}
 """
 
@@ -76,19 +85,29 @@ class Run:
         return (len(self.command) - 1) * TS
 
 
-def positions(printer: Printer) -> list[tuple[float, float]]:
-    """Return the default places (x, y) in mm: the paper's, around x_c and in the middle of y.
+def positions(printer: Printer, axis: int) -> list[tuple[float, float]]:
+    """Return the default places (x, y) in mm for runs of an axis (0: x, 1: y).
 
-    A printer that does not rack has no x_c; its places lie around the middle of x.
+    It is the middle of the travel. Where the printer can rack, x is swept on both sides of it, too:
+    the lever arms of racking differ there, and x_c is unknown before the measurement.
     """
-    low, high = printer.travel.x
-    racks = printer.plant.Gxtheta is not None
-    centre = printer.plant.x_c if racks else (low + high) / 2.0
-    reach = printer.sweep.stroke + printer.sweep.sway
-    y = round(sum(printer.travel.y) / 2.0, 3)
-    x = [round(centre + offset, 3) for offset in OFFSETS]
-    inside = [p for p in x if low + reach <= p <= high - reach]
-    return [(p, y) for p in inside] or [(round((low + high) / 2.0, 3), y)]
+    (low, high), y = printer.travel.x, round(sum(printer.travel.y) / 2.0, 3)
+    middle = (low + high) / 2.0
+    away = min(OUTER, (high - low) / 2.0 - printer.sweep.stroke - printer.sweep.sway)
+    if axis != X or not printer.kinematics.racks or away < NEAREST:
+        return [(round(middle, 3), y)]
+    return [(round(middle + offset, 3), y) for offset in (-away, 0.0, away)]
+
+
+def within_limits(printer: Printer) -> tuple[Sweep, float]:
+    """Return the sweep with no more than the printer's acceleration, and its speed in mm/s."""
+    limits, klipper = printer.limits, printer.firmware.klipper
+    velocity, acceleration = limits.velocity, limits.acceleration
+    if klipper is not None:
+        velocity = min(velocity, klipper.velocity)
+        acceleration = min(acceleration, klipper.acceleration)
+    amplitude = min(printer.sweep.amplitude, acceleration)
+    return replace(printer.sweep, amplitude=amplitude), velocity
 
 
 def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list[Run]:
@@ -127,7 +146,7 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
 def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) -> Run:
     left = room(printer, axis, position)
     rest = place_mark.rest(position[0])
-    displacement = trajectory(printer.sweep, printer.limits.velocity, left, rest)
+    displacement = trajectory(*within_limits(printer), left, rest)
     command = np.tile(np.array(position), (len(displacement), 1))
     command[:, axis] += displacement
     for belt in printer.kinematics.belts(*(command - command[0]).T):
@@ -142,29 +161,46 @@ def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) 
     return Run(name, axis, position, frozen(command))
 
 
-def summary(printer: Printer, run: Run) -> str:
-    """Return one line about a run: its duration and peaks, and where it stays below the profile."""
-    sweep = printer.sweep
-    d, v, a = peaks(run.command[:, run.axis] - run.position[run.axis])
-    left = room(printer, run.axis, run.position)
-    hz = np.geomspace(sweep.start_hz, sweep.end_hz, 1000)
-    commanded = amplitude(sweep, hz, printer.limits.velocity, left)
-    line = f"{run.name}: {run.seconds:.3f} s, at most {d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
-    reduced = commanded < 0.9 * sweep.amplitude
-    if reduced.any():
-        until = hz[np.flatnonzero(reduced)[-1]]
-        line += (
-            f"; below {until:.1f} Hz the acceleration stays below sweep.amplitude "
-            f"({sweep.amplitude:g} mm/s²), limited by stroke, travel or speed "
-            f"({commanded[0]:.0f} mm/s² at {hz[0]:g} Hz)"
+def summary(printer: Printer, planned: list[Run]) -> str:
+    """Return what the owner will see and hear: the runs, their peaks and the time in all."""
+    lines = [f"{run.name}: {run.seconds:.0f} s, {_peaks(run)}" for run in planned]
+    axes = sorted({"xy"[run.axis] for run in planned})
+    seconds, acceleration = TEST_RESONANCES
+    lines.append(
+        f"{duration(_seconds(planned))} in all. Each run is a hum that rises, as in "
+        f"TEST_RESONANCES. That takes {duration(seconds * len(axes))} for {' and '.join(axes)} "
+        f"and accelerates with up to {acceleration:.0f} mm/s²"
+    )
+    swept, _ = within_limits(printer)
+    if swept.amplitude < printer.sweep.amplitude:
+        lines.append(
+            f"sweep.amplitude is lowered from {printer.sweep.amplitude:g} to {swept.amplitude:g} "
+            "mm/s², the acceleration limit in the profile"
         )
-    clips = FULL_SCALE / float(commanded.max())
+    clips = FULL_SCALE / swept.amplitude
     if clips < 20.0:  # resonances of printers may amplify as much
-        line += (
-            f"; a resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
+        lines.append(
+            f"A resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
             "exceeds the range of a 16 g sensor: lower sweep.amplitude if the recording clips"
         )
-    return line
+    if printer.kinematics.type == "cartesian" and axes == ["x", "y"]:
+        lines.append(
+            "If the bed moves in y, write one file with --axis x and one with --axis y, and put "
+            "the sensor on the bed for y"
+        )
+    return "\n".join(lines)
+
+
+def _peaks(run: Run) -> str:
+    d, v, a = peaks(run.command[:, run.axis] - run.position[run.axis])
+    return f"at most ±{d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
+
+
+def _seconds(planned: list[Run]) -> float:
+    """Return the time in all, with the ways between the places but not the one to the first."""
+    ways = np.diff([run.position for run in planned], axis=0)
+    on_the_way = float(np.hypot(*ways.T).sum()) / APPROACH if len(planned) > 1 else 0.0
+    return on_the_way + sum(run.seconds + SETTLED * TS for run in planned)
 
 
 # ---------------------------------------------------------------------- output
@@ -173,18 +209,44 @@ def summary(printer: Printer, run: Run) -> str:
 def gcode(
     printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
-    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm."""
+    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm.
+
+    Raises PrinterError if the printer's firmware is not Klipper.
+    """
+    if (dialect := printer.firmware.dialect) != "klipper":
+        cause = f"{dialect} cannot record accelerometers; this file is for Klipper"
+        raise PrinterError(cause, "firmware.dialect", printer.name)
     stamp = f"{__version__}, printer {printer.name}, settings {printer.digest}"
     yield b"%s %s\n" % (STAMP, stamp.encode())
     height = plain(z, 3)
-    head = HEAD.format(printer=printer.name, version=__version__, z=height, state=STATE)
+    head = HEAD.format(
+        printer=printer.name, version=__version__, runs=", ".join(run.name for run in planned),
+        total=duration(_seconds(planned)), z=height, state=STATE,
+    )  # fmt: skip
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
     # Two digits more than a print: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration. Kept in
     # time over 200 segments: a motion that is late at one frequency would look like the printer's
     # own delay. Over 16 s it would be late by 0.2 ms.
-    writer = GcodeWriter("none", Klipper.from_printer(printer), 2, steady=200)
+    writer = GcodeWriter("none", _player(printer, planned), 2, steady=200)
     yield from writer.write(_samples(planned, chips, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
+
+
+def _player(printer: Printer, planned: list[Run]) -> Klipper:
+    """Return Klipper with limits no higher than the runs need, since a cancel leaves them."""
+    player = Klipper.from_printer(printer)
+    speed, acceleration = (
+        max(np.linalg.norm(np.diff(run.command, n=n, axis=0), axis=1).max() for run in planned)
+        / TS**n
+        for n in (1, 2)
+    )
+    limits = replace(
+        player.limits,
+        velocity=min(player.limits.velocity, math.ceil(VELOCITY_HEADROOM * speed)),
+        acceleration=min(player.limits.acceleration, math.ceil(MULTIPLE * acceleration)),
+    )
+    # begin_macro would set the limits of a print
+    return replace(player, limits=limits, table=replace(player.table, begin_macro=""))
 
 
 def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:
