@@ -301,7 +301,7 @@ def test_no_output_and_no_folder_are_errors(short: Path, tmp_path: Path) -> None
     assert run("sweep", "-p", short).returncode == 2
     done = run("sweep", "-p", short, "-o", tmp_path / "no" / "out.gcode")
     assert done.returncode == 1
-    assert b"No such file" in done.stderr
+    assert b"does not exist" in done.stderr
 
 
 def test_a_sweep_is_not_compensated(short: Path, tmp_path: Path) -> None:
