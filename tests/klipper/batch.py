@@ -165,6 +165,23 @@ def drain_before_exit(reader: Any) -> None:
     reader.disconnect = drain
 
 
+def play_resonance_tests(module: Any) -> None:
+    """Let klippy's ``resonance_tester`` play its tests although no accelerometer answers.
+
+    Kalico limits the speed to that of the pulses, which cripples sweeping: it takes three times
+    as long. Klipper allows the speed that the test needs, and so does this.
+    """
+
+    def connect(self: Any) -> None:
+        self.accel_chips = []
+
+    def suspend_limits(printer: Any, max_accel: float, _: float, input_shaping: int) -> Any:
+        return original(printer, max_accel, 1000.0, input_shaping)
+
+    module.ResonanceTester.connect = connect
+    original, module.suspend_limits = module.suspend_limits, suspend_limits
+
+
 def compile_helper() -> None:
     """Have klippy compile its C library now, unless that is done, one process at a time."""
     chelper: Any = importlib.import_module("klippy.chelper")
@@ -183,6 +200,7 @@ def main() -> None:
     gcode.os = WholeFileOs()
     toolhead = record_moves(importlib.import_module("klippy.toolhead").ToolHead)
     extruder = record_moves(importlib.import_module("klippy.kinematics.extruder").PrinterExtruder)
+    play_resonance_tests(importlib.import_module("klippy.extras.resonance_tester"))
     drain_before_exit(importlib.import_module("klippy.serialhdl").SerialReader)
     importlib.import_module("klippy.printer").main()
     for name, moves in (("toolhead", toolhead), ("extruder", extruder)):
