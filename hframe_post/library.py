@@ -26,7 +26,7 @@ from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import lines_of, reread
 from hframe_post.gcode.state import Extrusion, LimitSource
-from hframe_post.model.plant import Response
+from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.page.build import page as print_page
@@ -34,6 +34,7 @@ from hframe_post.prediction.predict import contour_error as contour_error_at
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
+from hframe_post.studies.shapers.search import good, paths
 from hframe_post.studies.simulation import simulate as simulation
 from hframe_post.studies.simulation.simulate import SimulationReport
 from hframe_post.studies.simulation.uncertainty import draws as drawn
@@ -181,6 +182,8 @@ def convert(
         tolerance if kind in files.GCODE else None, extrusion, retract,
         printer.asked_speed if speed is None else speed if speed.max_error else None,
     )  # fmt: skip
+    if page is not None:
+        options = _pictured(options, source, printer, printer.plant)
     fastest = None
     if options.speed is not None:
         fastest = find_fastest(_again(source), printer, options)
@@ -199,7 +202,7 @@ def convert(
         if page_file is not None:
             name = title or (path.name if path else "print")
             summary = [*notes, *report.as_text().splitlines()]
-            page_file.write(print_page(_again(source)(), printer, options, name, summary))
+            page_file.write(print_page(report, _again(source)(), printer, options, name, summary))
     return report
 
 
@@ -232,13 +235,17 @@ def simulate(
     limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
     clamp: bool = False,
+    page: str | Path | None = None,
+    title: str = "",
+    notes: Iterable[str] = (),
+    outputs: Outputs | None = None,
 ) -> SimulationReport:
     """Predict what every strategy would do for a print: in all, by layer and by feature.
 
     simulated: the printer whose plant is simulated, if not the one compensated for. model_error:
     for each share (0.05: frequencies, damping and racking gain off by up to 5 %) ``draws`` random
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
-    motor steps first. Raises HframeError, OSError.
+    motor steps first. page, title, notes, outputs: as in ``convert``. Raises HframeError, OSError.
     """
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
@@ -250,8 +257,15 @@ def simulate(
         actual.name,
     )
     options = Options("racking", tuple(STRATEGIES), limits, clamp, extrusion=extrusion)
+    if page is not None:
+        options = _pictured(options, source, printer, actual.plant)
     with ExitStack() as opened:
-        return simulation.simulate(_lines_of(source, opened), printer, options, study)
+        report = simulation.simulate(_lines_of(source, opened), printer, options, study)
+        if page is not None:
+            outputs = outputs or opened.enter_context(Outputs([]))
+            html = print_page(report, _again(source)(), printer, options, title, [*notes])
+            outputs.open(Path(page)).write(html)
+    return report
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +328,14 @@ def _lines_of(source: Source, opened: ExitStack, outputs: Outputs | None = None)
             outputs.watch(file, Path(source))
         return lines_of(file)
     return lines_of(cast(IO[bytes], source)) if isinstance(source, IOBase) else source
+
+
+def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) -> Options:
+    """Return options that collect a page's picture, with the best input shaper for the print."""
+    predicted = dict.fromkeys(("none", options.strategy, *options.predict))
+    pieces = paths(_again(source)(), printer, options)
+    shaping = good(plant, pieces, printer.firmware.dialect)
+    return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 
 def _is_same(source: Path, target: Path) -> bool:

@@ -22,7 +22,6 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.state import Extrusion, LimitSource
-from hframe_post.page.build import page
 from hframe_post.printer.choice import invented_as_text
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
@@ -98,12 +97,14 @@ def simulate(
         Outputs(files_read(source, printer, plant_file)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
-        report = library.simulate(
-            lines, profile, simulated=simulated, model_error=shares, draws=draws, seed=seed,
-            steps=steps, limits=limits, extrusion=extrusion, clamp=on_limit == "clamp",
-        )  # fmt: skip
         choice = chosen_printer()
         head = [choice.as_text(), *invented_as_text(simulated)]
+        report = library.simulate(
+            source if source and report_file else lines, profile, simulated=simulated,
+            model_error=shares, draws=draws, seed=seed, steps=steps, limits=limits,
+            extrusion=extrusion, clamp=on_limit == "clamp",
+            page=report_file, title=source.name if source else "", notes=head, outputs=outputs,
+        )  # fmt: skip
         text = "\n".join([*head, report.as_text(layers)])
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
@@ -112,12 +113,6 @@ def simulate(
             text += "\n" + comparison_as_text(found)
             summary["against"] = comparison_as_json(found)
         write_json(summary)
-        if report_file is not None and source is not None:
-            options = Options("racking", (), limits, on_limit == "clamp", extrusion=extrusion)
-            with source.open("rb") as again:
-                outputs.open(report_file).write(
-                    page(again, profile, options, source.name, head, simulated)
-                )
     if not quiet:
         click.echo(text, err=str(json_file) == "-")
 

@@ -107,8 +107,10 @@ class SpanWriter:
     def streamed(self, span: Span, threads: bool = True) -> WrittenSpan:
         """Return a span that is computed while its output is taken."""
         printer, options, compensator = self.made_of
-        stages = Stages(printer, options, compensator, at_stops=self._at_stops)
         start = span.beginning
+        stages = Stages(
+            printer, options, compensator, at_stops=self._at_stops, printing=replace(start.printing)
+        )
         firmware = player(printer, options.tolerance, options.retract == "moving")
         writer = GcodeWriter(options.strategy, firmware, place=start.place, offset=start.offset)
         result = WrittenSpan(())

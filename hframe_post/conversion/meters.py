@@ -12,6 +12,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, lengths
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.model.plant import Plant
+from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Limits
@@ -176,7 +177,7 @@ class MotionSummary:
     """What the stages saw of one span or of several.
 
     samples: all; resting: those where the path waits for the command. seconds: processor time by
-    stage.
+    stage. picture: if one was asked for.
     """
 
     samples: int = 0
@@ -185,6 +186,7 @@ class MotionSummary:
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    picture: Picture | None = None
 
     @property
     def time(self) -> PrintTime:
@@ -204,6 +206,10 @@ class MotionSummary:
         for name, errors in later.contour.items():
             self.contour.setdefault(name, ContourErrors()).join(errors)
         self.seconds = joined(self.seconds, later.seconds)
+        if self.picture is None:
+            self.picture = later.picture
+        elif later.picture is not None:
+            self.picture.join(later.picture)
 
 
 class Clock:
@@ -240,10 +246,15 @@ class FilamentMeter:
 
 
 class ErrorMeter:
-    """Predicts how far the nozzle is off the path at some samples: ``contour``, by strategy."""
+    """Predicts how far the nozzle is off the path at some samples: ``contour``, by strategy.
 
-    def __init__(self, plant: Plant, every: int = JUDGED_EVERY) -> None:
-        self._plant, self._every = plant, every
+    picture: also collects them, if given.
+    """
+
+    def __init__(
+        self, plant: Plant, every: int = JUDGED_EVERY, picture: Picture | None = None
+    ) -> None:
+        self._plant, self._every, self.picture = plant, every, picture
         self.contour: dict[str, ContourErrors] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
@@ -251,4 +262,6 @@ class ErrorMeter:
             for name, errors in judgement.contour.items():
                 contour = self.contour.setdefault(name, ContourErrors())
                 contour.add(errors, judgement.extruding)
+            if self.picture is not None:
+                self.picture.add(judgement)
             yield judgement.chunk

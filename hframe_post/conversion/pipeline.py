@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from hframe_post.compensation.compensate import compensate
@@ -27,6 +27,7 @@ from hframe_post.compensation.guard import (
     check_prediction,
     max_deviation,
 )  # fmt: skip
+from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Report
@@ -35,13 +36,17 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
+from hframe_post.model.shapers import Shaping
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
+from hframe_post.prediction.picture import Picture
+from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.chunks import shifted
+from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
 from hframe_post.stream.types import Item, Planned, Samples
 from hframe_post.version import __version__
@@ -59,7 +64,8 @@ class Options:
     limits, extrusion: as in ``ReadOptions``. clamp: compensate less where a command would exceed
     a limit, instead of raising LimitError. tolerance: how far, in mm, a written segment may be
     off the samples; None writes every sample. retract: before a travel (``standing``) or on it
-    (``moving``). speed: trade accuracy for speed; paces: the result of that search.
+    (``moving``). speed: trade accuracy for speed; paces: the result of that search. picture:
+    collect the path with its predicted errors; shaping: with those of this input shaper, too.
     """
 
     strategy: str
@@ -71,6 +77,8 @@ class Options:
     retract: Retract = "standing"
     speed: Speed | None = None
     paces: Paces | None = None
+    picture: bool = field(default=False, repr=False)  # these do not change the output
+    shaping: Shaping | None = field(default=None, repr=False)
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -103,19 +111,23 @@ class Stages:
     """The stages from planned motion to checked commands, and a summary of what they did.
 
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
-    the same printer and compensator, because solvers cache their solutions.
+    the same printer and compensator, because solvers cache their solutions. printing: layer and
+    feature at the beginning.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: dict[str, StopSolver] | None = None,
+        printing: Place | None = None,
     ) -> None:  # fmt: skip
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or stop_solvers(compensator, self._strategies, printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
-        self._clock, self._errors = Clock(), ErrorMeter(printer.plant)
+        self._clock = Clock()
+        picture = Picture(Labels(printing or Place())) if options.picture else None
+        self._errors = ErrorMeter(printer.plant, picture=picture)
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
@@ -149,6 +161,8 @@ class Stages:
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
+            if self._options.shaping is not None:
+                commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self.times.timed("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
         return self._clock.samples(commands)
@@ -158,7 +172,7 @@ class Stages:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
             self._clock.end, self._clock.resting, self._guard.peaks, self._clamp.clamped,
-            self._errors.contour, self.times.seconds,
+            self._errors.contour, self.times.seconds, self._errors.picture,
         )  # fmt: skip
 
 
@@ -188,7 +202,7 @@ class Source:
         return Report(
             self._options.strategy, self._input.summary, self._path.summary, motion.time,
             motion.peaks, motion.clamped, motion.contour,
-            seconds=joined(self._times.seconds, motion.seconds),
+            seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
         )  # fmt: skip
 
     def check_filament(self, written: float, late: float = 0.0) -> None:

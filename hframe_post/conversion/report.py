@@ -15,6 +15,7 @@ from hframe_post.conversion.meters import (
     Uncompensated,
 )  # fmt: skip
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.stream.print_time import duration
 
@@ -35,7 +36,8 @@ class Report:
 
     lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
     motion in a second, compared with the firmware's lines_per_second. seconds: processor time by
-    stage, not compared. speed, speed_text: how accuracy was traded for speed.
+    stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
+    with its errors, if one was asked for.
     """
 
     strategy: str
@@ -53,6 +55,7 @@ class Report:
     seconds: dict[str, float] = field(default_factory=dict, compare=False)
     speed: dict[str, Any] | None = None
     speed_text: str = ""
+    picture: Picture | None = field(default=None, compare=False, repr=False)
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""

@@ -8,10 +8,11 @@ print that never stops is one span.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hframe_post.stream.features import Place
 from hframe_post.stream.types import Halt, Handling, Passthrough, Plan, Planned, Position, Standing
 
 SECONDS = 240.0  # each cut costs some 0.1 s of print time
@@ -23,11 +24,12 @@ class Beginning:
     """The state of the machine at the beginning of a span.
 
     place: x, y, z, e in mm; None if the output does not control the machine, as at the start.
-    offset: the user's G92, mm.
+    offset: the user's G92, mm. printing: layer and feature.
     """
 
     place: Position | None = None
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    printing: Place = field(default_factory=Place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ class Spans:
 
     def __init__(self, planned: Iterable[Planned]) -> None:
         self._source = iter(planned)
-        self._beginning = Beginning()
+        self._beginning, self._printing = Beginning(), Place()
         self._first: Planned | None = None  # item of the next span
         self._seconds = 0.0  # of the present span
         self._moved = False  # since the output took control of the machine
@@ -86,7 +88,8 @@ class Spans:
         for item in self._source:
             if isinstance(item, Standing) and self._moved and self._seconds >= SECONDS:
                 self._first, self._seconds = item, 0.0
-                self._beginning = Beginning(item.start, self._beginning.offset)
+                offset, printing = self._beginning.offset, replace(self._printing)
+                self._beginning = Beginning(item.start, offset, printing)
                 yield Halt()
                 return
             yield self._noted(item)
@@ -95,8 +98,11 @@ class Spans:
         if isinstance(item, Plan):
             self._seconds += float((np.diff(item.s[item.ends]) / item.cruise).sum())
             self._moved |= bool(item.s[-1] > 1.0)  # so long a path always takes control
+            for mark in item.marks:
+                self._printing.mark(mark.text)
         elif isinstance(item, Passthrough):
             self._seconds += item.seconds
+            self._printing.mark(item.text)
             if item.handling is Handling.RELEASE:
                 self._beginning = Beginning(None, item.state.offset)
                 self._moved = False

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import comb
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +76,54 @@ def shaper(name: str, hz: float, damping: float) -> Shaper:
     amplitudes, periods = SHAPERS[name](K)
     A, T = np.array(amplitudes) / sum(amplitudes), np.array(periods) / (hz * root)
     return Shaper(A, T - A @ T)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisShaping:
+    """The shaper of one axis."""
+
+    name: str
+    hz: float
+    damping: float
+
+    @property
+    def shaper(self) -> Shaper:
+        return shaper(self.name, self.hz, self.damping)
+
+
+@dataclass(frozen=True, slots=True)
+class Shaping:
+    """Shapers of x and y, and their RMS contour error (mm) on the path they were chosen for."""
+
+    x: AxisShaping
+    y: AxisShaping
+    rms: float = np.inf
+
+    def config(self, dialect: str) -> str:
+        """Return the section for Klipper's printer.cfg, or Marlin's commands."""
+        axes = (("x", self.x), ("y", self.y))
+        if dialect == "marlin":
+            lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
+            lines += [f"M593 {a.upper()} F{s.hz:.1f} D{s.damping:.3f}" for a, s in axes]
+            return "\n".join([*lines, "M500 ; saves it"])
+        lines = ["[input_shaper]"]
+        for axis, chosen in axes:
+            lines += [
+                f"shaper_type_{axis}: {chosen.name}",
+                f"shaper_freq_{axis}: {chosen.hz:.1f}",
+                f"damping_ratio_{axis}: {chosen.damping:.3f}",
+            ]
+        return "\n".join(lines)
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}
+            for axis, s in (("x", self.x), ("y", self.y))
+        }
+
+    def as_text(self) -> list[str]:
+        """Return frequency and damping of x and of y."""
+        return [f"{axis.hz:.1f} ({axis.damping:.2f})" for axis in (self.x, self.y)]
 
 
 Impulses = tuple[list[float], list[float]]  # amplitudes, and times in damped periods

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-BUILT_FOR = 3  # as in kernels.h: raised whenever a signature changes
+BUILT_FOR = 4  # as in kernels.h: raised whenever a signature changes
 
 _D, _I = ctypes.c_double, ctypes.c_int64
 _FLOATS, _INTEGERS, _BYTES = "float64", "int64", "uint8"
@@ -26,7 +26,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {  # as in the C files
     "breakpoints": (
         _FLOATS, _BYTES, _I, _D, _D, _D, _D, _INTEGERS, _FLOATS, _BYTES,
     ),
-    "contour_error": (
+    "deviation": (
         _FLOATS, _FLOATS, _I, _FLOATS, _FLOATS, _INTEGERS, _I, _I, _I, _D, _FLOATS, _INTEGERS,
     ),
     "plain_moves": (_TEXT, _I, _I, _I, _I, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),

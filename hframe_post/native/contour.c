@@ -12,17 +12,22 @@ static int turns_at(const double *px, const double *py, int64_t k, double straig
     return fabs(cross) > straight * fabs(dot) || dot < 0.0 || still != still_then;
 }
 
-/* Return the squared distance of the point to the segment between samples p and q. */
-static double to_segment(const double *px, const double *py, double ax, double ay, int64_t p,
-                         int64_t q)
+struct vector {
+    double x, y;
+};
+
+static double square(struct vector v) { return v.x * v.x + v.y * v.y; }
+
+/* Return the way to the point from the nearest place on the segment between samples p and q. */
+static struct vector from_segment(const double *px, const double *py, double ax, double ay,
+                                  int64_t p, int64_t q)
 {
     double dx = px[q] - px[p], dy = py[q] - py[p];
     ax -= px[p], ay -= py[p];
     double length2 = dx * dx + dy * dy;
     double share = length2 > 0.0 ? (ax * dx + ay * dy) / length2 : 0.0;
     share = lesser(greater(share, 0.0), 1.0);
-    ax -= dx * share, ay -= dy * share;
-    return ax * ax + ay * ay;
+    return (struct vector){ax - dx * share, ay - dy * share};
 }
 
 static int64_t within(int64_t k, int64_t n) { return k < 0 ? 0 : k < n ? k : n - 1; }
@@ -50,11 +55,11 @@ static int64_t nearest(const double *px, const double *py, int64_t n, double ax,
     return best_k;
 }
 
-/* px, py (n): the path; ax, ay (count): points, at (count): the sample of each; error (count).
+/* px, py (n): the path; ax, ay (count): points, at (count): the sample of each; off (count, 2).
  * turns (n + 1): room. */
-EXPORTED int64_t contour_error(const double *px, const double *py, int64_t n, const double *ax,
-                               const double *ay, const int64_t *at, int64_t count, int64_t reach,
-                               int64_t coarse, double straight, double *error, int64_t *turns)
+EXPORTED int64_t deviation(const double *px, const double *py, int64_t n, const double *ax,
+                           const double *ay, const int64_t *at, int64_t count, int64_t reach,
+                           int64_t coarse, double straight, struct vector *off, int64_t *turns)
 {
     turns[0] = 0;
     for (int64_t k = 0; k < n; k++) /* how many before each sample */
@@ -62,12 +67,13 @@ EXPORTED int64_t contour_error(const double *px, const double *py, int64_t n, co
     for (int64_t i = 0; i < count; i++) {
         int64_t low = within(at[i] - reach, n), high = within(at[i] + reach, n);
         if (turns[high] == turns[low + 1]) {
-            error[i] = sqrt(to_segment(px, py, ax[i], ay[i], low, high));
+            off[i] = from_segment(px, py, ax[i], ay[i], low, high);
             continue;
         }
         int64_t k = nearest(px, py, n, ax[i], ay[i], at[i], reach, coarse);
-        error[i] = sqrt(lesser(to_segment(px, py, ax[i], ay[i], k, within(k - 1, n)),
-                               to_segment(px, py, ax[i], ay[i], k, within(k + 1, n))));
+        struct vector before = from_segment(px, py, ax[i], ay[i], k, within(k - 1, n));
+        struct vector after = from_segment(px, py, ax[i], ay[i], k, within(k + 1, n));
+        off[i] = square(before) < square(after) ? before : after;
     }
     return count;
 }

@@ -14,7 +14,7 @@
 #define EXPORTED __attribute__((visibility("default")))
 #endif
 
-#define BUILT_FOR 3 /* as in kernels.py: raised whenever a signature changes */
+#define BUILT_FOR 4 /* as in kernels.py: raised whenever a signature changes */
 
 enum { X, Y, Z, E, COLUMNS }; /* of a position */
 

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.report import Report
+from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
+from hframe_post.prediction.picture import Picture, Pieces
+from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.layer_view import LayerView, Segments
-from hframe_post.studies.simulation.simulate import Group, SimulationReport, Study, simulate
 from hframe_post.version import __version__
 
 LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries
@@ -24,133 +27,125 @@ WORST = 10  # places
 APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
+PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
+SHOWN = {
+    "none": ("no compensation", STRATEGIES["none"].colour),
+    SHAPER: ("best input shaper", "#9a6a00"),
+    **{name: (STRATEGIES[name].label, STRATEGIES[name].colour) for name in ("fbs", "racking")},
+}
 
 
 def page(
-    lines: Iterable[bytes], printer: Printer, options: Options, name: str, notes: list[str],
-    simulated: Printer | None = None,
+    report: Report, lines: Iterable[bytes], printer: Printer, options: Options, name: str,
+    notes: list[str],
 ) -> bytes:  # fmt: skip
-    """Return the HTML page for a file, simulated with all strategies. Raises HframeError.
+    """Return the HTML page for a print.
 
-    name: the title; notes: the lines of the summary. simulated: the printer whose plant is
-    simulated, if not the one compensated for.
+    report: with a picture. lines: of the file, shown where the reader points. name: the title;
+    notes: the lines of the summary.
     """
-    source = _Kept(lines)
-    view = LayerView(tuple(STRATEGIES))
-    answers = simulated or printer
-    study = Study(answers.plant, name=answers.name)
-    report = simulate(source, printer, replace(options, predict=tuple(STRATEGIES)), study, view)
-    names = view.labels
-    layers = view.layers()
+    picture = report.picture
+    assert picture is not None
+    strategies = [each for each in SHOWN if each in picture.strategies]
+    columns = [picture.strategies.index(each) for each in strategies]
+    pieces = picture.pieces()
+    belts, motors = report.peaks, printer.motors
     data = {
         "name": name,
         "version": __version__,
-        "notes": notes,
+        "warnings": [note for note in notes if _warns(note)],
+        "notes": [note for note in notes if not _warns(note)],
         "chosen": options.strategy,
-        "strategies": [
-            {"name": each.name, "label": each.label, "colour": each.colour}
-            for each in STRATEGIES.values()
-        ],
-        "report": report.as_json(),
-        "features": names.features,
-        "layers": [
-            {
-                "name": names.layers[number],
-                "count": len(each.line),
-                "rms": _rms_of(report.parts.layers.get(names.layers[number], {})),
-            }
-            for number, each in layers.items()
-        ],
-        "byFeature": _by_feature(report),
-        "worst": _worst(layers, options.strategy),
-        "coarse": view.finest if view.coarser else None,
+        "strategies": [_strategy(each, report) for each in strategies],
+        "seconds": [report.time.before, report.time.after],
         "belts": {
-            "speed": printer.motors.belt_velocity,
-            "acceleration": printer.motors.belt_acceleration,
+            "speed": [round(belts.belt_velocity), motors.belt_velocity],
+            "acceleration": [round(belts.belt_acceleration), motors.belt_acceleration],
         },
+        "features": picture.labels.features,
+        "layers": _layers(picture, pieces, columns),
+        "byFeature": _by_feature(picture, columns),
+        "worst": _worst(pieces, picture.strategies.index(options.strategy)) if strategies else [],
+        "coarse": picture.finest if picture.coarser else None,
         "printer": _printer(printer, options),
     }
-    return filled("page", data, SEGMENTS=_coded(_packed(layers)), TEXT=_coded(source.packed))
+    packed = _packed(pieces, columns)
+    return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(_compressed(lines)))
+
+
+def _warns(note: str) -> bool:
+    return note.startswith(("WARNING", "NOT ")) or "NOT YOURS" in note
 
 
 def _coded(content: bytes) -> str:
     return base64.b64encode(content).decode()
 
 
-class _Kept:
-    """The lines of a file, compressed while they pass, unless that gets too long."""
-
-    def __init__(self, lines: Iterable[bytes]) -> None:
-        self._lines, self._size = lines, 0
-        self._parts: list[bytes] | None = []
-
-    def __iter__(self) -> Iterator[bytes]:
-        squeeze = zlib.compressobj(9)
-        for line in self._lines:
-            if self._parts is not None:
-                part = squeeze.compress(line.rstrip(b"\r\n") + b"\n")
-                self._parts.append(part)
-                self._size += len(part)
-                if self._size > LARGEST_TEXT:
-                    self._parts = None
-            yield line
-        if self._parts is not None:
-            self._parts.append(squeeze.flush())
-
-    @property
-    def packed(self) -> bytes:
-        """Return the compressed text; nothing if it is too long."""
-        return b"".join(self._parts or ())
+def _compressed(lines: Iterable[bytes]) -> bytes:
+    """Return the text compressed, or nothing if it is too long."""
+    squeeze, parts, size = zlib.compressobj(6), list[bytes](), 0
+    for line in lines:
+        parts.append(squeeze.compress(line.rstrip(b"\r\n") + b"\n"))
+        size += len(parts[-1])
+        if size > LARGEST_TEXT:
+            return b""
+    return b"".join([*parts, squeeze.flush()])
 
 
-def _rms_of(group: Group) -> list[float]:
-    return [
-        round(group[name].contour.rms * 1e3, 3) if name in group else 0.0 for name in STRATEGIES
-    ]
+# ---------------------------------------------------------------------- figures
 
 
-def _by_feature(report: SimulationReport) -> list[dict[str, Any]]:
-    """Return for each feature its share of the time and the errors of each strategy."""
-    groups = report.parts.features
-    counts = {
-        name: max(each.contour.all.count for each in group.values())
-        for name, group in groups.items()
-        if group
-    }
-    whole = sum(counts.values()) or 1
+def _strategy(name: str, report: Report) -> dict[str, Any]:
+    label, colour = SHOWN[name]
+    um = report.contour[name].micrometres()
+    return {"name": name, "label": label, "colour": colour, "rms": um["rms"], "p95": um["p95"]}
+
+
+def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[str, Any]]:
+    """Return name, number of pieces and errors of each layer with pieces, in order."""
+    printed, moved = defaultdict[int, Any](float), defaultdict[int, Any](float)
+    travel = picture.labels.features.index(TRAVEL)
+    for (layer, feature), sums in picture.sums.items():
+        (moved if feature == travel else printed)[layer] += sums
+    numbers, counts = np.unique(pieces.layer, return_counts=True)
     return [
         {
-            "name": name,
-            "share": count / whole,
-            "rms": _rms_of(groups[name]),
-            "peak": [
-                round(groups[name][each].contour.shown.peak * 1e3, 1)
-                if each in groups[name]
-                else 0.0
-                for each in STRATEGIES
-            ],
+            "name": picture.labels.layers[number],
+            "count": count,
+            "rms": _rms(printed[number] if number in printed else moved[number], columns),
         }
-        for name, count in sorted(counts.items(), key=lambda each: -each[1])
-        if count
+        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True)
     ]
 
 
-def _worst(layers: dict[int, Segments], strategy: str) -> list[dict[str, Any]]:
-    """Return layer and segment of the places where the chosen strategy has the largest errors."""
-    column = list(STRATEGIES).index(strategy)
-    order, found = list(layers.values()), list[dict[str, Any]]()
-    candidates = []
-    for index, each in enumerate(order):
-        errors = np.where(each.feature > 0, each.error[:, column], 0.0)  # what prints
-        candidates += [(float(errors[k]), index, int(k)) for k in np.argsort(errors)[-5 * WORST :]]
-    taken: list[Array] = []
-    for error, index, k in sorted(candidates, reverse=True):
-        place = order[index].xy[k]
-        if error > 0.0 and not any(np.hypot(*(place - other)) < APART for other in taken):
-            taken.append(place)
-            found.append({"layer": index, "segment": k})
-        if len(found) == WORST:
-            break
+def _by_feature(picture: Picture, columns: list[int]) -> list[dict[str, Any]]:
+    """Return for each feature its share of the time and the errors of each strategy."""
+    groups = defaultdict[int, Any](float)
+    for (_, feature), sums in picture.sums.items():
+        groups[feature] += sums
+    whole = sum(sums[0] for sums in groups.values())
+    return [
+        {
+            "name": picture.labels.features[feature],
+            "share": sums[0] / whole,
+            "rms": _rms(sums, columns),
+        }
+        for feature, sums in sorted(groups.items(), key=lambda each: -each[1][0])
+    ]
+
+
+def _rms(sums: Array, columns: list[int]) -> list[float]:
+    """Return the RMS errors in µm; sums: number of samples, and sums of squares in mm²."""
+    return [round(1e3 * float(np.sqrt(sums[1 + k] / sums[0])), 3) for k in columns]
+
+
+def _worst(pieces: Pieces, column: int) -> list[int]:
+    """Return the pieces with the largest errors while printing, none near another."""
+    errors = np.where(pieces.feature > 0, pieces.error[:, column], 0.0)
+    found = list[int]()
+    while len(found) < WORST and errors.max(initial=0.0) > 0.0:
+        found.append(int(errors.argmax()))
+        errors[np.hypot(*(pieces.xy - pieces.xy[found[-1]]).T) < APART] = 0.0
     return found
 
 
@@ -166,31 +161,35 @@ def _printer(printer: Printer, options: Options) -> list[list[str]]:
         ["belts", f"{motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} mm/s²"],
         ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
         ["limits of the file", str(options.limits)],
+        *([["best input shaper", _shaper(options.shaping)]] if options.shaping else []),
         ["beyond a limit", "clamped" if options.clamp else "an error"],
         ["settings", printer.digest],
     ]
 
 
-def _packed(layers: dict[int, Segments]) -> bytes:
-    """Return all segments compressed, column by column, positions as differences; little-endian.
+def _shaper(shaping: Shaping) -> str:
+    axes = (("x", shaping.x), ("y", shaping.y))
+    settings = ", ".join(f"{one.hz:.1f} Hz, damping {one.damping:.2f} ({a})" for a, one in axes)
+    return f"{shaping.x.name}: {settings}; the firmware's best for this print"
 
-    int32 x, y, line; uint16 speed and each strategy's error; uint8 feature, 128 more where the
-    path begins.
+
+def _packed(pieces: Pieces, columns: list[int]) -> bytes:
+    """Return all pieces compressed, column by column, positions as differences; little-endian.
+
+    int32 x, y, line; uint16 speed and each strategy's error; int16 x, y of each strategy's nozzle
+    and then of each one's way to it from the path; uint8 feature, 128 more where the path begins.
     """
-    parts = list(layers.values())
-    if not parts:
-        return zlib.compress(b"")
-    xy, speed, error = (
-        np.concatenate([getattr(each, name) for each in parts]) for name in ("xy", "speed", "error")
-    )
-    feature = np.concatenate([np.minimum(each.feature, 127) + 128 * each.begins for each in parts])
-    line = np.concatenate([each.line for each in parts])
-    places = np.column_stack([np.rint(xy * PER_MM).astype(np.int64), line])
-    errors = np.minimum(np.rint(error * PER_MM_OF_ERROR), 65535.0)
-    columns = (
+    feature = np.minimum(pieces.feature, 127) + 128 * pieces.begins
+    places = np.column_stack([np.rint(pieces.xy * PER_MM).astype(np.int64), pieces.line])
+    ways = [
+        np.clip(np.rint(way[:, columns] * scale), -32767, 32767).reshape(len(places), -1).T
+        for way, scale in ((pieces.nozzle, PER_MM), (pieces.off, PER_MM_OFF))
+    ]
+    parts = (
         np.diff(places, axis=0, prepend=np.zeros((1, 3), np.int64)).T.astype("<i4"),
-        np.minimum(speed, 65535.0).astype("<u2"),
-        errors.T.astype("<u2"),
+        np.minimum(pieces.speed, 65535.0).astype("<u2"),
+        np.minimum(np.rint(pieces.error[:, columns] * PER_MM_OF_ERROR), 65535.0).T.astype("<u2"),
+        np.vstack(ways).astype("<i2"),
         feature.astype("u1"),
     )
-    return zlib.compress(b"".join(column.tobytes() for column in columns), 9)
+    return zlib.compress(b"".join(part.tobytes() for part in parts), 6)

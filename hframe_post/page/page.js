@@ -1,10 +1,9 @@
 "use strict";
 const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
-const S = data.strategies.length;
-const RAMP = [[44, 123, 182], [63, 173, 160], [214, 176, 48], [238, 122, 44], [214, 40, 60], [128, 16, 70]];
-const LOW = 0.3, HIGH = 300, COLOURS = 48;  // µm, and shades between them
-const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), scale: 1, x: 0, y: 0, picked: -1 };
+const RAMP = [[1, 104, 150, 196], [10, 62, 158, 148], [25, 204, 164, 44], [100, 216, 62, 48], [1000, 158, 40, 132]];  // µm: calm up to 10
+const LOW = 1, HIGH = 1000, COLOURS = 48;  // µm, and shades between them
+const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), magnified: 20, scale: 1, x: 0, y: 0, picked: -1 };
 let path = null, first = [], rows = null;
 
 // ------------------------------------------------------------------ small helpers
@@ -18,13 +17,13 @@ function make(tag, text, kind) {  // what comes from a file is text, never marku
 function add(parent, ...children) { parent.append(...children); return parent; }
 const micrometres = (um) => um >= 99.5 ? um.toFixed(0) : um >= 9.95 ? um.toFixed(0) : um.toFixed(1);
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-function shade(um) {
-  const share = Math.log(Math.max(um, LOW) / LOW) / Math.log(HIGH / LOW);
-  return Math.min(Math.floor(share * COLOURS), COLOURS - 1);
-}
+const share = (um) => Math.log(Math.max(um, LOW) / LOW) / Math.log(HIGH / LOW);  // of the logarithmic scale
+const shade = (um) => Math.min(Math.floor(share(um) * COLOURS), COLOURS - 1);
 function colour(k) {
-  const at = (k / (COLOURS - 1)) * (RAMP.length - 1), i = Math.min(Math.floor(at), RAMP.length - 2), t = at - i;
-  return `rgb(${RAMP[i].map((c, n) => Math.round(c + t * (RAMP[i + 1][n] - c))).join(",")})`;
+  const um = LOW * (HIGH / LOW) ** (k / (COLOURS - 1));
+  const i = Math.max(RAMP.findIndex(([to]) => um <= to * 1.001), 1), [from, ...a] = RAMP[i - 1], [to, ...b] = RAMP[i];
+  const t = Math.log(um / from) / Math.log(to / from);
+  return `rgb(${a.map((c, n) => Math.round(c + t * (b[n] - c))).join(",")})`;
 }
 function clock(seconds) {
   const s = Math.round(seconds), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60;
@@ -45,9 +44,8 @@ async function load() {
   let offset = 0;
   const take = (Kind) => { const made = new Kind(bytes, offset, n); offset += n * Kind.BYTES_PER_ELEMENT; return made; };
   const summed = () => { const made = take(Int32Array); for (let k = 1; k < n; k++) made[k] += made[k - 1]; return made; };
-  path = { x: summed(), y: summed(), line: summed(), speed: take(Uint16Array), error: [], feature: null };
-  for (let s = 0; s < S; s++) path.error.push(take(Uint16Array));
-  path.feature = take(Uint8Array);
+  const each = (make) => data.strategies.map(make), pair = () => [take(Int16Array), take(Int16Array)];
+  path = { x: summed(), y: summed(), line: summed(), speed: take(Uint16Array), error: each(() => take(Uint16Array)), nozzle: each(pair), off: each(pair), feature: take(Uint8Array) };
   let start = 0;
   first = data.layers.map((layer) => { const here = start; start += layer.count; return here; });
   first.push(n);
@@ -55,6 +53,11 @@ async function load() {
 const place = (k) => [path.x[k] / 100, path.y[k] / 100];
 const begins = (k) => path.feature[k] >= 128 || k === first[state.layer];
 const um = (k, s) => path.error[s][k] / 10;
+const layerOf = (k) => first.findIndex((start, n) => k >= start && k < first[n + 1]);
+function nozzle(k) {  // where it is drawn: its way from the path is magnified
+  const [x, y] = place(k), [along, off] = [path.nozzle[state.strategy], path.off[state.strategy]], more = (state.magnified - 1) / 1000;
+  return [x + along[0][k] / 100 + more * off[0][k], y + along[1][k] / 100 + more * off[1][k]];
+}
 async function lineOf(number) {
   if (rows === null) rows = new TextDecoder("utf-8").decode(await unpacked("text")).split("\n");
   return rows[number - 1];
@@ -89,8 +92,8 @@ function paint() {
   ink.scale(ratio, ratio);
   grid(ink, box);
   const from = first[state.layer], to = first[state.layer + 1], error = path.error[state.strategy];
-  const strokes = new Array(COLOURS).fill(null), travels = new Path2D();
-  let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0];
+  const strokes = new Array(COLOURS).fill(null), travels = new Path2D(), beside = new Path2D();
+  let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0], printing = false;
   for (let k = from; k < to; k++) {
     const [x, y] = toScreen(...place(k), box);
     if (!begins(k)) {
@@ -98,13 +101,19 @@ function paint() {
       const shown = travel ? 0 : shade(error[k] / 10);
       const stroke = travel ? travels : (strokes[shown] = strokes[shown] || new Path2D());
       stroke.moveTo(x0, y0); stroke.lineTo(x, y);
-    }
+      if (!travel && state.magnified) {
+        if (!printing) beside.moveTo(...toScreen(...nozzle(k - 1), box));
+        beside.lineTo(...toScreen(...nozzle(k), box));
+      }
+      printing = !travel;
+    } else printing = false;
     x0 = x; y0 = y;
   }
   ink.lineCap = "round"; ink.lineJoin = "round";
   ink.lineWidth = 1; ink.strokeStyle = style("--faint"); ink.setLineDash([2, 4]); ink.stroke(travels); ink.setLineDash([]);
   ink.lineWidth = Math.min(Math.max(0.38 * state.scale, 1.3), 9);
   strokes.forEach((stroke, k) => { if (stroke) { ink.strokeStyle = colour(k); ink.stroke(stroke); } });
+  ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(beside);
   if (state.picked >= from && state.picked < to) {
     const [x, y] = toScreen(...place(state.picked), box);
     ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 5; ink.strokeStyle = style("--stage"); ink.stroke();
@@ -131,7 +140,7 @@ function strip() {  // the error of each layer, above the slider
   shown.width = Math.round(box.width * ratio); shown.height = Math.round(box.height * ratio);
   const ink = shown.getContext("2d"); ink.scale(ratio, ratio);
   const n = data.layers.length, inset = 8, wide = (box.width - 2 * inset) / Math.max(n - 1, 1);
-  const height = (um) => box.height * Math.min(Math.max(Math.log(um / LOW) / Math.log(HIGH / LOW), 0.03), 1);
+  const height = (um) => box.height * Math.min(Math.max(share(um), 0.06), 1);
   data.layers.forEach((layer, k) => {
     const um = layer.rms[state.strategy];
     ink.fillStyle = colour(shade(um)); ink.globalAlpha = k === state.layer ? 1 : 0.45;
@@ -199,6 +208,7 @@ function zoom(factor, px, py) {
   state.x = x - (px - box.width / 2) / state.scale; state.y = y + (py - box.height / 2) / state.scale;
   draw();
 }
+function drag(px, py) { state.x -= px / state.scale; state.y += py / state.scale; draw(); }
 const at = (event) => { const box = canvas.getBoundingClientRect(); return [event.clientX - box.left, event.clientY - box.top]; };
 canvas.addEventListener("pointerdown", (event) => {
   canvas.setPointerCapture(event.pointerId);
@@ -213,9 +223,8 @@ canvas.addEventListener("pointermove", (event) => {
   if (other) {
     const q = other[1], factor = Math.hypot(now[0] - q[0], now[1] - q[1]) / Math.max(Math.hypot(old[0] - q[0], old[1] - q[1]), 1);
     zoom(factor, (now[0] + q[0]) / 2, (now[1] + q[1]) / 2);
-  } else if (moved > 4) {
-    state.x -= (now[0] - old[0]) / state.scale; state.y += (now[1] - old[1]) / state.scale; draw();
-  }
+    drag((now[0] - old[0]) / 2, (now[1] - old[1]) / 2);
+  } else if (moved > 4) drag(now[0] - old[0], now[1] - old[1]);
   fingers.set(event.pointerId, now);
 });
 canvas.addEventListener("pointerup", (event) => {
@@ -237,20 +246,17 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if
 // ------------------------------------------------------------------ the page around it
 
 function cards() {
-  const report = data.report, whole = report.strategies, before = whole.none, chosen = whole[data.chosen];
+  const whole = Object.fromEntries(data.strategies.map((each) => [each.name, each])), before = whole.none, shaper = whole.shaper, chosen = whole[data.chosen];
   const card = (what, value, unit, more, kind) => add($("cards"), add(make("div", undefined, "card " + (kind || "")), make("p", what, "what"),
     add(make("p", value, "value"), make("small", unit ? " " + unit : "")), make("p", more, "more")));
-  data.strategies.forEach((each) => {
-    const figures = whole[each.name];
-    if (figures) card(each.label, micrometres(figures.contour_error_um.rms), "µm RMS", `95 % below ${micrometres(figures.contour_error_um.p95)} µm`, each.name === data.chosen ? "best" : "");
-  });
-  const time = report.print_time_s, longer = 100 * (time.after / time.before - 1);
-  card("Print time", clock(time.after), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
-  if (chosen) card("Belts at most", chosen.peak_belt_speed.toFixed(0), `of ${data.belts.speed} mm/s`, `${Math.round(chosen.peak_belt_acceleration)} of ${data.belts.acceleration} mm/s²`);
+  for (const each of data.strategies) card(each.label, micrometres(each.rms), "µm RMS", `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
+  const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
+  card("Print time", clock(compensated), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
+  card("Belts at most", String(data.belts.speed[0]), `of ${data.belts.speed[1]} mm/s`, `${data.belts.acceleration.join(" of ")} mm/s²`);
   if (before && chosen && data.chosen !== "none") {
-    const was = before.contour_error_um.rms, is = chosen.contour_error_um.rms;
-    $("lead").replaceChildren("Without compensation the nozzle would be ", make("strong", `${micrometres(was)}\u00a0µm`), " off the path (RMS), with it ",
-      make("strong", `${micrometres(is)}\u00a0µm`), is < was ? `: ${(was / is).toFixed(was / is < 10 ? 1 : 0)} times closer.` : ".");
+    const strong = (each) => make("strong", `${micrometres(each.rms)}\u00a0µm`);
+    $("lead").replaceChildren("Predicted distance of the nozzle from the path, RMS: ", strong(chosen), " with compensation, ",
+      ...(shaper ? [strong(shaper), " with the best input shaper, "] : []), strong(before), " with neither.");
   } else $("lead").textContent = "Nothing is compensated in this file.";
 }
 function tables() {
@@ -264,13 +270,13 @@ function tables() {
   });
   add($("features"), head(["feature", "of the time", ...data.strategies.map((s) => `${s.label}, µm`)]), body);
   const worst = make("tbody");
-  data.worst.forEach((each, n) => {
-    const k = first[each.layer] + each.segment, [x, y] = place(k), row = make("tr", undefined, "go");
+  data.worst.forEach((k) => {
+    const layer = layerOf(k), [x, y] = place(k), row = make("tr", undefined, "go");
     row.tabIndex = 0;
-    const go = () => { state.x = x; state.y = y; show(each.layer); state.scale = Math.max(state.scale, 14); pick(k); $("canvas").scrollIntoView({ behavior: "smooth", block: "center" }); };
+    const go = () => { state.x = x; state.y = y; show(layer); state.scale = Math.max(state.scale, 14); pick(k); $("canvas").scrollIntoView({ behavior: "smooth", block: "center" }); };
     row.addEventListener("click", go);
     row.addEventListener("keydown", (event) => { if (event.key === "Enter") go(); });
-    add(worst, add(row, make("td", data.layers[each.layer].name), ...data.strategies.map((_, s) => make("td", micrometres(um(k, s)))), make("td", `X${x.toFixed(1)} Y${y.toFixed(1)}`), make("td", path.line[k]),
+    add(worst, add(row, make("td", data.layers[layer].name), ...data.strategies.map((_, s) => make("td", micrometres(um(k, s)))), make("td", `X${x.toFixed(1)} Y${y.toFixed(1)}`), make("td", path.line[k]),
       make("td", data.features[path.feature[k] & 127] || "", "name"), make("td", `${path.speed[k]}`)));
   });
   add($("worst"), head(["layer", ...data.strategies.map((s) => `${s.label}, µm`), "place", "line", "feature", "mm/s"]), worst);
@@ -279,8 +285,10 @@ function frame() {
   document.title = `${data.name} – hframe-post`;
   $("name").textContent = data.name.replace(/[_-]/g, "$&\u200b");  // where it may wrap
   $("version").textContent = data.version;
+  data.warnings.forEach((text) => add($("warnings"), make("p", text.replace(/^WARNING\s+/, "").replace(/\s{2,}/, ": "))));
   const ramp = $("ramp").getContext("2d");
   for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
+  $("magnified").addEventListener("change", () => { state.magnified = Number($("magnified").value); draw(); });
   data.strategies.forEach((each, k) => {
     const button = make("button", each.label);
     button.setAttribute("role", "radio");

@@ -37,13 +37,15 @@ class Judgement:
     """How well each strategy follows one chunk, at the k of its samples that count.
 
     at (k,): indices of these; extruding (k,): which of them extrude. contour: strategy → (k,),
-    distance to the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
+    distance to the path; off: strategy → (k, 2), the way to the nozzle from the nearest place on
+    the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
     """
 
     chunk: Samples
     at: Integers
     extruding: Flags
     contour: dict[str, Array]
+    off: dict[str, Array]
     motion: dict[str, Array]
 
     def tracking(self, strategy: str) -> Array:
@@ -61,11 +63,12 @@ def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[J
             first = -chunk.first % every
             moving, extruding = (flags[where][first::every] for flags in in_motion(wide.xyze))
             here, path = np.arange(first, len(chunk), every), wide.xyze[:, :Z]
-            contour = {
-                name: contour_error(path, xy[first::every], where.start + here)[moving]
+            off = {
+                name: deviation(path, xy[first::every], where.start + here)[moving]
                 for name, xy in motion.items()
             }
-            yield Judgement(chunk, here[moving], extruding[moving], contour, motion)
+            contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
+            yield Judgement(chunk, here[moving], extruding[moving], contour, off, motion)
 
 
 def _paths(
@@ -121,7 +124,12 @@ STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
 
 
 def contour_error(path: Array, actual: Array, at: Integers) -> Array:
-    """Return the distance (n,) of the points ``actual`` (n, 2), at equal time steps, to the path.
+    """Return the distance (n,) of the points ``actual`` (n, 2) to the path: see ``deviation``."""
+    return np.sqrt(_square(deviation(path, actual, at)))
+
+
+def deviation(path: Array, actual: Array, at: Integers) -> Array:
+    """Return the shortest way (n, 2) from the path to each of the points ``actual`` (n, 2).
 
     path (p, 2): the desired samples; at (n,): which of them belongs to each point. The path
     is the polyline through its samples within NEAREST of that. Where this is a straight line,
@@ -131,13 +139,13 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
     px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
     ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
     n, p = len(ax), len(px)
-    if (compiled := kernel("contour_error")) is not None:
-        error, room = np.empty(n), np.empty(p + 1, np.int64)
-        compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, error, room)
-        return error
+    if (compiled := kernel("deviation")) is not None:
+        off, room = np.empty((n, 2)), np.empty(p + 1, np.int64)
+        compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, off, room)
+        return off
     low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
     turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
-    error = _to_segment(ax, ay, px[low], py[low], px[high], py[high])
+    off = _from_segment(ax, ay, px[low], py[low], px[high], py[high])
     bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
     ax, ay, at = ax[bent], ay[bent], at[bent]
     coarse = _nearest(px, py, ax, ay, [at + k for k in range(-NEAREST, NEAREST + 1, COARSE)])
@@ -147,11 +155,11 @@ def contour_error(path: Array, actual: Array, at: Integers) -> Array:
     k = np.clip(k, 0, p - 1)
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
     x, y = px[k], py[k]
-    error[bent] = np.minimum(
-        _to_segment(ax, ay, x, y, px[before], py[before]),
-        _to_segment(ax, ay, x, y, px[after], py[after]),
-    )
-    return np.sqrt(error)
+    one = _from_segment(ax, ay, x, y, px[before], py[before])
+    other = _from_segment(ax, ay, x, y, px[after], py[after])
+    nearer = _square(one) < _square(other)
+    off[bent] = np.where(nearer[:, None], one, other)
+    return off
 
 
 def _turns(px: Array, py: Array) -> Flags:
@@ -177,8 +185,12 @@ def _nearest(px: Array, py: Array, ax: Array, ay: Array, candidates: list[Intege
     return nearest
 
 
-def _to_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array) -> Array:
-    """Return the squared distance (q,) of points a to the segments from p to q, all (q,)."""
+def _square(off: Array) -> Array:
+    return np.asarray(off[:, X] * off[:, X] + off[:, Y] * off[:, Y])
+
+
+def _from_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array) -> Array:
+    """Return the shortest way (q, 2) to points a from the segments between p and q, all (q,)."""
     dx, dy, ax, ay = qx - px, qy - py, ax - px, ay - py
     length2 = dx * dx + dy * dy
     share = np.divide(ax * dx + ay * dy, length2, out=np.zeros(len(ax)), where=length2 > 0.0)
@@ -187,4 +199,4 @@ def _to_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array
     dy *= share
     ax -= dx
     ay -= dy
-    return ax * ax + ay * ay
+    return np.column_stack([ax, ay])

@@ -58,10 +58,18 @@ class Labels:
             self._e = float(e[-1])
         return layer, feature
 
+    def layer(self, name: str) -> int:
+        """Return the number of the layer of that name, a new one if needed."""
+        return _index(self.layers, name)
+
+    def feature(self, name: str) -> int:
+        """Return the number of the feature of that name, a new one if needed."""
+        return _index(self.features, name)
+
     def _current(self) -> tuple[int, int]:
-        named = _index(self.layers, self.place.name or BEFORE)
+        named = self.layer(self.place.name or BEFORE)
         layer = named if self.by_name else self.place.layer
-        return layer, _index(self.features, self.place.feature or BEFORE)
+        return layer, self.feature(self.place.feature or BEFORE)
 
 
 def _index(names: list[str], name: str) -> int:

@@ -19,7 +19,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
 from hframe_post.native import Kernel
 from hframe_post.planner import profiles, sampling
-from hframe_post.prediction.predict import contour_error
+from hframe_post.prediction.predict import deviation
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
 from hframe_post.writers.stream import digits
@@ -68,13 +68,13 @@ def walk(rng: np.random.Generator, n: int) -> Array:
 
 @thorough
 @given(seeds, st.integers(1, 600), st.integers(1, 4), st.floats(-5.0, 0.5))
-def test_contour_error(compiled: None, seed: int, n: int, every: int, power: float) -> None:
+def test_deviation(compiled: None, seed: int, n: int, every: int, power: float) -> None:
     rng = np.random.default_rng(seed)
     path = walk(rng, n)
     at = np.arange(int(rng.integers(0, n)), n, every)
     actual = path[at] + rng.normal(0.0, 10.0**power, (len(at), 2))
-    plain = in_numpy(contour_error, path, actual, at)
-    same(contour_error(path, actual, at), plain)
+    plain = in_numpy(deviation, path, actual, at)
+    same(deviation(path, actual, at), plain)
 
 
 @thorough

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.conversion.pipeline import Options
-from hframe_post.page.build import page
+from hframe_post.library import convert
 from hframe_post.printer.settings import Printer
 from tests.chromium import Browser
 from tests.command_line import run
@@ -16,6 +15,7 @@ from tests.conftest import ROOT, SAMPLES
 from tests.page.pages import data_of
 
 PAGES = ROOT / "hframe_post" / "page"
+WARNING = "NOT VERIFIED on a machine"
 EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
 BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
 
@@ -30,14 +30,15 @@ def sliced(feature: str = "WALL-OUTER") -> bytes:
     return ("\n".join(lines) + f"\n; {EVIL}\nM104 S0\n").encode()
 
 
-def built(paper: Printer, text: bytes, name: str = "square.gcode") -> bytes:
-    return page(
-        text.splitlines(keepends=True), paper, Options("racking"), name, ["profile          p"]
-    )
+def built(paper: Printer, text: bytes, path: Path, name: str = "square.gcode") -> bytes:
+    """The page of a conversion, also written to the path."""
+    lines = text.splitlines(keepends=True)
+    convert(lines, None, paper, page=path, title=name, notes=["profile          p", WARNING])
+    return path.read_bytes()
 
 
-def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:
-    html = built(paper, sliced(EVIL), EVIL)
+def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer, tmp_path: Path) -> None:
+    html = built(paper, sliced(EVIL), tmp_path / "r.html", EVIL)
     assert EVIL.encode() not in html
     assert html.count(b"<script") == html.count(b"</script>") == 4
     assert b"<img" not in html
@@ -47,8 +48,9 @@ def test_it_needs_no_network_and_what_files_say_is_data(paper: Printer) -> None:
     assert EVIL in str(data_of(html)["features"])
 
 
-def test_it_is_the_same_again(paper: Printer) -> None:
-    assert built(paper, sliced()) == built(paper, sliced())
+def test_it_is_the_same_again(paper: Printer, tmp_path: Path) -> None:
+    first = built(paper, sliced(), tmp_path / "1.html")
+    assert first == built(paper, sliced(), tmp_path / "2.html")
 
 
 @pytest.mark.parametrize("script", ["page.js", "measured.js"])
@@ -87,7 +89,7 @@ def test_slider_strategies_click_and_zoom_change_what_they_should(
     browser: Browser, paper: Printer, tmp_path: Path
 ) -> None:
     path = tmp_path / "report.html"
-    path.write_bytes(built(paper, sliced()))
+    built(paper, sliced(), path)
     browser.screen(1280, 1500)
     assert browser.open(path) < 10.0
     assert browser.value("document.getElementById('where').textContent").startswith("Layer 1 (")
@@ -128,7 +130,7 @@ def test_slider_strategies_click_and_zoom_change_what_they_should(
 
 def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "evil.html"
-    path.write_bytes(built(paper, sliced(EVIL), EVIL))
+    built(paper, sliced(EVIL), path, EVIL)
     browser.screen(390, 844, dark=True)
     browser.open(path)
     browser.value("pick(first[1] + 2)")
@@ -144,7 +146,7 @@ def test_it_fits_phones_and_desks_by_day_and_by_night(
 ) -> None:
     """And pictures of it are kept to be looked at."""
     path = tmp_path / "report.html"
-    path.write_bytes(built(paper, (SAMPLES / "rectangle.gcode").read_bytes(), "rectangle.gcode"))
+    built(paper, (SAMPLES / "rectangle.gcode").read_bytes(), path, "rectangle.gcode")
     pictures = {}
     for name, width, height in (("phone", 390, 844), ("desk", 1280, 900)):
         for dark in (False, True):

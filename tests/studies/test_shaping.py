@@ -8,23 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.compensation.shape import shape
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.model.shapers import shaper
+from hframe_post.model.shapers import AxisShaping, Shaping, shaper
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.shapers.guess import Paths, quadratic_form
 from hframe_post.studies.shapers.search import (
     KLIPPER,
     PIECES,
-    AxisShaping,
-    Paths,
-    Shaping,
     best,
     calibrated,
     error,
+    good,
     paths,
-    shape,
+    search,
     shapings_as_text,
 )
 from tests.command_line import run
@@ -53,15 +53,17 @@ def test_pieces_of_a_slice_are_above_its_first_layer(paper: Printer) -> None:
 
 
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
+    none = paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, Options("none"))
+    assert good(paper.plant, none, "klipper") is None
     with pytest.raises(HframeError, match="nothing is extruded"):
-        paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, Options("none"))
+        search(paper.plant, none)
 
 
 def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms
     usual = error(paper.plant, calibrated(paper.plant), corner).rms
-    found = best(paper.plant, corner, "mzv")
+    found = best(paper.plant, corner, "mzv", quadratic_form(paper.plant, corner))
     assert found.rms < 0.65 * usual < 0.65 * bare
     assert found.rms == error(paper.plant, found, corner).rms
 

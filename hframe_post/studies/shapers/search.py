@@ -6,8 +6,8 @@ so a comparison with it is fair. Its section for printer.cfg is an alternative t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -17,18 +17,17 @@ from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.shapers import SHAPERS, Shaper, shaper
+from hframe_post.model.shapers import SHAPERS, AxisShaping, Shaper, Shaping, shaper
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import stretches, with_neighbours
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.running import one_blas_thread
+from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import excerpt
+from hframe_post.studies.shapers.guess import HZ, MOST_DAMPING, Paths, guess, quadratic_form
 
 PIECES = 5  # of a print, of some seconds each, on which settings are compared
-HZ = np.geomspace(12.0, 120.0, 14)  # of the grid search
-DAMPING = (0.05, 0.15, 0.3)
 BY_ERROR = attrgetter("rms")
 
 # Klipper's calibration (klippy/extras/shaper_calibrate.py)
@@ -39,82 +38,14 @@ KLIPPER_DAMPING = 0.1
 KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, of the smoothing
 KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_ei": 48.0}  # Hz
 
-Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
-
-
-@dataclass(frozen=True, slots=True)
-class AxisShaping:
-    """The shaper of one axis."""
-
-    name: str
-    hz: float
-    damping: float
-
-    @property
-    def shaper(self) -> Shaper:
-        return shaper(self.name, self.hz, self.damping)
-
-
-@dataclass(frozen=True, slots=True)
-class Shaping:
-    """Shapers of x and y, and their RMS contour error (mm) on the path they were chosen for."""
-
-    x: AxisShaping
-    y: AxisShaping
-    rms: float = np.inf
-
-    def config(self, dialect: str) -> str:
-        """Return the section for Klipper's printer.cfg, or Marlin's commands."""
-        axes = (("x", self.x), ("y", self.y))
-        if dialect == "marlin":
-            lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
-            lines += [f"M593 {a.upper()} F{s.hz:.1f} D{s.damping:.3f}" for a, s in axes]
-            return "\n".join([*lines, "M500 ; saves it"])
-        lines = ["[input_shaper]"]
-        for axis, chosen in axes:
-            lines += [
-                f"shaper_type_{axis}: {chosen.name}",
-                f"shaper_freq_{axis}: {chosen.hz:.1f}",
-                f"damping_ratio_{axis}: {chosen.damping:.3f}",
-            ]
-        return "\n".join(lines)
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}
-            for axis, s in (("x", self.x), ("y", self.y))
-        }
-
-    def as_text(self) -> list[str]:
-        """Return frequency and damping of x and of y."""
-        return [f"{axis.hz:.1f} ({axis.damping:.2f})" for axis in (self.x, self.y)]
-
-
-def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[Samples]:
-    """Yield the samples with the command of each shaper in addition to theirs."""
-    pairs = {name: (s.x.shaper, s.y.shaper) for name, s in shapings.items()}
-    reach = max((s.reach for pair in pairs.values() for s in pair), default=0)
-    for stretch in stretches(chunks):
-        for chunk, wide, where in with_neighbours(stretch, reach, reach):
-            path = wide.xyze
-            commands = {
-                name: frozen(np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])[where])
-                if len(path)
-                else path[where, :Z]
-                for name, (x, y) in pairs.items()
-            }
-            yield replace(chunk, commands={**chunk.commands, **commands})
-
 
 def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
-    """Return pieces of motion from all over a print. Raises HframeError if nothing is extruded.
+    """Return pieces of motion from all over a print; none if nothing is extruded.
 
     The first layer is left out where there are more: it is so slow that all shapers are alike.
     """
     pieces = excerpt(parsed(lines, printer, options), first_layers=0)
     pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
-    if not pieces:
-        raise HframeError("nothing is extruded at a known place: there is no path to shape")
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
     options = Options("none", tolerance=None)  # the path without standstills
     plans = (plan(pieces[k].items, printer.limits) for k in chosen)
@@ -136,38 +67,49 @@ def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
     return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
 
 
-def best(plant: Plant, paths: Paths, name: str) -> Shaping:
+def best(plant: Plant, paths: Paths, name: str, Q: Array) -> Shaping:
     """Return the frequencies and damping with which that shaper is most accurate on paths.
 
-    A grid search of one axis after the other, twice, is followed by a refinement of both together,
-    because racking couples them.
+    Q: their ``quadratic_form``. Its best settings are refined for the true contour error.
     """
     from scipy.optimize import minimize
 
-    def tried(x: AxisShaping, y: AxisShaping) -> Shaping:
-        return error(plant, Shaping(x, y), paths)
-
     def tried_at(v: Array) -> Shaping:
         hz = np.exp(np.clip(v[:2], np.log(HZ[0] / 2.0), np.log(2.0 * HZ[-1]))).tolist()
-        damping = np.clip(v[2:], 0.0, 0.6).tolist()
-        return tried(AxisShaping(name, hz[X], damping[X]), AxisShaping(name, hz[Y], damping[Y]))
+        damping = np.clip(v[2:], 0.0, MOST_DAMPING).tolist()
+        x, y = (AxisShaping(name, hz[axis], damping[axis]) for axis in (X, Y))
+        return error(plant, Shaping(x, y), paths)
 
-    grid = [AxisShaping(name, float(hz), damping) for hz in HZ for damping in DAMPING]
-    y = AxisShaping(name, 40.0, DAMPING[1])
-    for _ in range(2):
-        x = min((tried(x, y) for x in grid), key=BY_ERROR).x
-        found = min((tried(x, y) for y in grid), key=BY_ERROR)
-        y = found.y
-    start = np.array([np.log(x.hz), np.log(y.hz), x.damping, y.damping])
+    begin = guess(Q, name)
+    x, y = begin.x, begin.y
     refined = minimize(
-        lambda v: tried_at(v).rms, start, method="Nelder-Mead", options={"maxfev": 120}
-    )
-    return min(found, tried_at(refined.x), key=BY_ERROR)
+        lambda v: tried_at(v).rms, [np.log(x.hz), np.log(y.hz), x.damping, y.damping],
+        method="Nelder-Mead", options={"maxfev": 120},
+    )  # fmt: skip
+    return tried_at(refined.x)
+
+
+@one_blas_thread()
+def good(plant: Plant, paths: Paths, dialect: str) -> Shaping | None:
+    """Return about the most accurate of the firmware's shapers, in a tenth of a second.
+
+    None if there are no paths. It is within some percent of what ``search`` finds.
+    """
+    if not paths:
+        return None
+    Q = quadratic_form(plant, paths)
+    return min((error(plant, guess(Q, name), paths) for name in FIRMWARE[dialect]), key=BY_ERROR)
 
 
 def search(plant: Plant, paths: Paths) -> list[Shaping]:
-    """Return every shaper with its best settings for these paths, the most accurate first."""
-    return sorted((best(plant, paths, name) for name in SHAPERS), key=BY_ERROR)
+    """Return every shaper with its best settings for these paths, the most accurate first.
+
+    Raises HframeError if there are no paths.
+    """
+    if not paths:
+        raise HframeError("nothing is extruded at a known place: there is no path to shape")
+    Q = quadratic_form(plant, paths)
+    return sorted((best(plant, paths, name, Q) for name in SHAPERS), key=BY_ERROR)
 
 
 def calibrated(plant: Plant) -> Shaping:

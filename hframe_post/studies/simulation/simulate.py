@@ -15,18 +15,19 @@ import numpy as np
 
 from hframe_post.arrays import Integers
 from hframe_post.compensation.guard import check_prediction
+from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
-from hframe_post.studies.simulation.layer_view import LayerView
 from hframe_post.writers.stream.print_time import duration
 
 # ---------------------------------------------------------------------- the report
@@ -219,17 +220,18 @@ class Study:
 
 
 def simulate(
-    lines: Iterable[bytes], printer: Printer, options: Options, study: Study,
-    view: LayerView | None = None,
-) -> SimulationReport:  # fmt: skip
+    lines: Iterable[bytes], printer: Printer, options: Options, study: Study
+) -> SimulationReport:
     """Simulate the options' strategies; memory does not grow with the print.
 
-    view: collects a picture of the layers. Raises HframeError, also if the model predicts an
-    error that no working printer has.
+    Raises HframeError, also if the model predicts an error that no working printer has.
     """
     source = Commands(lines, printer, replace(options, predict=()), options.strategies)
     parts, uncertainties = Parts(), list[Uncertainty]()
     commands = _rated(source, printer.kinematics, parts)
+    picture = Picture(Labels()) if options.picture else None
+    if options.shaping is not None:
+        commands = shape(commands, {SHAPER: options.shaping})
     if study.steps is not None:
         commands = quantise(commands, printer.kinematics, study.steps)
     count = 1 + sum(map(len, study.drawn.values()))
@@ -248,12 +250,12 @@ def simulate(
                 off = judgement.tracking(name)[which]
                 figures = group.setdefault(name, Figures())
                 figures.add_errors(errors[which], off, judgement.extruding[which])
-        if view is not None:
-            view.add(judgement, layer, feature, labels)
+        if picture is not None:
+            picture.add(judgement)
     contour = {name: figures.contour for name, figures in parts.whole.items()}
     if "none" in contour:
         check_prediction(contour["none"].rms)
-    report = replace(source.report(), contour=contour)
+    report = replace(source.report(), contour=contour, picture=picture)
     return SimulationReport(
         **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),

@@ -1,0 +1,98 @@
+"""Good settings of an input shaper within milliseconds, from a quadratic form.
+
+A shaper shifts and averages the path in time, so it commutes with the plant: the nozzle follows the
+shaped path as the same average of its shifted motion on the unshaped one. Across the path its
+deviation is therefore linear in the impulses a (eq. 1 and 2, with the lever x_d − x_c):
+
+    e = A·[a_x; a_y],    mean of e² = [a_x; a_y]ᵀ·Q·[a_x; a_y],    Q = AᵀA/n
+
+Q is computed once for a path; every setting then costs a small product.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Flags, X, Y
+from hframe_post.model.plant import Plant, Response
+from hframe_post.model.shapers import AxisShaping, Shaper, Shaping
+
+Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
+Candidates = tuple[list[AxisShaping], Array]
+
+STEP = 2  # samples from one impulse to the next
+EVERY = 4  # samples from one that counts to the next
+REACH = 48  # impulses on either side
+HZ = np.geomspace(10.0, 120.0, 16)
+DAMPING = np.array([0.0, 0.1, 0.25, 0.5])
+MOST_DAMPING = 0.6
+REFINED = ((1.08, 0.08), (1.04, 0.04), (1.02, 0.02))  # factors on Hz, and steps of damping
+
+
+def quadratic_form(plant: Plant, paths: Paths) -> Array:
+    """Return Q, mm², for the impulses of x and then of y, (4·REACH + 2,) squared."""
+    rows = np.concatenate([_across(plant, path, counted) for path, counted in paths])
+    return np.asarray(rows.T @ rows / max(len(rows), 1))
+
+
+def _across(plant: Plant, path: Array, counted: Flags) -> Array:
+    """Return the deviation across the path with each impulse alone, at the samples that count."""
+    forward = np.gradient(path, axis=0)
+    length = np.hypot(*forward.T)
+    at = np.flatnonzero(counted & (length > 0.0))[::EVERY]
+    normal = np.column_stack([-forward[:, Y], forward[:, X]])[at] / length[at, None]
+    x, y, theta = Response(plant, path[0]).motion(path).T
+    y = y - (x - plant.x_c) * theta
+    shifted = at[:, None] - STEP * np.arange(-REACH, REACH + 1)
+    shifted = np.clip(shifted, 0, len(path) - 1)
+    lever = path[at, X, None] - plant.x_c
+    along_x, along_y = x[shifted] - path[at, X, None], y[shifted] - path[at, Y, None]
+    return np.hstack(
+        [normal[:, :1] * along_x + normal[:, 1:] * lever * theta[shifted], normal[:, 1:] * along_y]
+    )
+
+
+def guess(Q: Array, name: str) -> Shaping:
+    """Return frequencies and damping with which that shaper's deviation across the path is least.
+
+    A grid search is refined around its result; ``rms`` is an estimate, mm.
+    """
+    grid = [AxisShaping(name, hz, damping) for hz in HZ.tolist() for damping in DAMPING.tolist()]
+    known = _usable(grid)
+    found = _least(Q, known, known)
+    for factor, step in REFINED:
+        x, y = (_usable(_around(axis, factor, step)) for axis in (found.x, found.y))
+        found = _least(Q, x, y)
+    return found
+
+
+def _around(axis: AxisShaping, factor: float, step: float) -> list[AxisShaping]:
+    damping = np.clip(axis.damping + step * np.array([-1.0, 0.0, 1.0]), 0.0, MOST_DAMPING)
+    hz = axis.hz * factor ** np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+    return [AxisShaping(axis.name, f, d) for f in hz.tolist() for d in np.unique(damping).tolist()]
+
+
+def _usable(axes: list[AxisShaping]) -> Candidates:
+    """Return the shapers that are short enough, and their impulses, (k, 2·REACH + 1)."""
+    short = [(axis, shaper) for axis in axes if (shaper := axis.shaper).reach < STEP * REACH]
+    return [axis for axis, _ in short], np.array([_impulses(shaper) for _, shaper in short])
+
+
+def _least(Q: Array, x: Candidates, y: Candidates) -> Shaping:
+    """Return the best of all pairs."""
+    n, (xs, a_x), (ys, a_y) = 2 * REACH + 1, x, y
+    squares = 2.0 * a_x @ Q[:n, n:] @ a_y.T
+    squares += np.einsum("ij,jk,ik->i", a_x, Q[:n, :n], a_x)[:, None]
+    squares += np.einsum("ij,jk,ik->i", a_y, Q[n:, n:], a_y)
+    i, j = np.unravel_index(squares.argmin(), squares.shape)
+    return Shaping(xs[i], ys[j], float(np.sqrt(max(squares[i, j], 0.0))))
+
+
+def _impulses(shaper: Shaper) -> Array:
+    """Return its impulses interpolated, (2·REACH + 1,)."""
+    place = shaper.T / (STEP * TS) + REACH
+    impulses = np.zeros(2 * REACH + 1)
+    before = np.floor(place).astype(int)
+    np.add.at(impulses, before, shaper.A * (1.0 - (place - before)))
+    np.add.at(impulses, before + 1, shaper.A * (place - before))
+    return impulses
