@@ -1,7 +1,7 @@
 """The paper's rectangle through the library, step by step, with figures.
 
 Run it whole (``python examples/paper_rectangle.py FOLDER``), or cell by cell in an editor that
-knows ``# %%``. It needs matplotlib: ``pip install 'hframe-post[plot]'``. Lengths are mm, times s,
+knows ``# %%``. It needs matplotlib: ``pip install matplotlib``. Lengths are mm, times s,
 one sample is 1 ms. The equations are those of arXiv 2105.09878.
 """
 

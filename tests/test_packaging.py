@@ -50,7 +50,7 @@ def test_the_wheel_converts_the_sample_in_an_empty_environment(wheel: Path, tmp_
     converts(programs / "hframe-post", tmp_path)
     text = subprocess.run([programs / "hframe-post", "doctor"], check=True, env=environ,
                           capture_output=True, text=True, cwd=tmp_path).stdout  # fmt: skip
-    assert f"runs from {tmp_path}" in text
+    assert f"installed in {tmp_path}" in text
     assert "no problems found" in text
 
 
