@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.diagnosis.nonlinearity import (
     AxisSweeps,
@@ -23,13 +22,23 @@ from hframe_post.identification.diagnosis.scatter import (
     DAY_TO_DAY,
     MOST,
     ModeShift,
+    Refit,
     Uncertainty,
     find_mode_shift,
     lever_arm_uncertainty,
     model_uncertainty,
     position_spread,
+    refit_calibrated,
+    session_uncertainty,
 )
-from hframe_post.identification.fitting.fit import Fit, fit, with_common_delay, with_gain
+from hframe_post.identification.fitting.dominant import Excited, refined
+from hframe_post.identification.fitting.fit import (
+    Fit,
+    fit,
+    fit_uncalibrated,
+    with_common_delay,
+    with_gain,
+)
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
@@ -48,11 +57,14 @@ from hframe_post.identification.responses.measured import (
     line,
     nozzle_responses,
 )
+from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 AXIS = {"Gxx": "x", "Gyy": "y"}
+RIGID = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
 
 __all__ = ["Identified", "Measured", "Run", "Settings", "identify"]
 
@@ -62,17 +74,28 @@ class Measured:
     """A transfer function as measured.
 
     places: the response at each position (mm of x). mean: their average. spread: RMS difference of
-    the positions from the mean, relative. delay_bounds: of the recording, s.
+    the positions from the mean, relative. delay_bounds: of the recording, s. excited_hz: the
+    lowest frequency that is excited. resonance_hz: the lowest strong resonance, if the recordings
+    are not calibrated.
     """
 
     places: list[tuple[float, FrequencyResponse]]
     mean: FrequencyResponse
     spread: float
     delay_bounds: tuple[float, float]
+    excited_hz: float = 0.0
+    resonance_hz: float | None = None
 
     @property
     def runs(self) -> list[FrequencyResponse]:
         return [response for _, response in self.places]
+
+    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
+        """Return what was excited within the band; None if the recordings are calibrated."""
+        if self.resonance_hz is None:
+            return None
+        band = max(band_hz[0], self.excited_hz), band_hz[1]
+        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,20 +130,22 @@ class Identified:
     @property
     def gains(self) -> dict[str, float]:
         """Return the sensor's reading per mm/s² along each axis."""
-        return {axis: self.fits[name].gain for name, axis in AXIS.items()}
+        return {axis: self.fits[name].gain for name, axis in AXIS.items() if name in self.fits}
 
     @property
     def refusal(self) -> str | None:
         """Return why the models are too poor for a profile, or None if they are good enough."""
-        for axis, gain in self.gains.items():
-            if abs(gain - 1.0) > 0.075:
+        for name in AXIS.keys() & self.fits.keys():
+            calibrated = self.measured[name].resonance_hz is None
+            off = abs(self.fits[name].gain - 1.0)
+            if off > (0.075 if calibrated else 0.35):
                 return (
-                    f"the sensor would have to read {100 * abs(gain - 1.0):.0f} % wrong in {axis}, "
-                    f"more than sensors do: {self._cause}"
+                    f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
+                    f"than sensors do: {self._cause}"
                 )
-        for name in AXIS:
+        for name in AXIS.keys() & self.fits.keys():
             found = self.fits[name]
-            limit = 0.35
+            limit = 0.35 if self.measured[name].resonance_hz is None else 0.6
             if self.nonlinearity is not None:
                 # a distortion that harmonics account for may leave more unexplained
                 limit = 0.25 if found.residual_over_noise > 2.0 else 0.6
@@ -140,10 +165,14 @@ class Identified:
         return "check that nothing is loose and that all files are of one printer"
 
     def plant(self, x_c: float) -> Plant:
-        """Return the plant; ``x_c`` (mm) is used if it was not identified."""
-        racking = self.fits["Gxtheta"].G if "Gxtheta" in self.fits else None
+        """Return the plant; ``x_c`` (mm) is used if it was not identified.
+
+        An axis that was not measured is taken to follow its command exactly.
+        """
+        found = {name: fit.G for name, fit in self.fits.items()}
         known = x_c if self.x_c is None else self.x_c
-        return Plant(self.fits["Gxx"].G, self.fits["Gyy"].G, racking, known)
+        Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
+        return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
 
     def plants_at_ends(self, x_c: float) -> list[Plant]:
         """Return the plants at the least and the greatest x of a printer that changes along x."""
@@ -153,14 +182,20 @@ class Identified:
 
 @one_blas_thread()
 def identify(runs: Sequence[Run], settings: Settings) -> Identified:
-    """Return transfer functions and x_c from runs of both axes. Raises IdentificationError."""
-    groups = {"Gxx": _axis_runs(runs, X, settings), "Gyy": _axis_runs(runs, Y, settings)}
+    """Return transfer functions and x_c from runs of x, of y, or of both.
+
+    Raises IdentificationError.
+    """
+    groups = _groups(runs, settings)
     bridge = bridge_responses([run for run in runs if run.bridge], settings)
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits, nonlinearity = _fit_axes(groups, measured, settings)
-    mode_shift = find_mode_shift(fits["Gxx"], measured["Gxx"].places, settings.band_hz)
-    x_runs = groups["Gxx"].runs
-    arm = _lever_arm(x_runs, settings, mode_shift is not None)
+    mode_shift, arm = None, None
+    x_runs = groups["Gxx"].runs if "Gxx" in groups else []
+    if x_runs:
+        refit = _refit(measured["Gxx"], fits["Gxx"], settings)
+        mode_shift = find_mode_shift(fits["Gxx"], measured["Gxx"].places, refit)
+        arm = _lever_arm(x_runs, settings, mode_shift is not None)
     least = 1.0 if arm and arm.beyond_noise <= OFF_LINE else 3.0
     racking = arm if arm and arm.over_noise > least else None
     if bridge.runs:
@@ -171,19 +206,21 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         measured["Gxtheta"] = Measured(racking.by_place, racking.slope, racking.off, (delay, delay))
     if "Gxtheta" in measured:
         distortion = nonlinearity.distortions.get("x") if nonlinearity else None
-        found = _fit("Gxtheta", measured["Gxtheta"], settings, distortion)
-        fits["Gxtheta"] = found if bridge.runs else with_gain(found, fits["Gyy"].gain)
+        band = max(settings.band_hz[0], groups["Gxx"].excited_hz), settings.band_hz[1]
+        found = _fit("Gxtheta", measured["Gxtheta"], replace(settings, band_hz=band), distortion)
+        # an unknown excitation is wrong in x alone, an unknown sensor where it measures
+        across = "Gyy" if "Gyy" in fits and groups["Gxx"].resonance_hz is None else "Gxx"
+        fits["Gxtheta"] = found if bridge.runs else with_gain(found, fits[across].gain)
     x_c = lever_arm_sd = None
     if racking:
         along = measured["Gxx"].mean
-        places, across = [run.place for run in x_runs], [run.y for run in x_runs]
+        places, ys = [run.place for run in x_runs], [run.y for run in x_runs]
         x_c, _ = centre(racking, along.H)
-        lever_arm_sd = lever_arm_uncertainty(places, across, along)
+        lever_arm_sd = lever_arm_uncertainty(places, ys, along)
     warnings = _disagreement(arm, measured["Gxtheta"]) if arm and bridge.runs else []
     warnings += _unknown_start(measured)
     uncertainties = {
-        name: model_uncertainty(found, measured[name].runs, settings.band_hz)
-        for name, found in fits.items()
+        name: _uncertainty(measured[name], found, settings) for name, found in fits.items()
     }
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
@@ -191,20 +228,29 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     )  # fmt: skip
 
 
-def _axis_runs(runs: Sequence[Run], axis: int, settings: Settings) -> RunGroup:
-    group = nozzle_responses([run for run in runs if run.nozzle and run.axis == axis], settings)
-    if not group.runs:
-        raise IdentificationError(
-            f"no run of the nozzle's sensor sweeps {'xy'[axis]}. Give one with --nozzle"
-        )
-    return group
+def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
+    """Return the runs of each axis; those of our own sweep, which tell more, if there are any."""
+    nozzle = [run for run in runs if run.nozzle]
+    groups, others = dict[str, RunGroup](), list[Run]()
+    for axis, name in enumerate(AXIS):
+        chosen = [run for run in nozzle if run.axis == axis]
+        if any(run.calibrated for run in chosen):
+            groups[name] = nozzle_responses([run for run in chosen if run.calibrated], settings)
+        else:
+            others += chosen
+    for axis, group in uncalibrated_responses(others, settings).items():
+        groups[tuple(AXIS)[axis]] = group
+    if not groups:
+        raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
+    return groups
 
 
 def _measured(group: RunGroup, settings: Settings) -> Measured:
     responses = [run.response for run in group.runs]
     places = [(run.place, run.response) for run in group.runs]
     differ = spread(responses, settings.band_hz)
-    return Measured(places, average(responses), differ, group.delay_bounds)
+    low = max(settings.band_hz[0], group.excited_hz)
+    return Measured(places, average(responses), differ, group.delay_bounds, low, group.resonance_hz)
 
 
 def _fit_axes(
@@ -215,7 +261,11 @@ def _fit_axes(
     nonlinearity = _find_nonlinearity(groups, fits, settings.step)
     if nonlinearity is None:
         # positions that differ by more than 10 % smear their mean
-        differing = {name: one for name, one in measured.items() if one.spread > 0.1}
+        differing = {
+            name: one
+            for name, one in measured.items()
+            if one.spread > 0.1 and one.resonance_hz is None
+        }
         spreads = {name: position_spread(one.runs) for name, one in differing.items()}
         fits |= _fit_all(differing, settings, spreads)
     else:
@@ -225,7 +275,8 @@ def _fit_axes(
             distortions = {name: by_axis[axis] for name, axis in AXIS.items() if axis in by_axis}
             fits = _fit_all(measured, settings, distortions)
             nonlinearity = _find_nonlinearity(groups, fits, settings.step) or nonlinearity
-    fits["Gxx"], fits["Gyy"] = with_common_delay(fits["Gxx"], fits["Gyy"])
+    if len(fits) == len(AXIS):
+        fits["Gxx"], fits["Gyy"] = with_common_delay(fits["Gxx"], fits["Gyy"])
     return fits, nonlinearity
 
 
@@ -238,6 +289,9 @@ def _fit_all(
 
 
 def _fit(name: str, measured: Measured, settings: Settings, distortion: Distortion | None) -> Fit:
+    excited = measured.excited(settings.band_hz)
+    if excited is not None:
+        return fit_uncalibrated(excited)
     sensor = None
     if settings.sensor is not None and name in AXIS:
         sensor = settings.sensor[tuple(AXIS).index(name)], GAIN_SD
@@ -245,6 +299,22 @@ def _fit(name: str, measured: Measured, settings: Settings, distortion: Distorti
         measured.runs, measured.mean, name == "Gxtheta", settings.band_hz, measured.delay_bounds,
         distortion, sensor,
     )  # fmt: skip
+
+
+def _refit(measured: Measured, found: Fit, settings: Settings) -> Refit:
+    """Return the function that refines the model on another response."""
+    excited = measured.excited(settings.band_hz)
+    if excited is None:
+        return lambda response: refit_calibrated(found.model, response.within(settings.band_hz))
+    band = excited.runs[0].hz[[0, -1]]
+    return lambda response: refined(response.within((band[0], band[1])), excited, found.model)
+
+
+def _uncertainty(measured: Measured, found: Fit, settings: Settings) -> Uncertainty:
+    if measured.resonance_hz is None:
+        return model_uncertainty(found, measured.runs, settings.band_hz)
+    refit = _refit(measured, found, settings)
+    return session_uncertainty(found.model, [refit(run) for run in measured.runs])
 
 
 def _find_nonlinearity(

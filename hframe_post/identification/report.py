@@ -53,7 +53,7 @@ class IdentificationReport:
         if identified.nonlinearity is not None:
             share = identified.nonlinearity.share
             messages.append(identified.nonlinearity.message + self._uncompensated(share))
-        along_x = identified.measured["Gxx"].spread
+        along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
         if identified.mode_shift is not None:
             messages.append(
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
@@ -71,7 +71,7 @@ class IdentificationReport:
         if "Gxtheta" in identified.fits:
             if identified.x_c is None:
                 messages.append(f"x_c was not measured; {self.plant.x_c:g} mm is assumed")
-        elif identified.racks and not identified.racking_below_noise:
+        elif identified.racks and not identified.racking_below_noise and "Gxx" in identified.fits:
             messages.append(
                 "racking was not measured: the profile cancels ringing only. Sweep x at several "
                 "places, or put sensors on both ends of the bridge"
@@ -92,6 +92,9 @@ class IdentificationReport:
         return f". At the ends of x the rectangle's contour error would be {worst:.0f} µm"
 
     def notes(self) -> list[str]:
+        missing = [axis for axis in "xy" if axis not in self.identified.gains]
+        if missing:
+            return [f"{missing[0]} was not recorded, so the profile compensates nothing in it"]
         if self.identified.racking_below_noise:
             return ["racking is below its measurement uncertainty; the profile has none"]
         return []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from hframe_post.identification.diagnosis.scatter import (
     ModeShift,
     find_mode_shift,
     position_spread,
+    refit_calibrated,
     with_noise,
 )
 from hframe_post.identification.fitting.fit import Fit
@@ -43,7 +46,8 @@ def shift(change: float, seed: int) -> ModeShift | None:
     model = fit(Data(HZ, mean.H, weights(mean), BAND, (-1.6e-4, 5e-3)), Structure(2, False))
     G, delay = model.discrete(model.delay, model.gain), model.delay
     found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, ())
-    return find_mode_shift(found, list(zip(PLACES, runs, strict=True)), BAND)
+    places = list(zip(PLACES, runs, strict=True))
+    return find_mode_shift(found, places, partial(refit_calibrated, model))
 
 
 @pytest.mark.parametrize("change", [0.1, 0.02, -0.05])

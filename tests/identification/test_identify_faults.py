@@ -118,7 +118,6 @@ def test_a_plant_that_no_window_compensates_is_refused(taken: Recorded, tmp_path
 
 def test_usage_and_files_are_checked(taken: Recorded, tmp_path: Path) -> None:
     (x0, recorded0), *_ = taken.x
-    check_refused(tmp_path, "no run .* sweeps y", *MAP, *nozzle(*taken.x))
     check_refused(tmp_path, "not the command of a motion", *MAP, "--nozzle", recorded0, recorded0)
     check_refused(tmp_path, "Give the command first", *MAP, "--nozzle", recorded0, x0.command)
     check_refused(tmp_path, "--bridge-length", *MAP, *taken.all, *taken.bridge[:4], status=2)

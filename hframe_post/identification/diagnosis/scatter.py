@@ -11,15 +11,15 @@ changes along x. The model is refined at each position by itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from hframe_post.arrays import Array
-from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.fitting.modal import Data, refine
+from hframe_post.identification.fitting.fit import RINGS, Fit
+from hframe_post.identification.fitting.modal import Data, Modal, refine
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
     FrequencyResponse,
@@ -28,6 +28,8 @@ from hframe_post.identification.responses.frequency_response import (
 )
 from hframe_post.identification.responses.measured import centre, line
 from hframe_post.model.transfer_function import TransferFunction
+
+Refit = Callable[[FrequencyResponse], Modal]  # refines a model on another response
 
 SAMPLES = 12
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
@@ -78,6 +80,33 @@ def model_uncertainty(
         _relative(np.array(zeta)[:, order], model.parameters.zeta[order]),
         tuple((sizes / sizes.max()).tolist()),
         float(np.std(gain)),
+    )
+
+
+def refit_calibrated(model: Modal, part: FrequencyResponse) -> Modal:
+    """Return a model refined on another response; its delay may differ by 1 ms."""
+    delays = (model.delay - 1e-3, model.delay + 1e-3)  # modes that shift turn phases, too
+    data = Data(part.hz, part.H, weights(part), model.mode_range_hz, delays)
+    return refine(data, model.structure, model.parameters)
+
+
+def session_uncertainty(model: Modal, models: Sequence[Modal]) -> Uncertainty:
+    """Return how far the models of single recordings scatter about that of all.
+
+    A mode that hardly rings only shapes the others; its frequency means nothing.
+    """
+    order = np.argsort(model.parameters.omega)
+    omega, zeta = (
+        np.array([getattr(one.parameters, name)[order] for one in models])
+        for name in ("omega", "zeta")
+    )
+    sizes = ((np.abs(model.c) + np.abs(model.d)) * (model.parameters.zeta < RINGS))[order]
+    gains = [one.gain / model.gain for one in models]
+    return Uncertainty(
+        _relative(omega, model.parameters.omega[order]),
+        _relative(zeta, model.parameters.zeta[order]),
+        tuple((sizes / max(sizes.max(), 1e-12)).tolist()),
+        float(np.std(gains)),
     )
 
 
@@ -143,24 +172,18 @@ def position_spread(runs: Sequence[FrequencyResponse]) -> Distortion:
 
 
 def find_mode_shift(
-    found: Fit, places: Sequence[tuple[float, FrequencyResponse]], band_hz: tuple[float, float]
+    found: Fit, places: Sequence[tuple[float, FrequencyResponse]], refit: Refit
 ) -> ModeShift | None:
     """Return how modes shift along x; None if they do not, or fewer than 3 positions tell.
 
-    places: (x in mm, response) of each run. A shift counts if it is above 1 % over the positions
-    and has a chance of 0.1 % at most to be noise (Student's t).
+    places: (x in mm, response) of each run. refit: refines the model. A shift counts if it is above
+    1 % over the positions and has a chance of 0.1 % at most to be noise (Student's t).
     """
     x = np.array([place for place, _ in places])
     if len(places) < 3 or np.ptp(x) == 0.0:
         return None
     model = found.model
-    models = []
-    for _, response in places:
-        part = response.within(band_hz)
-        # modes that shift turn phases, too, so the delay may differ by 1 ms
-        delays = (model.delay - 1e-3, model.delay + 1e-3)
-        data = Data(part.hz, part.H, weights(part), model.mode_range_hz, delays)
-        models.append(refine(data, model.structure, model.parameters))
+    models = [refit(response) for _, response in places]
     omega = np.array([one.parameters.omega for one in models])  # (places, modes)
     middle, slope, slope_sd = _lines(x, omega)
     left, right = float(x.min()), float(x.max())

@@ -9,6 +9,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.fitting.dominant import Excited, dominant_modes, share_left
 from hframe_post.identification.fitting.modal import Modal
 from hframe_post.identification.fitting.selection import (
     MAX_POLES,
@@ -17,8 +18,14 @@ from hframe_post.identification.fitting.selection import (
     halves,
     select,
 )
-from hframe_post.identification.responses.frequency_response import Distortion, FrequencyResponse
+from hframe_post.identification.responses.frequency_response import (
+    Distortion,
+    FrequencyResponse,
+    average,
+)
 from hframe_post.model.transfer_function import TransferFunction
+
+RINGS = 0.3  # damping ratio below which a mode visibly rings
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +54,7 @@ class Fit:
         """Return (Hz, damping ratio) of each mode that rings, lowest first."""
         parameters = self.model.parameters
         pairs = zip(parameters.omega / (2.0 * np.pi), parameters.zeta, strict=True)
-        return sorted((float(hz), float(zeta)) for hz, zeta in pairs if zeta < 0.99)
+        return sorted((float(hz), float(zeta)) for hz, zeta in pairs if zeta < RINGS)
 
     def response(self, hz: Array) -> Complex:
         """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
@@ -83,6 +90,19 @@ def fit(
         remaining = distortion.remaining(part.hz)
     case = Case(part, halves(inside), racking, band_hz, delay_bounds, remaining, sensor)
     return _described(case, select(case))
+
+
+def fit_uncalibrated(measured: Excited) -> Fit:
+    """Return the model of recordings whose start and gain are unknown: all delay is theirs.
+
+    Their noise is not what limits the fit, so ``residual_over_noise`` is 1. Raises
+    IdentificationError.
+    """
+    model, whole = dominant_modes(measured), average(measured.runs)
+    residual = share_left(model.response(whole.hz), whole, whole.power)
+    G, order = model.discrete(0.0, model.gain), model.structure.order
+    nothing = (0.0, 0.0)
+    return Fit(G, order, residual, 1.0, model.gain, model.delay, 0.0, nothing, model, ())
 
 
 def _described(case: Case, model: Modal) -> Fit:

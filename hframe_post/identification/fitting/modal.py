@@ -60,11 +60,47 @@ class Structure:
 
 
 @dataclass(frozen=True, slots=True)
+class Parameters:
+    """The nonlinear parameters: omega, zeta (modes,), corner (lags,) in rad/s, and delay in s."""
+
+    omega: Array
+    zeta: Array
+    corner: Array
+    delay: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What every printer does below its lowest resonance, for recordings that do not show it.
+
+    Up to a third of ``resonance_hz`` it follows its command as a single mode there does,
+    1/(1 − (f/f₀)²), and is late by no more than damping explains, 0 to 2ζ/ω. No mode is much
+    larger than the whole.
+    """
+
+    resonance_hz: float
+
+    def rows(self, structure: Structure, parameters: Parameters) -> Array:
+        """Return rows (r, coefficients) that are 0 for a printer that behaves so."""
+        n = structure.modes
+        r = np.linspace(0.05, 1.0 / 3.0, 12)
+        at_rest = np.concatenate([np.ones(n), np.zeros(n * structure.speed)])
+        s = np.asarray(2j * np.pi * self.resonance_hz * r)
+        low = _columns(s, structure, parameters).real
+        follows = (low - at_rest / (1.0 - r * r)[:, None]) / 0.02
+        late = -parameters.zeta / parameters.omega
+        if structure.speed:
+            late = np.concatenate([late, 1.0 / parameters.omega])
+        return np.vstack([follows, late / 5e-5, np.eye(len(at_rest)) / 3.0])
+
+
+@dataclass(frozen=True, slots=True)
 class Data:
     """The response H (k,) to fit, with weight (k,), one over its standard deviation.
 
     mode_range_hz, delay_bounds (s): bounds of modes and delay. sensor: mean and standard deviation
-    of the gain that is expected.
+    of the gain that is expected. damping: bounds of damping ratios. prior: of recordings that
+    do not show how the printer follows its command.
     """
 
     hz: Array
@@ -73,21 +109,13 @@ class Data:
     mode_range_hz: tuple[float, float]
     delay_bounds: tuple[float, float]
     sensor: tuple[float, float] = SENSOR
+    damping: tuple[float, float] = DAMPING
+    prior: Prior | None = None
 
     def thinned(self, count: int) -> Data:
         """Return every k-th frequency, so that at least ``count`` remain."""
         s = slice(None, None, max(1, len(self.hz) // count))
         return replace(self, hz=self.hz[s], H=self.H[s], weight=self.weight[s])
-
-
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """The nonlinear parameters: omega, zeta (modes,), corner (lags,) in rad/s, and delay in s."""
-
-    omega: Array
-    zeta: Array
-    corner: Array
-    delay: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +247,7 @@ def refine(data: Data, structure: Structure, start: Parameters) -> Modal:
     low, high = np.log(2.0 * np.pi * np.array(data.mode_range_hz))
     early, late = np.array(data.delay_bounds) / TS
     bounds = np.array(
-        [[low, high]] * n + [list(np.log(DAMPING))] * n + [[low, high]] * k + [[early, late]]
+        [[low, high]] * n + [list(np.log(data.damping))] * n + [[low, high]] * k + [[early, late]]
     )
     x = np.concatenate(
         [np.log(start.omega), np.log(start.zeta), np.log(start.corner), [start.delay / TS]]
@@ -268,6 +296,9 @@ def _solve(data: Data, structure: Structure, parameters: Parameters) -> tuple[Ar
     expected, sd = data.sensor
     rows = np.vstack([rows, at_rest * (0.0 if racks else 1.0 / sd)])
     wanted = np.append(wanted, 0.0 if racks else expected / sd)
+    if data.prior is not None:
+        more = data.prior.rows(structure, parameters)
+        rows, wanted = np.vstack([rows, more]), np.append(wanted, np.zeros(len(more)))
     free = _free_directions(structure, parameters, at_rest)
     reduced = rows @ free
     scale = np.maximum(np.sqrt(np.einsum("ij,ij->j", reduced, reduced)), 1e-300)

@@ -42,13 +42,18 @@ from hframe_post.identification.responses.frequency_response import (
 class Run:
     """One sweep. command (m, 2): x and y in mm, every 1 ms; recordings in the printer's axes.
 
-    bridge: the recordings at P1 (the greater x) and at P2.
+    bridge: the recordings at P1 (the greater x) and at P2. calibrated: whether command and
+    recording are those of our own sweep, which tell start, clock and place; else ``nozzle`` may be
+    in the sensor's axes, and all this is found from the motion. rough_clock: start (s) and drift,
+    if they are known to 20 ms.
     """
 
     name: str
     command: Array
     nozzle: Recording | None = None
     bridge: tuple[Recording, Recording] | None = None
+    calibrated: bool = True
+    rough_clock: tuple[float, float] | None = None
 
     @property
     def axis(self) -> int:
@@ -100,10 +105,15 @@ class RunResponse:
 
 @dataclass(frozen=True, slots=True)
 class RunGroup:
-    """Runs shifted to one common delay, and the bounds of that delay in s."""
+    """Runs shifted to one common delay, and the bounds of that delay in s.
+
+    Of uncalibrated runs also the lowest frequency that is excited and the lowest strong resonance.
+    """
 
     runs: list[RunResponse]
     delay_bounds: tuple[float, float]
+    excited_hz: float = 0.0
+    resonance_hz: float | None = None
 
 
 def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:
