@@ -17,12 +17,8 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.self_alignment import (
-    Direction,
-    SelfAligned,
-    direction,
-    self_aligned,
-)
+from hframe_post.identification.recordings.self_alignment import SelfAligned, self_aligned
+from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
