@@ -106,5 +106,23 @@ def test_other_recordings_are_refused(whole: Recorded) -> None:
             find(Recording(t, a, False), whole.test)
     moving = np.maximum(t - 2.0, 0.0)
     sine = 4000.0 * np.sin(2.0 * np.pi * (4.0 + 0.5 * 2.0 * moving) * moving)
-    with pytest.raises(IdentificationError, match="does not follow the motion"):
+    with pytest.raises(IdentificationError, match="does not follow that motion"):
         find(Recording(t, still + sine[:, None] * [1.0, 0.0, 0.0], False), whole.test)
+
+
+def test_input_shaping_is_noticed() -> None:
+    """An MZV shaper at the printer's mode leaves no resonance."""
+    seed, machine = 8, linear_printer(8)
+    test = klipper(X, **QUICK)
+    hz, damping = machine.x.modes[0].hz, 0.1
+    step = np.exp(-0.75 * np.pi * damping)
+    sizes = np.array([1.0 - 0.5**0.5, (2.0**0.5 - 1.0) * step, (1.0 - 0.5**0.5) * step**2])
+    command = test.command()
+    at = np.arange(len(command) + 100)
+    shaped = sum(
+        size * np.stack([np.interp(at - 375.0 / hz * k, at[:-100], c) for c in command.T], axis=1)
+        for k, size in enumerate(sizes / sizes.sum())
+    )
+    chip = replace(drawn_sensor(seed, "lis2dw-394"), lead=0.4)
+    with pytest.raises(IdentificationError, match="input shaping was on during the test"):
+        find(chip.record(machine, shaped, seed), test)
