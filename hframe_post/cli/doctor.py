@@ -6,16 +6,25 @@ import os
 import platform
 import sys
 import tempfile
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
 import click
 
 from hframe_post.cli.options import chosen_printer, old_option, printer_option
+from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
-from hframe_post.printer.klipper_cfg import KlipperConfig, check
-from hframe_post.printer.profile import load, shipped
+from hframe_post.firmware.klipper.macro_check import check_macros
+from hframe_post.firmware.klipper.macros import FILE
+from hframe_post.printer.choice import choose
+from hframe_post.printer.edit import changed_by_hand
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.klipper_check import Finding, check
+from hframe_post.printer.profile import load, shipped, text_of
+from hframe_post.printer.settings import Printer
+from hframe_post.printer.slicers import presets
 from hframe_post.version import __version__
 
 PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
@@ -124,11 +133,12 @@ def _check_profile(findings: _Findings, printer: str, config: Path | None) -> No
             f"{printer} comes with hframe-post and is not your printer: run "
             "'hframe-post printers new', then see docs/identify.md"
         )
+    _check_hooks(findings, printer)
     if config is None:
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
         return
     try:
-        differences = list(check(KlipperConfig(config), profile))
+        differences = list(_differences(KlipperConfig(config), profile, printer))
     except HframeError as error:
         findings.problem(str(error))
         return
@@ -136,3 +146,48 @@ def _check_profile(findings: _Findings, printer: str, config: Path | None) -> No
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):
         findings.ok(f"{config} agrees with the profile")
+
+
+def _differences(config: KlipperConfig, profile: Printer, name: str) -> Iterator[Finding]:
+    if name in shipped():
+        remedy = f"make your own profile with 'hframe-post setup {config.path}'"
+        yield from check(config, profile, remedy)
+        return
+    path = Path(name)
+    made_by_setup = path.name == PROFILE
+    folder = "" if path.absolute().parent == Path.cwd() else f" -o {path.parent}"
+    again = f"run 'hframe-post setup {config.path}{folder}' again"
+    remedy = again if made_by_setup else f"change it there or in {name}"
+    yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
+    if not made_by_setup:
+        again = f"run 'hframe-post klipper-macros -p {name} > {FILE}'"
+    if profile.firmware.dialect == "klipper":
+        yield from check_macros(config, profile, again)
+
+
+def _check_hooks(findings: _Findings, printer: str) -> None:
+    """Report which profile the slicers use, where it is another than the one that is checked."""
+    try:
+        default = choose(None, os.environ)
+    except HframeError as error:
+        findings.problem(str(error))
+        return
+    if not _same(default.profile, printer):
+        findings.problem(
+            f"a command without -p, such as the line in a slicer, takes {default.profile} "
+            f"({default.why}), not {printer}: run 'hframe-post use {printer}'"
+        )
+    for preset in presets():
+        if preset.profile and not _same(preset.profile, printer):
+            findings.problem(
+                f"{preset.place}: this slicer's preset takes {preset.profile}, not {printer}: "
+                "change it, or check that profile with 'hframe-post doctor -p'"
+            )
+        else:
+            findings.ok(f"{preset.place}: this slicer's preset runs hframe-post")
+
+
+def _same(one: str, other: str) -> bool:
+    if one in shipped() or other in shipped():
+        return one == other
+    return Path(one).resolve() == Path(other).resolve()

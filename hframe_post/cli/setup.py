@@ -11,7 +11,7 @@ import click
 
 from hframe_post.cli.options import files_read
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper.macros import macros
+from hframe_post.firmware.klipper.macros import FILE, macros
 from hframe_post.printer.choice import set_default
 from hframe_post.printer.edit import updated
 from hframe_post.printer.klipper_cfg import KlipperConfig
@@ -20,7 +20,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, from_klipper, kinematics_in, profile_text
 from hframe_post.writers.files import Outputs
 
-PROFILE, MACROS = "printer.toml", "hframe.cfg"
+PROFILE = "printer.toml"
 QUESTION = (
     "Klipper calls two kinds of printer corexy. Is yours corexy (two belts, which cross) or hbot "
     "(one long belt in the shape of an H)?"
@@ -33,7 +33,7 @@ QUESTION = (
 )
 @click.option(
     "-o", "--output", "folder", default=".", type=click.Path(path_type=Path, file_okay=False),
-    help=f"Folder for {PROFILE} and {MACROS}. Default: the present one.",
+    help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
 )  # fmt: skip
 @click.option(
     "--kinematics", type=click.Choice(["corexy", "hbot"]),
@@ -65,12 +65,12 @@ def setup(config: Path, folder: Path, kinematics: str | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(config)) as outputs:
         outputs.open(target).write(text.encode())
-        outputs.open(folder / MACROS).write(sections.encode())
+        outputs.open(folder / FILE).write(sections.encode())
         set_default(os.path.abspath(target))
     if old:
         click.echo("\n".join([f"{target}: {len(changes) or 'no'} changes", *changes]))
     click.echo("\n".join(_summary(klipper, profile, target, kind)))
-    click.echo(_next_steps(klipper, folder / MACROS))
+    click.echo(_next_steps(klipper, folder / FILE))
 
 
 def _kinematics(config: KlipperConfig, requested: str | None, before: Printer | None) -> Known:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import Item
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import PrinterError
@@ -173,6 +174,19 @@ def updated(text: str, tables: Tables, source: str = "") -> tuple[str, list[str]
     changed: str = document.as_string()
     parse(changed, "changed", source)  # raises if it cannot be loaded
     return changed, changes
+
+
+def changed_by_hand(text: str) -> list[str]:
+    """Return the settings of a profile that differ from what `setup` found, as "table.key"."""
+    tables = {name: table for name, table in tomlkit.parse(text).items() if isinstance(table, dict)}
+    return [
+        f"{name}.{key}"
+        for name, table in tables.items()
+        for key, item in table.items()
+        if isinstance(item, Item)  # not for true and false
+        and (found := COMMENT.match(item.trivia.comment)) is not None
+        and tomllib.loads(f"value = {found[1]}")["value"] != item.unwrap()
+    ]
 
 
 def _table_in(document: Any, name: str) -> Any:

@@ -30,6 +30,7 @@ class KlipperTable:
     minimum_cruise_ratio: float = field(default=0.5, metadata={"least": 0.0, "below": 1.0})
     shaper_freq_x: float = not_negative(0.0, most=1e3)
     shaper_freq_y: float = not_negative(0.0, most=1e3)
+    shaper_freq_z: float = not_negative(0.0, most=1e3)
     begin_macro: str = ""
     end_macro: str = ""
 

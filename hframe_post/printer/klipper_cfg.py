@@ -1,89 +1,150 @@
-"""Klipper's printer.cfg: read, and compared with a profile.
+"""Klipper's printer.cfg with its includes, read in the order in which Klipper reads it.
 
-Klipper's defaults hold here too: https://www.klipper3d.org/Config_Reference.html
+Klipper's rules: an include is read where it stands, a later value replaces an earlier one, and a
+section that occurs twice is one section. What SAVE_CONFIG wrote at the end of the file holds
+where nothing else gives the value; all of it is lost if anything else stands among or after it.
 """
 
 from __future__ import annotations
 
 import configparser
+import glob
 import math
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.printer.decoding import decoded
-from hframe_post.printer.settings import Printer
 
-CLOSE = 1e-3  # tolerated difference of two numbers
-AUTOSAVE = "#*# "  # starts each line that SAVE_CONFIG wrote
-MAX_DEPTH = 10  # of nested includes
+SAVED = "#*#"  # starts each line that SAVE_CONFIG wrote
+HEADING = re.compile(r"#\*# <-+ SAVE_CONFIG -+>")
+MAX_FILES = 500
 MAX_SIZE = 1 << 22  # bytes
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
+SECTION = re.compile(r"\[([^]]+)\]")
+OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """A difference from the profile. wrong: the printer would not move as computed."""
+class Line:
+    """A line of a file, without its comment. number counts from 1."""
 
-    wrong: bool
+    path: Path
+    number: int
     text: str
+
+    @property
+    def place(self) -> str:
+        return f"{self.path}:{self.number}"
 
 
 class KlipperConfig:
     """A printer.cfg with its includes. Raises HframeError if it is not a printer.cfg.
 
-    missing: includes that were not found.
+    missing: includes that were not found. unsaved: the line for which Klipper drops all that
+    SAVE_CONFIG wrote, None if there is none.
     """
 
     def __init__(self, path: Path) -> None:
-        self._parser = configparser.RawConfigParser(
-            strict=False, inline_comment_prefixes=("#", ";"), default_section="\0",
-            allow_no_value=True, empty_lines_in_values=True,
-        )  # fmt: skip
-        self.missing: list[str] = []
         self.path = path
-        self._read(path, MAX_DEPTH)
+        self.missing: list[str] = []
+        self._lines: dict[tuple[str, str], list[Line]] = {}  # of each section and option
+        self._files = 0
+        text = _text(path)
+        regular, saved, self.unsaved = _divided(_lines(path, text))
+        self._parser = _parser()
+        try:
+            self._read(regular, ())
+            self._add_saved(saved)
+        except _MalformedError as error:
+            raise HframeError(_advice(path, text) or str(error)) from None
         if not self._parser.has_section("printer"):
             lost = f"; {', '.join(self.missing)} was not found" if self.missing else ""
             raise HframeError(
-                _advice(path, _text(path))
+                _advice(path, text)
                 or f"{path} has no section [printer]{lost}: is it a printer.cfg?"
             )
 
-    def _read(self, path: Path, depth: int) -> None:
-        text = _text(path)
-        before = set(self._parser.sections())
+    def _read(self, lines: Sequence[Line], within: tuple[str, ...]) -> None:
+        """Read lines and, where they stand, the includes among them. within: files around them."""
+        begun = 0
+        for k, line in enumerate(lines):
+            header = SECTION.match(line.text)
+            if header and header[1].startswith("include "):
+                self._parse(lines[begun:k], self._parser)
+                begun = k + 1
+                self._lines.setdefault((header[1], ""), []).append(line)
+                self._include(line, header[1].removeprefix("include ").strip(), within)
+        self._parse(lines[begun:], self._parser)
+
+    def _include(self, line: Line, pattern: str, within: tuple[str, ...]) -> None:
+        inside = (*within, os.path.abspath(line.path))
+        found = sorted(glob.glob(os.path.join(line.path.parent, pattern)))
+        files = [Path(name) for name in found if os.path.isfile(name)]
+        self._files += len(files)
+        if self._files > MAX_FILES:
+            raise HframeError(f"{self.path} includes more than {MAX_FILES} files")
+        if not files and not glob.has_magic(pattern):
+            self.missing.append(pattern)
+        for each in files:
+            if os.path.abspath(each) in inside:
+                raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
+            self._read(_lines(each, _text(each)), inside)
+
+    def _parse(self, lines: Sequence[Line], parser: configparser.RawConfigParser) -> None:
+        if not lines:
+            return
+        lines = [Line(line.path, line.number, line.text.partition("#")[0]) for line in lines]
         try:
-            self._parser.read_string(text, str(path))
+            parser.read_string("\n".join(line.text for line in lines))
         except configparser.Error as error:
-            raise HframeError(_advice(path, text) or f"{path}: {_cause(error)}") from None
-        except AttributeError:  # raised by configparser for a value before the first key
-            raise HframeError(f"{path}: a value begins before its key") from None
-        for section in [each for each in self._parser.sections() if each not in before]:
-            if section.startswith("include "):
-                pattern = section.removeprefix("include ").strip()
-                found = sorted(path.parent.glob(pattern)) if pattern[:1] not in "/~" else []
-                if not found or not depth:
-                    self.missing.append(pattern)
-                for each in found if depth else ():
-                    self._read(each, depth - 1)
+            number = getattr(error, "lineno", None) or getattr(error, "errors", [(1,)])[0][0]
+            raise _MalformedError(
+                f"{lines[number - 1].place} is neither a [section] nor an option of one: is "
+                f"{lines[0].path} a printer.cfg?"
+            ) from None
+        section = ""
+        for line in lines:
+            if header := SECTION.match(line.text):
+                section = header[1]
+                self._lines.setdefault((section, ""), []).append(line)
+            elif option := OPTION.match(line.text):
+                self._lines.setdefault((section, option[1].lower()), []).append(line)
+
+    def _add_saved(self, lines: Sequence[Line]) -> None:
+        saved, places = _parser(), self._lines
+        self._lines = {}
+        self._parse(lines, saved)
+        for section in saved.sections():
+            if not self._parser.has_section(section):
+                self._parser.add_section(section)
+            for key in saved.options(section):
+                if not self._parser.has_option(section, key):
+                    self._parser.set(section, key, saved.get(section, key))
+        self._lines |= places
 
     def has(self, section: str) -> bool:
-        return self._parser.has_section(section)
+        return self._parser.has_section(section) or (section, "") in self._lines
 
-    def macro(self, name: str) -> bool:
-        sections = (section.upper().split() for section in self._parser.sections())
-        return ["GCODE_MACRO", name.upper()] in sections
+    def lines(self, section: str, key: str = "") -> list[Line]:
+        """Return the lines that begin a section or an option, the one that holds last."""
+        return self._lines.get((section, key), [])
 
-    def replaces(self, command: str) -> bool:
-        """Return whether a macro takes a command's name and does not call what had it before."""
-        return any(
-            section.upper().split() == ["GCODE_MACRO", command.upper()]
-            and not self.text(section, "rename_existing")
-            for section in self._parser.sections()
-        )
+    def place(self, section: str, key: str) -> str:
+        """Return the line of an option, or where its section begins if it is missing."""
+        lines = self.lines(section, key) or self.lines(section)
+        return lines[-1].place if lines else str(self.path)
+
+    def macros(self, name: str) -> list[str]:
+        """Return the sections of a macro, in the order of the file.
+
+        There may be several: Klipper ignores case in the names of commands, not of sections.
+        """
+        wanted = ["GCODE_MACRO", name.upper()]
+        return [each for each in self._parser.sections() if each.upper().split() == wanted]
 
     def text(self, section: str, key: str, default: str = "") -> str:
         return (self._parser.get(section, key, fallback=None) or default).strip()
@@ -96,12 +157,19 @@ class KlipperConfig:
         try:
             return float(text)
         except ValueError:
-            raise HframeError(f"{self.path}: [{section}] {key}: {text!r} is not a number") from None
+            where = f"{self.place(section, key)}: [{section}] {key}"
+            raise HframeError(f"{where}: {text!r} is not a number") from None
 
     def accelerometers(self) -> list[str]:
         """Return the names by which Klipper's commands know the accelerometers."""
         sections = (section.split() for section in self._parser.sections())
         return [words[-1] for words in sections if words and words[0] in ACCELEROMETERS]
+
+    def cruise_ratio(self) -> float:
+        """Return minimum_cruise_ratio; Klipper computes it where max_accel_to_decel is given."""
+        share = self.number("printer", "max_accel_to_decel") / self.number("printer", "max_accel")
+        default = 0.5 if math.isnan(share) else 1.0 - min(1.0, share)
+        return self.number("printer", "minimum_cruise_ratio", default)
 
     def step(self, section: str) -> float:
         """Return mm per step of a motor; nan if it cannot be computed."""
@@ -121,13 +189,40 @@ MARLIN = re.compile(r"^\s*(#define\s|(echo:\s*)?M(92|203|205) |/\*\*|// )", re.M
 PROFILE = re.compile(r"^\s*(extends\s*=|\[(compensation|plant|travel)\b)", re.MULTILINE)
 
 
+class _MalformedError(HframeError):
+    pass
+
+
+def _parser() -> configparser.RawConfigParser:
+    return configparser.RawConfigParser(
+        strict=False, inline_comment_prefixes=("#", ";"), default_section="\0"
+    )
+
+
+def _lines(path: Path, text: str) -> list[Line]:
+    rows = text.replace("\r\n", "\n").split("\n")
+    return [Line(path, number, row) for number, row in enumerate(rows, start=1)]
+
+
+def _divided(lines: list[Line]) -> tuple[list[Line], list[Line], Line | None]:
+    """Return what the owner wrote, what SAVE_CONFIG wrote, and the line that makes this void."""
+    head = next((k for k, line in enumerate(lines) if HEADING.match(line.text)), len(lines))
+    saved = [line for line in lines[head:] if line.text.strip()]
+    stray = next((line for line in lines[:head] if line.text.startswith(f"{SAVED} ")), None)
+    foreign = (line for line in saved if not line.text.startswith(SAVED))
+    if (void := stray or next(foreign, None)) is not None:
+        return lines, [], void
+    rows = [Line(line.path, line.number, line.text[len(SAVED) + 1 :]) for line in saved]
+    first = next((k for k, line in enumerate(rows) if SECTION.match(line.text)), len(rows))
+    return lines[:head], rows[first:], None
+
+
 def _text(path: Path) -> str:
     with path.open("rb") as file:
         content = file.read(MAX_SIZE + 1)
     if len(content) > MAX_SIZE:
         raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: is it a printer.cfg?")
-    lines = decoded(content, str(path)).splitlines()
-    return "\n".join(line.removeprefix(AUTOSAVE) for line in lines)
+    return decoded(content, str(path))
 
 
 def _advice(path: Path, text: str) -> str:
@@ -140,133 +235,3 @@ def _advice(path: Path, text: str) -> str:
             "printers new -o my.toml'"
         )
     return ""
-
-
-def _cause(error: configparser.Error) -> str:
-    """Return the cause without the file's name, which configparser repeats."""
-    number = getattr(error, "lineno", None) or next(iter(getattr(error, "errors", [])), (None,))[0]
-    where = f"line {number} " if number else ""
-    return f"{where}is neither a [section] nor an option of one: is it a printer.cfg?"
-
-
-def check(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """Yield the differences of a printer.cfg from a profile. Raises HframeError."""
-    for name in config.missing:
-        yield Finding(False, f"[include {name}] was not found and is not checked")
-    yield from _kinematics(config, printer)
-    yield from _steps(config, printer)
-    yield from _numbers(config, printer)
-    yield from _travel(config, printer)
-    yield from _stream(config, printer)
-
-
-def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    has = config.text("printer", "kinematics")
-    needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
-    if has != needs:
-        yield Finding(
-            True,
-            f'[printer] kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}',
-        )
-
-
-def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float, str, str, float]]:
-    """Return the numbers of the profile that printer.cfg has too.
-
-    Each is a key of the profile, its value, a section, an option and its default.
-    """
-    klipper, limits = printer.firmware.klipper, printer.limits
-    velocity = config.number("printer", "max_velocity")
-    acceleration = config.number("printer", "max_accel")
-    pairs = [("limits.z_velocity", limits.z_velocity, "printer", "max_z_velocity", velocity),
-        ("limits.z_acceleration", limits.z_acceleration, "printer", "max_z_accel", acceleration),
-        ("limits.extruder_velocity", limits.extruder_velocity,
-         "extruder", "max_extrude_only_velocity", math.nan),
-        ("limits.extruder_acceleration", limits.extruder_acceleration,
-         "extruder", "max_extrude_only_accel", math.nan),
-        ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
-         "extruder", "instantaneous_corner_velocity", 1.0),
-    ]  # fmt: skip
-    if klipper is not None and not klipper.end_macro:
-        table = "firmware.klipper"
-        pairs += [
-            (f"{table}.velocity", klipper.velocity, "printer", "max_velocity", math.nan),
-            (f"{table}.acceleration", klipper.acceleration, "printer", "max_accel", math.nan),
-            (f"{table}.square_corner_velocity", klipper.square_corner_velocity,
-             "printer", "square_corner_velocity", 5.0),
-            (f"{table}.minimum_cruise_ratio", klipper.minimum_cruise_ratio,
-             "printer", "minimum_cruise_ratio", 0.5),
-            (f"{table}.shaper_freq_x", klipper.shaper_freq_x, "input_shaper", "shaper_freq_x", 0.0),
-            (f"{table}.shaper_freq_y", klipper.shaper_freq_y, "input_shaper", "shaper_freq_y", 0.0),
-        ]  # fmt: skip
-    if (retraction := printer.retraction) is not None:
-        back = retraction.return_speed or retraction.speed
-        pairs += [
-            ("retraction.length", retraction.length, "firmware_retraction", "retract_length", 0.0),
-            ("retraction.speed", retraction.speed, "firmware_retraction", "retract_speed", 20.0),
-            ("retraction.return_speed", back, "firmware_retraction", "unretract_speed", 10.0),
-            ("retraction.extra", retraction.extra,
-             "firmware_retraction", "unretract_extra_length", 0.0),
-        ]  # fmt: skip
-    return pairs
-
-
-def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    for key, wanted, section, option, default in _repeated(config, printer):
-        has = config.number(section, option, default)
-        if math.isnan(has):
-            yield Finding(
-                False,
-                f"[{section}] {option} is missing, so Klipper chooses it: add the line "
-                f"'{option}: {wanted:g}', the profile's {key}",
-            )
-        elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
-            given = "" if config.text(section, option) else " (by default)"
-            yield Finding(True, f"[{section}] {option}: {has:g}{given}, but {key} = {wanted:g}")
-
-
-def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    expected = printer.steps.belt if printer.steps is not None else math.nan
-    for motor in ("stepper_x", "stepper_y") if printer.steps is not None else ():
-        step = config.step(motor)
-        if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
-            text = (
-                f"[{motor}] steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
-            )
-            yield Finding(True, text)
-
-
-def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    for axis in "xyz":
-        low, high = getattr(printer.travel, axis)
-        least = config.number(f"stepper_{axis}", "position_min", 0.0)
-        most = config.number(f"stepper_{axis}", "position_max")
-        for end, bound, inside in (
-            (low, f"position_min: {least:g}", low >= least - CLOSE),
-            (high, f"position_max: {most:g}", not high > most + CLOSE),
-        ):
-            if math.isfinite(end) and not inside:
-                yield Finding(
-                    True, f"[stepper_{axis}] {bound}, but travel.{axis} reaches to {end:g}"
-                )
-
-
-def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    klipper = printer.firmware.klipper
-    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
-        if name and not config.macro(name):
-            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
-    if config.text("printer", "max_accel_to_decel"):
-        yield Finding(
-            False,
-            "[printer] max_accel_to_decel belongs to an older Klipper: converted files need "
-            "MINIMUM_CRUISE_RATIO, of March 2024 or newer",
-        )
-    if config.has("skew_correction"):
-        yield Finding(False, "[skew_correction] distorts the converted motion: turn it off")
-    if not config.macro("CANCEL_PRINT"):
-        yield Finding(
-            False,
-            "[gcode_macro CANCEL_PRINT] is missing: after a cancelled print the limits of the "
-            "converted file stay in force. Run 'hframe-post klipper-macros' (docs/klipper.md)",
-        )

@@ -98,7 +98,9 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
             "velocity": velocity,
             "acceleration": acceleration,
             "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
-            "minimum_cruise_ratio": _or(config, "printer", "minimum_cruise_ratio", 0.5),
+            "minimum_cruise_ratio": _or(
+                config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
+            ),
             **_shaper(config),
         },
     }
@@ -208,7 +210,7 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
 
 
 def _shaper(config: KlipperConfig) -> dict[str, Known]:
-    keys = [f"shaper_freq_{axis}" for axis in "xy"]
+    keys = [f"shaper_freq_{axis}" for axis in "xyz"]
     found = {key: _or(config, "input_shaper", key, 0.0) for key in keys}
     return {key: known for key, known in found.items() if known.value}
 

@@ -4,17 +4,109 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+from click.testing import CliRunner
+
+from hframe_post.cli.main import main
 from tests.command_line import run
 from tests.printers import REAL
 
+MAINSAIL = """\
+[virtual_sdcard]
+path: .
+[pause_resume]
+[gcode_macro CANCEL_PRINT]
+rename_existing: CANCEL_PRINT_BASE
+gcode:
+    TURN_OFF_HEATERS
+    CANCEL_PRINT_BASE
+"""
+SAVED = """
+#*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
+#*#
+#*# [extruder]
+#*# pid_kp = 22.2
+"""
+INCLUDE = "[include hframe.cfg]\n"
 
-def test_doctor_finds_no_problem_in_a_new_profile_from_printer_cfg(tmp_path: Path) -> None:
-    made = run("setup", REAL, "-o", tmp_path, XDG_CONFIG_HOME=str(tmp_path / "config"))
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with printer.cfg and what `setup` wrote for it."""
+    folder = tmp_path_factory.mktemp("machine")
+    (folder / "mainsail.cfg").write_text(MAINSAIL)
+    config = folder / "printer.cfg"
+    config.write_text(f"[include mainsail.cfg]\n{REAL.read_text()}\n{INCLUDE}{SAVED}")
+    made = run("setup", config, "-o", folder, XDG_CONFIG_HOME=str(folder / "config"))
     assert made.returncode == 0, made.stderr
-    done = run("doctor", "-p", tmp_path / "printer.toml", "--printer-cfg", REAL)
-    assert done.returncode == 0, done.stdout
-    assert b"no problems found" in done.stdout
-    assert b"PROBLEM" not in done.stdout
+    return folder
+
+
+def findings(folder: Path) -> tuple[int, str]:
+    profile, config = str(folder / "printer.toml"), str(folder / "printer.cfg")
+    environment = {"XDG_CONFIG_HOME": str(folder / "config"), "HFRAME_PRINTER": None}
+    command = ["doctor", "-p", profile, "--printer-cfg", config]
+    done = CliRunner().invoke(main, command, env=environment)
+    assert not done.stderr
+    return done.exit_code, done.stdout
+
+
+def test_doctor_finds_no_problem_after_setup(machine: Path) -> None:
+    status, printed = findings(machine)
+    assert status == 0, printed
+    assert "no problems found" in printed
+    assert "PROBLEM" not in printed
+
+
+OLD_MACRO = "[gcode_macro CANCEL_PRINT]\ngcode:\n    HFRAME_END\n    CANCEL_PRINT_BASE\n"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "found"),
+    [
+        ("printer.cfg", SAVED, f"{SAVED}\n[fan]\n", "all that SAVE_CONFIG saved"),
+        ("printer.cfg", INCLUDE + SAVED, SAVED + INCLUDE, "all that SAVE_CONFIG saved"),
+        ("printer.cfg", INCLUDE, "", "hframe.cfg is not included"),
+        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO.replace("CANCEL", "Cancel"), "comes later"),
+        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO, "is of an older hframe-post and replaces"),
+        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO.replace("HFRAME_END", "M117"),
+         "replaces the [gcode_macro CANCEL_PRINT] of @/mainsail.cfg:6"),
+        ("hframe.cfg", "ACCEL=", "ACCEL=9", "hframe.cfg is not what this profile gives"),
+        ("printer.cfg", "max_accel: 10000", "max_accel: 3000",
+         "[printer] max_accel: 3000, but the profile has limits.acceleration = 10000"),
+        ("printer.toml", "belt_acceleration = 28284", "belt_acceleration = 50000",
+         "motors.belt_acceleration = 50000 (at most 28284), as you chose"),
+        ("printer.toml", "28284       # 28284", "50000       # 50000",
+         "motors.belt_acceleration = 50000 (at most 28284), which nobody chose"),
+        ("printer.cfg", "[input_shaper]", "[input_shaper]\nshaper_freq_z: 40",
+         "shaper_freq_z: 40, but firmware.klipper.shaper_freq_z = 0"),
+        ("config/hframe-post/config.toml", "printer.toml", "other.toml", "does not exist any more"),
+        ("config/PrusaSlicer/print/a.ini", "", "post_process = hframe-post -p o.toml",
+         "takes o.toml"),
+        ("config/PrusaSlicer/printer/a.ini", "", "printer_notes = a\\nHFRAME_PRINTER=/o.toml\\nb",
+         "takes /o.toml, not"),
+        ("config/OrcaSlicer/user/1/process/a.json", "",
+         '{"post_process": ["\\"C:\\\\x\\\\hframe-post.exe\\" -p \\"my old.toml\\";"]}',
+         "takes my old.toml, not"),
+    ],
+)  # fmt: skip
+def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, found: str) -> None:
+    path = machine / file
+    before = path.read_text() if path.exists() else None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert old in (before or "")
+    path.write_text((before or "").replace(old, new, 1))
+    status, printed = findings(machine)
+    if before is None:
+        path.unlink()
+    else:
+        path.write_text(before)
+    lines = [line for line in printed.splitlines() if found.replace("@", str(machine)) in line]
+    assert len(lines) == 1, printed
+    chosen = "as you chose" in found or "replaces the [" in found
+    assert lines[0].startswith("note" if chosen else "PROBLEM")
+    assert status == (1 if "PROBLEM" in printed else 0)
 
 
 def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
         (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),
-        (b"nonsense\n", "line 1 is neither a [section]"),
+        (b"nonsense\n", "printer.cfg:1 is neither a [section]"),
         (b"", "no section [printer]"),
     ],
 )

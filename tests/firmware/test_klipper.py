@@ -175,7 +175,7 @@ def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
     assert Klipper(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
-        b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+        b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
         b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
         b"MINIMUM_CRUISE_RATIO=0",
         b"G90",
@@ -194,9 +194,11 @@ def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
 
 def test_shaper_is_restored_where_the_user_has_one() -> None:
     lines = end(restore=replace(RESTORE, shaper_freq_x=52.5, shaper_freq_y=38.0))
-    assert lines[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=52.5 SHAPER_FREQ_Y=38"
+    assert lines[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=52.5 SHAPER_FREQ_Y=38 SHAPER_FREQ_Z=0"
     one_axis = end(restore=replace(RESTORE, shaper_freq_y=38.0))
-    assert one_axis[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=38"
+    assert one_axis[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=38 SHAPER_FREQ_Z=0"
+    z_only = end(restore=replace(RESTORE, shaper_freq_z=22.0))
+    assert z_only[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=22"
 
 
 def test_macros_replace_the_limits_and_the_shaper() -> None:

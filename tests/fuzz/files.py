@@ -13,10 +13,12 @@ import numpy as np
 from scipy.io import savemat
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.klipper.macro_check import check_macros
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.printer.klipper_cfg import KlipperConfig, check
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.klipper_check import check
 from hframe_post.printer.profile import load
 from hframe_post.studies.comparison.compare import compare
 from hframe_post.writers import step_file
@@ -74,7 +76,11 @@ def _compared(path: Path) -> object:
 def _configured(path: Path) -> object:
     config = KlipperConfig(path)
     own = profile_of(config)
-    return [*check(config, own), *check(config, load("paper"))]
+    return [
+        *check(config, own, "change it"),
+        *check(config, load("paper"), "change it"),
+        *check_macros(config, own, "write it"),
+    ]
 
 
 def _recorded(path: Path) -> object:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.klipper_cfg import KlipperConfig, check
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.klipper_check import check
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL, profile_of
@@ -20,7 +21,7 @@ def own() -> Printer:
 
 
 def wrong(path: Path, printer: Printer) -> list[str]:
-    return [each.text for each in check(KlipperConfig(path), printer) if each.wrong]
+    return [each.text for each in check(KlipperConfig(path), printer, "change it") if each.wrong]
 
 
 def changed(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -64,7 +65,9 @@ def test_each_difference_is_wrong(
     own: Printer, tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     found = wrong(changed(tmp_path, change), own)
-    assert len(found) == (1 if message else 0)
+    exceeded = [each for each in found if "which nobody chose" in each]
+    assert len(found) - len(exceeded) == (1 if message else 0)
+    assert len(exceeded) == ("max_velocity" in message or "max_accel" in message)
     assert message in "".join(found)
 
 
@@ -85,15 +88,19 @@ def test_includes_and_what_klipper_saved_are_read(own: Printer, tmp_path: Path) 
     path = changed(tmp_path)
     lines = "[include parts/*.cfg]\n[include mainsail.cfg]\n"
     path.write_text(path.read_text() + lines + saved)
-    findings = list(check(KlipperConfig(path), own))
-    assert ["max_accel: 4000" in each.text for each in findings if each.wrong] == [True, False]
-    assert any("shaper_freq_y: 40" in each.text for each in findings if each.wrong)
+    findings = list(check(KlipperConfig(path), own, "change it"))
+    limits = f"{tmp_path / 'parts' / 'limits.cfg'}:2: [printer] max_accel: 4000, but "
+    wrong = [each.text for each in findings if each.wrong]
+    assert [each.startswith(limits) for each in wrong] == [True, False, True]
+    last = f"{path}:{len(path.read_text().splitlines())}"
+    assert any(f"{last}: [input_shaper] shaper_freq_y: 40" in each for each in wrong)
     assert any("mainsail.cfg" in each.text for each in findings if not each.wrong)
 
 
-def test_a_file_that_includes_itself_ends(tmp_path: Path) -> None:
-    path = changed(tmp_path, ("[fan]", "[include printer.cfg]\n[fan]"))
-    assert KlipperConfig(path).has("printer")
+def test_a_file_that_includes_itself_is_an_error_as_in_klipper(tmp_path: Path) -> None:
+    path = changed(tmp_path, ("[fan]", "[include print*.cfg]\n[fan]"))
+    with pytest.raises(HframeError, match=r"printer\.cfg:\d+: .* includes a file in itself"):
+        KlipperConfig(path)
 
 
 @pytest.mark.parametrize(
@@ -110,4 +117,4 @@ def test_what_is_no_printer_cfg_is_an_error(tmp_path: Path, content: str) -> Non
 def test_a_number_that_is_none_is_named(tmp_path: Path) -> None:
     path = changed(tmp_path, ("max_z_accel: 500", "max_z_accel: many"))
     with pytest.raises(HframeError, match=r"\[printer\] max_z_accel: 'many'"):
-        list(check(KlipperConfig(path), load("paper")))
+        list(check(KlipperConfig(path), load("paper"), "change it"))

@@ -134,9 +134,19 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
         .replace("@acceleration", f"{player.limits.acceleration:g}")
     )
     # Klipper's own commands refuse a macro of their name that does not rename them
-    own = [] if config is None else [name for name in WRAPPERS if config.replaces(name)]
-    builtin = [] if own and config is not None and not config.has("pause_resume") else [_BUILTIN]
-    return "".join([_HEAD, *builtin, text, *map(_wrapper, WRAPPERS if builtin else own)])
+    own = _own_commands(config) if config is not None else []
+    return "".join([_HEAD, "" if own else _BUILTIN, text, *map(_wrapper, own or WRAPPERS)])
+
+
+def _own_commands(config: KlipperConfig) -> list[str]:
+    """Return the commands that macros define where Klipper's own are not configured."""
+    if any(line.path.name != FILE for line in config.lines("pause_resume")):
+        return []
+    return [
+        name
+        for name in WRAPPERS
+        if any(not config.text(section, "rename_existing") for section in config.macros(name))
+    ]
 
 
 def _wrapper(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ class Klipper:
         """Return the commands that set the stream's limits, with input shaping off."""
         limits = self.limits
         return [
-            "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+            _shaper((0.0, 0.0, 0.0)),
             _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
         ]
 
@@ -110,9 +111,9 @@ class Klipper:
         else:
             corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
             stop = [_limit(table.velocity, table.acceleration, corner, cruise)]
-            if table.shaper_freq_x or table.shaper_freq_y:
-                x, y = plain(table.shaper_freq_x, 6), plain(table.shaper_freq_y, 6)
-                stop.append(f"SET_INPUT_SHAPER SHAPER_FREQ_X={x} SHAPER_FREQ_Y={y}")
+            shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
+            if any(shaped):
+                stop.append(_shaper(shaped))
         return [line.encode() for line in [STAND, *stop, *names, *_modes(state)]]
 
     def modes_after(self, name: str) -> bytes:
@@ -203,6 +204,12 @@ class Klipper:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
+
+
+def _shaper(frequencies: Iterable[float]) -> str:
+    """Return the command for x, y and z; a Klipper that does not shape z ignores its frequency."""
+    axes = zip("XYZ", frequencies, strict=True)
+    return " ".join(["SET_INPUT_SHAPER", *(f"SHAPER_FREQ_{a}={plain(f, 6)}" for a, f in axes)])
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:

@@ -1,0 +1,183 @@
+"""Klipper's printer.cfg compared with a profile.
+
+Klipper's defaults hold here too: https://www.klipper3d.org/Config_Reference.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.settings import Printer
+from hframe_post.printer.setup import Known, as_float, motors
+
+CLOSE = 1e-3  # tolerated difference of two numbers
+
+Difference = tuple[bool, str, str, str]  # whether it is wrong, section, option, text
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A difference from the profile. wrong: the printer would not move as computed."""
+
+    wrong: bool
+    text: str
+
+
+def check(
+    config: KlipperConfig, printer: Printer, remedy: str, chosen: Collection[str] = ()
+) -> Iterator[Finding]:
+    """Yield the differences of a printer.cfg from a profile. Raises HframeError.
+
+    remedy: what to do where they differ. chosen: settings of the profile that its owner chose, such
+    as "motors.belt_acceleration".
+    """
+    for name in config.missing:
+        place = config.place(f"include {name}", "")
+        yield Finding(False, f"{place}: [include {name}] was not found and is not checked")
+    if (line := config.unsaved) is not None:
+        yield Finding(
+            True,
+            f"{line.place}: for this line Klipper ignores all that SAVE_CONFIG saved, such as "
+            "z_offset, PID and bed mesh: move it, and what follows that SAVE_CONFIG did not write, "
+            "above the block that begins with '#*# <--- SAVE_CONFIG'",
+        )
+    for wrong, section, option, text in (
+        *_kinematics(config, printer),
+        *_steps(config, printer),
+        *_numbers(config, printer),
+        *_travel(config, printer),
+        *_above(config, printer, chosen),
+    ):
+        where = f"{config.place(section, option)}: [{section}] {text}"
+        yield Finding(wrong, f"{where}: {remedy}" if wrong else where)
+    yield from _stream(config, printer)
+
+
+def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+    has = config.text("printer", "kinematics")
+    needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
+    if has != needs:
+        text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
+        yield True, "printer", "kinematics", text
+
+
+def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float, str, str, float]]:
+    """Return the numbers of the profile that printer.cfg has too.
+
+    Each is a key of the profile, its value, a section, an option and its default.
+    """
+    klipper, limits = printer.firmware.klipper, printer.limits
+    velocity = config.number("printer", "max_velocity")
+    acceleration = config.number("printer", "max_accel")
+    pairs = [("limits.z_velocity", limits.z_velocity, "printer", "max_z_velocity", velocity),
+        ("limits.z_acceleration", limits.z_acceleration, "printer", "max_z_accel", acceleration),
+        ("limits.extruder_velocity", limits.extruder_velocity,
+         "extruder", "max_extrude_only_velocity", math.nan),
+        ("limits.extruder_acceleration", limits.extruder_acceleration,
+         "extruder", "max_extrude_only_accel", math.nan),
+        ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
+         "extruder", "instantaneous_corner_velocity", 1.0),
+    ]  # fmt: skip
+    if klipper is not None and not klipper.end_macro:
+        table = "firmware.klipper"
+        pairs += [
+            (f"{table}.velocity", klipper.velocity, "printer", "max_velocity", math.nan),
+            (f"{table}.acceleration", klipper.acceleration, "printer", "max_accel", math.nan),
+            (f"{table}.square_corner_velocity", klipper.square_corner_velocity,
+             "printer", "square_corner_velocity", 5.0),
+            (f"{table}.minimum_cruise_ratio", klipper.minimum_cruise_ratio,
+             "printer", "minimum_cruise_ratio", config.cruise_ratio()),
+        ]  # fmt: skip
+        keys = [f"shaper_freq_{axis}" for axis in "xyz"]
+        pairs += [
+            (f"{table}.{key}", getattr(klipper, key), "input_shaper", key, 0.0) for key in keys
+        ]
+    if (retraction := printer.retraction) is not None:
+        back = retraction.return_speed or retraction.speed
+        pairs += [
+            ("retraction.length", retraction.length, "firmware_retraction", "retract_length", 0.0),
+            ("retraction.speed", retraction.speed, "firmware_retraction", "retract_speed", 20.0),
+            ("retraction.return_speed", back, "firmware_retraction", "unretract_speed", 10.0),
+            ("retraction.extra", retraction.extra,
+             "firmware_retraction", "unretract_extra_length", 0.0),
+        ]  # fmt: skip
+    return pairs
+
+
+def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+    for key, wanted, section, option, default in _repeated(config, printer):
+        has = config.number(section, option, default)
+        if math.isnan(has):
+            line = f"'{option}: {wanted:g}', the profile's {key}"
+            yield False, section, option, f"has no {option}, so Klipper chooses it: add {line}"
+        elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
+            given = "" if config.text(section, option) else " (by default)"
+            yield True, section, option, f"{option}: {has:g}{given}, but {key} = {wanted:g}"
+
+
+def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+    expected = printer.steps.belt if printer.steps is not None else math.nan
+    for motor in ("stepper_x", "stepper_y") if printer.steps is not None else ():
+        step = config.step(motor)
+        if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
+            text = f"steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
+            yield True, motor, "rotation_distance", text
+
+
+def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+    for axis in "xyz":
+        low, high = getattr(printer.travel, axis)
+        section = f"stepper_{axis}"
+        least = config.number(section, "position_min", 0.0)
+        most = config.number(section, "position_max")
+        for end, option, bound, inside in (
+            (low, "position_min", least, low >= least - CLOSE),
+            (high, "position_max", most, not high > most + CLOSE),
+        ):
+            if math.isfinite(end) and not inside:
+                text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
+                yield True, section, option, text
+
+
+def _above(
+    config: KlipperConfig, printer: Printer, chosen: Collection[str]
+) -> Iterator[Difference]:
+    """Yield limits above those that `setup` derives from max_velocity and max_accel."""
+    known = {key: Known(config.number("printer", key), "") for key in ("max_velocity", "max_accel")}
+    belts = motors(printer.kinematics.type, *known.values())
+    for option, key in zip(known, ("velocity", "acceleration"), strict=True):
+        limits = (
+            (f"limits.{key}", getattr(printer.limits, key), as_float(known[option])),
+            (f"motors.belt_{key}", getattr(printer.motors, f"belt_{key}"),
+             as_float(belts[f"belt_{key}"])),
+        )  # fmt: skip
+        for who in ("as you chose", "which nobody chose"):
+            above = [
+                f"{name} = {has:g} (at most {most:g})"
+                for name, has, most in limits
+                if has > (1.0 + CLOSE) * most and (name in chosen) == (who == "as you chose")
+            ]
+            if above:
+                has = config.text("printer", option)
+                text = f"{option}: {has}, but the profile has {' and '.join(above)}, {who}"
+                yield who != "as you chose", "printer", option, text
+
+
+def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    klipper = printer.firmware.klipper
+    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
+        if name and not config.macros(name):
+            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
+    if config.text("printer", "max_accel_to_decel"):
+        place = config.place("printer", "max_accel_to_decel")
+        yield Finding(
+            False,
+            f"{place}: [printer] max_accel_to_decel belongs to an older Klipper: converted files "
+            "need MINIMUM_CRUISE_RATIO, of March 2024 or newer",
+        )
+    if config.has("skew_correction"):
+        place = config.place("skew_correction", "")
+        yield Finding(False, f"{place}: [skew_correction] distorts converted motion: turn it off")
