@@ -1,27 +1,28 @@
-"""``hframe-post sweep``, and what identify and verify share with it."""
+"""``hframe-post sweep``, and what identify and verify share with it.
+
+SciPy takes a second to import, so these commands import `identification` when they run: their
+help is there at once.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.arrays import X, Y
 from hframe_post.cli.options import files_read, old_option, position, printer_option, say
-from hframe_post.identification.recordings.excitation import command_csv
-from hframe_post.identification.recordings.sweep import (
-    CHIP_NAME,
-    Run,
-    gcode,
-    positions,
-    runs,
-    summary,
-)
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import write_output
 
+if TYPE_CHECKING:
+    from hframe_post.identification.recordings.sweep import Run
+    from hframe_post.printer.settings import Printer
+
+CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 QUIET = 0.5  # s at the start of a recording in which the printer stands still
 
@@ -50,6 +51,9 @@ def write_motion(
     z: float | None,
 ) -> None:  # fmt: skip
     """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv."""
+    from hframe_post.identification.recordings.excitation import command_csv
+    from hframe_post.identification.recordings.sweep import gcode
+
     with Outputs(files_read(printer)) as outputs:
         motion = outputs.open(target)
         commands = [
@@ -94,6 +98,8 @@ def sweep(
     Example:
       hframe-post sweep -p my.toml -o sweep.gcode
     """
+    from hframe_post.identification.recordings.sweep import positions, runs, summary
+
     profile = load(printer)
     planned = [
         run

@@ -19,7 +19,6 @@ multiple of the sweep's acceleration while a run lasts. A cancelled file leaves 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -54,7 +53,6 @@ TEST_RESONANCES = (130.0, 8100.0)  # s for an axis and mm/s² at its end, by Kli
 APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of standstill before a recording, in which the sensors are set up
-CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 STATE = "hframe_post_sweep"
 HEAD = """\
 ; accelerometer runs for printer {printer}, {version}: {runs}, {total}
