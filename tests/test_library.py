@@ -149,12 +149,16 @@ def test_what_is_no_path_is_refused(paper: Printer, wrong: list[float]) -> None:
         hp.predict(wrong, paper)
 
 
-def test_mistakes_in_a_model_are_value_errors_of_the_tool(paper: Printer) -> None:
+def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> None:
     for mistake in (
         lambda: hp.TransferFunction(np.zeros(0, complex), np.array([1.2 + 0.0j]), 1.0),
         lambda: hp.Window(L=5, n_C=10, n_up=20, effort=1.0),
         lambda: hp.Lpfbs(paper.plant.Gxx, hp.Window(L=20, n_C=11, n_up=5, effort=0.0)),
         lambda: hp.compensate("a path", paper),
+        lambda: hp.Lpfbs(paper.plant.Gxx, paper.compensation.windows[0]).command(np.zeros((5, 2))),
+        lambda: hp.convert([b"G1 X1\n"], None, paper, limits="non"),  # type: ignore[arg-type]
+        lambda: hp.simulate([b"G1 X1\n"], paper, model_error=(5,)),
+        lambda: hp.tune([b"G1 X1\n"], paper, knots=(0,)),
     ):
         with pytest.raises(hp.HframeError) as raised:
             mistake()

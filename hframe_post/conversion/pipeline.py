@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import (
@@ -32,7 +32,7 @@ from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Spans
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
@@ -79,6 +79,16 @@ class Options:
     paces: Paces | None = None
     picture: bool = field(default=False, repr=False)  # these do not change the output
     shaping: Shaping | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("limits", LimitSource),
+            ("extrusion", Extrusion),
+            ("retract", Retract),
+        ):
+            given, choices = getattr(self, name), get_args(known)
+            if given is not None and given not in choices:
+                raise ArgumentError(f"{name} must be one of {', '.join(choices)}, not {given!r}")
 
     @property
     def strategies(self) -> tuple[str, ...]:

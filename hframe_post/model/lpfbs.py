@@ -120,8 +120,11 @@ class Lpfbs:
         """Return the command (n,) for a whole target x_d (n,), from rest at x_d[0].
 
         The target stands still after its end. The command has no samples before the start to lead,
-        or after the end to settle: pad x_d with standstill to get them.
+        or after the end to settle: pad x_d with standstill to get them. Raises ArgumentError for
+        another shape.
         """
+        if np.ndim(x_d) != 1:
+            raise ArgumentError(f"x_d must be (n,), it is {np.shape(x_d)}")
         if not len(x_d):
             return np.zeros(0)
         w = self.window

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import Complex
+from hframe_post.errors import ArgumentError
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 
@@ -20,8 +21,11 @@ from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
     """Return ``count`` random plants, parameters off by up to ``share`` (0.05: ±5 %), uniformly.
 
-    Equal seeds give the same printers at every share, only farther off.
+    Equal seeds give the same printers at every share, only farther off. Raises ArgumentError for
+    a share that is not from 0 to below 1.
     """
+    if not 0.0 <= share < 1.0:
+        raise ArgumentError(f"a model error is a share from 0 to below 1, not {share:g}")
     rng = np.random.default_rng(seed)
     units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
     return [perturbed(plant, 1.0 + share * unit) for unit in units]

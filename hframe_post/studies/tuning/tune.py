@@ -85,7 +85,7 @@ def candidates(
     ratio = y / x if x > 0.0 and y > 0.0 else 1.0
     grid = []
     for L, effort in product(knots, efforts):
-        n_C = -(-PREVIEW // L)
+        n_C = -(-PREVIEW // max(L, 1))
         window = Window(L, n_C, n_C // 2, effort, compensation.degree)
         grid.append((window, replace(window, effort=float(f"{ratio * effort:.4g}"))))
     return grid
