@@ -6,6 +6,7 @@ of the motors' steps. Times are Klipper's print time in seconds, lengths are mil
 """
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from .batch import CLOCK_FREQ, COMMANDS, dictionary
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+ROOT = Path(__file__).parents[2]
 TEMPLATE = Path(__file__).with_name("printer.cfg")
 BATCH = Path(__file__).with_name("batch.py")
 TIMEOUT_S = 300.0
@@ -155,7 +157,7 @@ def play(
     config.write_text(_configuration(limits or {}) + sections)
     messages.write_text(json.dumps(dictionary()))
     klippy = [config, "-i", gcode.resolve(), "-o", stream, "-d", messages, "-l", log]
-    body, print_time = _run(workdir, [str(argument) for argument in klippy], log)
+    body, print_time = run_klippy([str(BATCH)], workdir, [str(each) for each in klippy], log)
     return Playback(
         moves=np.fromfile(workdir / "toolhead.moves", MOVE),
         extruder=np.fromfile(workdir / "extruder.moves", MOVE),
@@ -171,13 +173,24 @@ def _configuration(limits: Mapping[str, float]) -> str:
     return "\n".join([TEMPLATE.read_text(), "[printer]", *lines, ""])
 
 
-def _run(workdir: Path, arguments: list[str], log: Path) -> tuple[str, float]:
-    """Run klippy; return its log after the configuration and its last print time in s."""
+def run_klippy(
+    program: list[str], workdir: Path, arguments: list[str], log: Path
+) -> tuple[str, float]:
+    """Run a program that starts klippy, such as ``batch``, with a folder and klippy's arguments.
+
+    Returns klippy's log after the configuration and its last print time in s.
+    """
     # -P keeps this folder's modules out of klippy's way.
-    command = [sys.executable, "-P", str(BATCH), str(workdir), *arguments]
+    command = [sys.executable, "-P", *program, str(workdir), *arguments]
     try:
         result = subprocess.run(
-            command, cwd=workdir, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+            command,
+            cwd=workdir,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
     except subprocess.TimeoutExpired as error:
         raise _failure(f"still busy after {TIMEOUT_S:.0f} s", _messages(log)) from error
