@@ -9,7 +9,7 @@ import pytest
 from hframe_post.errors import IdentificationError
 from tests.random_printers import drawn, identified, judged, printer, swept
 
-PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x
+PLACES = (80.0, 140.0, 200.0)  # mm of x, where `sweep` measures by default; y in the middle
 STEP = 0.0206  # mm of belt that a motor step moves
 LINEAR = 8  # the seed of a linear printer; x and y need the same delay for a good result
 WITH_STEPS = [
@@ -36,7 +36,7 @@ CAUSES = {
 def check(seed: int, step: float = 0.0) -> None:
     machine, chip, fault = drawn(seed)
     try:
-        found = identified(machine, swept(machine, chip, PLACES, PLACES[:3:2], seed, step=step))
+        found = identified(machine, swept(machine, chip, PLACES, PLACES[1:2], seed, step=step))
     except IdentificationError as error:
         refusal: str | None = str(error)
     else:

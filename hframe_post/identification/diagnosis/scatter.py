@@ -34,6 +34,7 @@ Refit = Callable[[FrequencyResponse], Modal]  # refines a model on another respo
 SAMPLES = 12
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
 MOST = 0.2  # a model that scatters by more is wrong in another way
+MODE_SCATTER, COUNTED_AS = 0.002, 4  # of a mode from run to run, relative; worth so many positions
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +194,7 @@ def find_mode_shift(
     shifts = np.abs(slope) * (right - left) > 0.01 * middle
     t = np.where(counts & shifts, np.abs(slope) / np.maximum(slope_sd, 1e-12), 0.0)
     k = int(np.argmax(t))
-    if t[k] < stats.t.isf(1e-3, len(x) - 2):
+    if t[k] < stats.t.isf(1e-3, len(x) - 2 + COUNTED_AS):
         return None
     ends = [models[int(np.argmin(x))], models[int(np.argmax(x))]]
     first, last = (end.discrete(found.printer_delay, end.gain) for end in ends)
@@ -204,10 +205,13 @@ def find_mode_shift(
 def _lines(x: Array, omega: Array) -> tuple[Array, Array, Array]:
     """Fit straight lines through omega (places, modes) over x (places,).
 
-    Return their values at the mean x, slopes, and standard deviations of the slopes.
+    Return their values at the mean x, slopes, and standard deviations of the slopes. Three places
+    lie close to any line by chance, so the scatter that is usual counts, too.
     """
     away = x - x.mean()
     middle, power = omega.mean(axis=0), float(away @ away)
     slope = away @ omega / power
     off = omega - middle - np.outer(away, slope)
-    return middle, slope, np.sqrt((off**2).sum(axis=0) / (len(x) - 2) / power)
+    usual = COUNTED_AS * (MODE_SCATTER * middle) ** 2
+    variance = (usual + (off**2).sum(axis=0)) / (COUNTED_AS + len(x) - 2)
+    return middle, slope, np.sqrt(variance / power)
