@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.dominant import Excited, dominant_modes, share_left
 from hframe_post.identification.fitting.modal import Modal
@@ -117,7 +117,7 @@ def _described(case: Case, model: Modal) -> Fit:
     gain = 1.0 if case.racking else model.gain
     G = model.discrete(printer_delay, gain)
     order = model.structure.order
-    warnings = check_order(order, over) + ([] if case.racking else check_zeros(G))
+    warnings = check_order(order, over)
     return Fit(
         G, order, residual, over, gain, model.delay - printer_delay, printer_delay,
         (earliest, latest), model, tuple(warnings),
@@ -160,24 +160,6 @@ def check_order(order: int, residual_over_noise: float) -> list[str]:
     if residual_over_noise <= UNEXPLAINED:
         return []
     return [
-        f"order {order} is too low, or the printer is not linear: the residual is "
-        f"{residual_over_noise:.1f} times what the noise explains"
+        f"a model of order {order} leaves {residual_over_noise:.1f} times what the noise explains: "
+        "the printer has more resonances, or is not linear"
     ]
-
-
-def check_zeros(G: TransferFunction) -> list[str]:
-    """Return a warning on zeros ζ outside the unit circle that no preview can cancel.
-
-    To cancel one, the command must begin earlier, by what decays as |ζ|^−k over k samples. Any
-    preview does for the zeros of sampling, which lie far outside; none does for one very near the
-    circle. Near half the sampling rate nothing is commanded, so zeros above 250 Hz do not count.
-    """
-    outside = G.zeros[np.abs(G.zeros) > 1.0 + 1e-9]
-    slow = np.abs(outside[np.abs(np.angle(outside)) < np.pi / 2.0])
-    # until 1 % is left of the lead; any window has 0.1 s to spare
-    lead = float(TS * np.log(100.0) / np.log(slow.min(initial=np.inf)))
-    message = (
-        "the model has zeros just outside the unit circle; to cancel them, commands must begin "
-        f"{1e3 * lead:.0f} ms early"
-    )
-    return [message] if lead > 0.1 else []
