@@ -50,6 +50,9 @@ class IdentificationReport:
         """Return what the user should not rely on, with the contour error that may remain."""
         identified = self.identified
         messages = [*self.findings, *identified.warnings]
+        messages += [
+            found.rocking.message(name) for name, found in identified.fits.items() if found.rocking
+        ]
         if identified.nonlinearity is not None:
             share = identified.nonlinearity.share
             messages.append(identified.nonlinearity.message + self._uncompensated(share))

@@ -20,6 +20,7 @@ from scipy import stats
 from hframe_post.arrays import Array
 from hframe_post.identification.fitting.fit import RINGS, Fit
 from hframe_post.identification.fitting.modal import Data, Modal, refine
+from hframe_post.identification.fitting.rocking import without_rocking
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
     FrequencyResponse,
@@ -197,6 +198,7 @@ def find_mode_shift(
     if t[k] < stats.t.isf(1e-3, len(x) - 2 + COUNTED_AS):
         return None
     ends = [models[int(np.argmin(x))], models[int(np.argmax(x))]]
+    ends = [without_rocking(end) for end in ends]
     first, last = (end.discrete(found.printer_delay, end.gain) for end in ends)
     hz = [float((middle[k] + slope[k] * (at - x.mean())) / (2.0 * np.pi)) for at in (left, right)]
     return ModeShift((hz[0], hz[1]), (left, right), (first, last))

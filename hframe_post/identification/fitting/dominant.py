@@ -32,7 +32,8 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 
 MOST_MODES = 4
 GAIN = (1.0, 0.3)  # of sensor and excitation together: mean and standard deviation
-DAMPING = (0.004, 0.35)
+DAMPING = (0.01, 0.35)
+LOWEST = 0.85  # of the lowest clear resonance, above which modes are sought
 INDEPENDENT_HZ = 3.0  # frequencies nearer to each other are wrong alike
 UNKNOWN = (0.05, 0.005)  # share of the response that is taken as unexplained, at first and at least
 AS_GOOD = 1.05
@@ -44,7 +45,7 @@ REACH = 0.02  # s by which the delay may differ from the rough one
 class Excited:
     """Responses of one axis where they were excited, on a common delay of nearly 0.
 
-    resonance_hz: of the lowest strong resonance.
+    resonance_hz: of the lowest clear resonance.
     """
 
     runs: Sequence[FrequencyResponse]
@@ -116,7 +117,7 @@ def _data(response: FrequencyResponse, measured: Excited, share: float) -> Data:
     count = len(hz[:: max(1, len(hz) // FREQUENCIES)])
     independent = (hz[-1] - hz[0]) / INDEPENDENT_HZ
     weight = np.sqrt(min(independent / count, 1.0)) / sd
-    modes = max(hz[0], measured.resonance_hz / 2.0), 1.5 * hz[-1]
+    modes = max(hz[0], LOWEST * measured.resonance_hz), 1.5 * hz[-1]
     prior = Prior(measured.resonance_hz)
     data = Data(hz, H, weight, modes, (-REACH, REACH), GAIN, DAMPING, prior)
     return data.thinned(FREQUENCIES)

@@ -11,6 +11,12 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.dominant import Excited, dominant_modes, share_left
 from hframe_post.identification.fitting.modal import Modal
+from hframe_post.identification.fitting.rocking import (
+    Rocking,
+    largest_rocking,
+    left_below,
+    without_rocking,
+)
 from hframe_post.identification.fitting.selection import (
     MAX_POLES,
     UNEXPLAINED,
@@ -35,7 +41,7 @@ class Fit:
     order: poles without those of the delay. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted with
     input power and coherence; residual_over_noise: the same in units of the noise. gain: of the
     sensor, not part of G. recording_delay: s, not part of G. printer_delay: s, part of G, with
-    its bounds.
+    its bounds. highest_hz: up to which modes were measured. rocking: of the frame, not part of G.
     """
 
     G: TransferFunction
@@ -48,13 +54,16 @@ class Fit:
     printer_delay_bounds: tuple[float, float]
     model: Modal
     warnings: tuple[str, ...]
+    highest_hz: float = np.inf
+    rocking: Rocking | None = None
 
     @property
     def modes(self) -> list[tuple[float, float]]:
         """Return (Hz, damping ratio) of each mode that rings, lowest first."""
-        parameters = self.model.parameters
+        parameters = without_rocking(self.model).parameters
         pairs = zip(parameters.omega / (2.0 * np.pi), parameters.zeta, strict=True)
-        return sorted((float(hz), float(zeta)) for hz, zeta in pairs if zeta < RINGS)
+        rings = [(float(hz), float(z)) for hz, z in pairs if z < RINGS and hz <= self.highest_hz]
+        return sorted(rings)
 
     def response(self, hz: Array) -> Complex:
         """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
@@ -101,8 +110,11 @@ def fit_uncalibrated(measured: Excited) -> Fit:
     model, whole = dominant_modes(measured), average(measured.runs)
     residual = share_left(model.response(whole.hz), whole, whole.power)
     G, order = model.discrete(0.0, model.gain), model.structure.order
-    nothing = (0.0, 0.0)
-    return Fit(G, order, residual, 1.0, model.gain, model.delay, 0.0, nothing, model, ())
+    rocking = left_below(measured.runs, model, measured.resonance_hz)
+    return Fit(
+        G, order, residual, 1.0, model.gain, model.delay, 0.0, (0.0, 0.0), model, (),
+        float(whole.hz[-1]), rocking,
+    )  # fmt: skip
 
 
 def _described(case: Case, model: Modal) -> Fit:
@@ -115,12 +127,13 @@ def _described(case: Case, model: Modal) -> Fit:
     printer_delay = max(model.delay - middle, 0.0)
     latest, earliest = (max(model.delay - bound, 0.0) for bound in case.delay_bounds)
     gain = 1.0 if case.racking else model.gain
-    G = model.discrete(printer_delay, gain)
-    order = model.structure.order
+    kept = without_rocking(model)
+    G = kept.discrete(printer_delay, 1.0 if case.racking else kept.gain)
+    order = kept.structure.order
     warnings = check_order(order, over)
     return Fit(
         G, order, residual, over, gain, model.delay - printer_delay, printer_delay,
-        (earliest, latest), model, tuple(warnings),
+        (earliest, latest), model, tuple(warnings), rocking=largest_rocking(model),
     )  # fmt: skip
 
 
@@ -147,7 +160,8 @@ def with_common_delay(x: Fit, y: Fit) -> tuple[Fit, Fit]:
 
 
 def _with_delay(found: Fit, delay: float) -> Fit:
-    G = found.model.discrete(delay, found.gain)
+    kept = without_rocking(found.model)
+    G = kept.discrete(delay, kept.gain)
     rest = found.model.delay - delay
     return replace(found, G=G, recording_delay=rest, printer_delay=delay)
 

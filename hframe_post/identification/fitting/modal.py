@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, optimize
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import TS, Array, Complex, Flags
 from hframe_post.identification.fitting.discrete import Term, delayed, discretize
 from hframe_post.identification.responses.frequency_response import SENSOR
 from hframe_post.model.transfer_function import TransferFunction
@@ -156,6 +156,16 @@ class Modal:
     def gain(self) -> float:
         """Return g of a position; of racking this is 0."""
         return float(self.c.sum() + self.b.sum())
+
+    def without(self, gone: Flags) -> Modal:
+        """Return the model without the modes that are flagged (modes,)."""
+        kept, lags = ~gone, np.ones(self.structure.lags, dtype=bool)
+        old = self.parameters
+        parameters = replace(old, omega=old.omega[kept], zeta=old.zeta[kept])
+        structure = replace(self.structure, modes=int(kept.sum()))
+        parts = [kept, kept, lags] if structure.speed else [kept, lags]
+        coefficients = self.coefficients[np.concatenate(parts)]
+        return replace(self, structure=structure, parameters=parameters, coefficients=coefficients)
 
     def response(self, hz: Array) -> Complex:
         """Return H at ``hz`` (k,), including gain and delay."""

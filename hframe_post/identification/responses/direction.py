@@ -75,11 +75,12 @@ def _excited(response: FrequencyResponse) -> Flags:
 
 
 def _first_resonance(hz: Array, size: Array, excited: Flags) -> float:
-    """Return the lowest frequency at which the answer peaks with half its greatest strength."""
-    smooth = np.where(excited, _smoothed(size, hz, 3.0), 0.0)
-    most = smooth.max()
-    peaks, _ = find_peaks(np.append(smooth, 0.0), height=0.5 * most, prominence=0.25 * most)
-    return float(hz[peaks[0]])
+    """Return the lowest frequency at which the answer has a clear peak."""
+    smooth = _smoothed(size, hz, 2.0)[excited]
+    octave = hz[excited] < 2.0 * hz[excited][0]
+    clear = max(0.1 * float(smooth.max()), 0.3 * float(np.median(smooth[octave])))
+    peaks, _ = find_peaks(np.append(smooth, 0.0), prominence=clear)
+    return float(hz[excited][peaks[0]])
 
 
 def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:
