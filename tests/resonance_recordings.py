@@ -39,15 +39,18 @@ def klipper(direction: tuple[float, ...] = X, **changes: Any) -> ResonanceTest:
     return replace(default, **changes)
 
 
-def recorded(machine: Machine, test: ResonanceTest, chip: Chip, seed: int) -> Recorded:
+def recorded(
+    machine: Machine, test: ResonanceTest, chip: Chip, mounting: int, seed: int, step: float = 0.0
+) -> Recorded:
     """Return a recording of the machine that plays the test, begun some tenths of a second early.
 
-    The sensor sits in any way: half of the draws are left-handed, as are many owners' axes maps.
+    mounting: seed of the way in which the sensor sits; half of the draws are left-handed, as are
+    many owners' axes maps. step: mm of belt that a motor step moves.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(mounting)
     axes = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
-    chip = replace(chip, lead=float(rng.uniform(0.15, 0.6)))
-    made = chip.record(machine, test.command(), seed)
+    chip = replace(chip, lead=float(np.random.default_rng(seed).uniform(0.15, 0.6)))
+    made = chip.record(machine, test.command(), seed, step)
     return Recorded(test, Recording(made.t, made.a @ axes.T, False), axes)
 
 

@@ -26,7 +26,7 @@ QUICK = {"hz_per_sec": 2.0, "max_freq": 100.0}
 
 def made(seed: int, kind: str, direction: tuple[float, ...], **changes: Any) -> Recorded:
     test = klipper(direction, **QUICK, **changes)
-    return recorded(linear_printer(seed), test, drawn_sensor(seed, kind), seed)
+    return recorded(linear_printer(seed), test, drawn_sensor(seed, kind), seed, seed)
 
 
 def checked(seed: int, kind: str, it: Recorded, **expected: Any) -> Found:

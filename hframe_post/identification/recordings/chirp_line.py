@@ -24,6 +24,7 @@ ROW = 3.0  # Hz between the frequencies of the coarse search
 CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
 NEAR = 3.0  # Hz around the line in which its power is looked for
 LOWEST_CENTRE = 8.0  # Hz; below it sweeping disturbs the line
+LEAST_ROWS = 8  # spectra through which a line is drawn
 CHIRP = 0.25  # score of a chirp, relative to that of its third harmonic, is more than this
 ROUNDS = 4
 
@@ -46,12 +47,15 @@ class Line:
 def find_line(a: Array, rate: float) -> Line:
     """Return the brightest line in a signal (n, k) with ``rate`` samples a second."""
     size, hop = round(FRAME * rate), round(HOP * rate)
+    if len(a) < 4 * size:
+        return Line(1.0, 0.0, 0.0, 0.0, 0.0)
     frames = sliding_window_view(a, size, axis=0)[::hop] * hann(size, sym=False)
     power = (np.abs(rfft(frames, axis=-1)) ** 2).sum(axis=1).T
     hz = rfftfreq(size, 1.0 / rate)
     inside = (hz >= LINE_HZ[0]) & (hz <= LINE_HZ[1])
     hz, power = hz[inside], power[inside]
-    contrast = power / np.maximum(np.median(power, axis=1, keepdims=True), 1e-300)
+    floor = 1e-9 * float(power.max()) + 1e-300
+    contrast = power / np.maximum(np.median(power, axis=1, keepdims=True), floor)
     score, slope, origin = _brightest(hz, contrast)
     t = (np.arange(power.shape[1]) * hop + size / 2.0) / rate
     origin += t[0]
@@ -96,13 +100,14 @@ def _fitted(line: Line, t: Array, hz: Array, power: Array, contrast: Array) -> L
             share = power[low:high, k]
             place = float((share * hz[low:high]).sum() / max(float(share.sum()), 1e-300))
             seen.append((t[k], place, centre, float(contrast[low:high, k].max())))
-    rows = np.array(seen)
-    clear = rows[rows[:, 3] > CLEAR]
-    if len(clear) < 8:
+    clear = np.array([row for row in seen if row[3] > CLEAR])
+    if len(clear) < LEAST_ROWS:
         return line
     fit = clear[
         (clear[:, 2] > min(LOWEST_CENTRE, clear[-1, 2] / 2.0)) & (clear[:, 2] < hz[-1] - near)
     ]
+    if len(fit) < LEAST_ROWS:
+        return line
     weight = np.ones(len(fit))
     columns = np.column_stack([fit[:, 0], np.ones(len(fit))])
     slope, offset = line.slope, -line.slope * line.origin
@@ -110,5 +115,7 @@ def _fitted(line: Line, t: Array, hz: Array, power: Array, contrast: Array) -> L
         slope, offset = np.linalg.lstsq(columns * weight[:, None], fit[:, 1] * weight)[0]
         miss = fit[:, 1] - columns @ (slope, offset)
         weight = 1.0 / np.hypot(1.0, miss / (1.5 * np.median(np.abs(miss)) + 1e-9))
+    if not SLOPES[0] < slope < SLOPES[1]:
+        return line
     first, last = (float(f) for f in clear[[0, -1], 2])
     return Line(float(slope), float(-offset / slope), first, last, line.score)

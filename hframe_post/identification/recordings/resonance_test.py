@@ -48,6 +48,11 @@ DEFAULTS: dict[str, dict[str, float]] = {
     },
 }  # fmt: skip
 """Values of options that printer.cfg leaves out, by firmware."""
+BOUNDS = {
+    "min_freq": (1.0, 300.0), "max_freq": (1.0, 300.0), "hz_per_sec": (0.05, 20.0),
+    "accel_per_hz": (0.1, 10000.0), "sweeping_accel": (0.1, 100000.0),
+    "sweeping_period": (0.05, 60.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,16 +97,23 @@ class ResonanceTest:
             key: overrides.get(key, config.number(SECTION, key, default))
             for key, default in DEFAULTS[firmware].items()
         }
-        for key, value in values.items():
-            if not (0.0 < value < 1e6 or (value == 0.0 and key == "sweeping_period")):
-                raise IdentificationError(f"[{SECTION}] {key}: {value:g} is not possible")
+        for key, (low, high) in BOUNDS.items():
+            value = values[key]
+            if not (low <= value <= high or (value == 0.0 and key == "sweeping_period")):
+                raise IdentificationError(
+                    f"[{SECTION}] {key} is {value:g}; it must be {low:g} to {high:g}"
+                )
         if values["max_freq"] < values["min_freq"]:
-            raise IdentificationError(f"[{SECTION}] max_freq is below min_freq")
+            raise IdentificationError(
+                f"[{SECTION}] max_freq {values['max_freq']:g} is below min_freq "
+                f"{values['min_freq']:g}"
+            )
+        stop_accel = config.number("printer", "max_accel", STOP_ACCEL)
         return cls(
             tuple(float(d) / length for d in direction),
             probe_points(config)[0] if point is None else point,
             **values,
-            stop_accel=config.number("printer", "max_accel", STOP_ACCEL),
+            stop_accel=stop_accel if stop_accel > 0.0 else STOP_ACCEL,
             around_point=firmware == "klipper before 2024-12",
         )
 
