@@ -151,7 +151,7 @@ def identify(
             plant, error = found.plant(middle), found.model_error
             compensation = None
             if found.refusal is None:
-                compensation = recommend(plant, profile, error, found.plants_at_ends(middle))
+                compensation = recommend(plant, profile, error, found.other_plants(middle))
             report = IdentificationReport(found, plant, compensation, reader.setup, reader.findings)
             write_json(report.as_json())
             if html is not None:

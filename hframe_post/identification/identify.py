@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from hframe_post.identification.diagnosis.scatter import (
     refit_calibrated,
     session_uncertainty,
 )
-from hframe_post.identification.fitting.dominant import Excited, refined
+from hframe_post.identification.fitting.dominant import Excited, refined, share_left
 from hframe_post.identification.fitting.fit import (
     Fit,
     fit,
@@ -63,6 +64,8 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
+SAME_PLACE = 5.0  # mm
+LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
 AXIS = {"Gxx": "x", "Gyy": "y"}
 RIGID = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
 
@@ -99,13 +102,26 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
+class Repetition:
+    """What two or more recordings of an axis at one place tell of each other.
+
+    share: of the answer that one does not foresee of another, by the root of 2, so that it is
+    what each has of its own. functions: the transfer function of each.
+    """
+
+    share: float
+    functions: tuple[TransferFunction, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Identified:
     """What was identified.
 
     measured, fits, uncertainties: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
     runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
-    noise. mode_shift: how Gxx changes along x. lever_arm_sd: standard deviations of x_c (mm) and
+    noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
+    more than once at one place. lever_arm_sd: standard deviations of x_c (mm) and
     of racking (relative), if racking was found by the lever arm.
     """
 
@@ -119,13 +135,17 @@ class Identified:
     nonlinearity: Nonlinearity | None
     uncertainties: dict[str, Uncertainty]
     lever_arm_sd: tuple[float, float] | None
+    repetitions: dict[str, Repetition]
 
     @property
     def model_error(self) -> float:
+        """Return the uncertainty of the model; what changes from day to day is assumed, unless
+        every axis was recorded more than once."""
         shares = [one.share for name, one in self.uncertainties.items() if name != "Gxtheta"]
         if self.lever_arm_sd is not None:
             shares.append(min(2.0 * self.lever_arm_sd[1], MOST))
-        return max(DAY_TO_DAY, *shares)
+        known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
+        return max(LEAST_CHANGE if known else DAY_TO_DAY, *shares)
 
     @property
     def gains(self) -> dict[str, float]:
@@ -174,10 +194,20 @@ class Identified:
         Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
         return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
 
-    def plants_at_ends(self, x_c: float) -> list[Plant]:
-        """Return the plants at the least and the greatest x of a printer that changes along x."""
+    def other_plants(self, x_c: float) -> list[Plant]:
+        """Return plants that were measured, too, and must be compensated as well.
+
+        Those at the least and the greatest x of a printer that changes along x, and those of
+        single recordings.
+        """
         plant = self.plant(x_c)
-        return [replace(plant, Gxx=G) for G in self.mode_shift.at_ends] if self.mode_shift else []
+        others = [replace(plant, Gxx=G) for G in self.mode_shift.at_ends] if self.mode_shift else []
+        for name, repetition in self.repetitions.items():
+            x = name == "Gxx"
+            others += [
+                replace(plant, Gxx=G) if x else replace(plant, Gyy=G) for G in repetition.functions
+            ]
+        return others
 
 
 @one_blas_thread()
@@ -222,9 +252,11 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     uncertainties = {
         name: _uncertainty(measured[name], found, settings) for name, found in fits.items()
     }
+    repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
+    repetitions = {name: one for name, one in repeated.items() if one is not None}
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
-        mode_shift, nonlinearity, uncertainties, lever_arm_sd,
+        mode_shift, nonlinearity, uncertainties, lever_arm_sd, repetitions,
     )  # fmt: skip
 
 
@@ -315,6 +347,25 @@ def _uncertainty(measured: Measured, found: Fit, settings: Settings) -> Uncertai
         return model_uncertainty(found, measured.runs, settings.band_hz)
     refit = _refit(measured, found, settings)
     return session_uncertainty(found.model, [refit(run) for run in measured.runs])
+
+
+def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetition | None:
+    """Compare recordings of the place that was recorded most often; None if none was repeated.
+
+    Runs of our own sweep follow one another within minutes, which tells nothing of a day.
+    """
+    excited = measured.excited(settings.band_hz)
+    if excited is None:
+        return None
+    places = np.array([place for place, _ in measured.places])
+    near = max((np.abs(places - place) < SAME_PLACE for place in places), key=np.count_nonzero)
+    if np.count_nonzero(near) < 2:
+        return None
+    runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
+    shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
+    refit = _refit(measured, found, settings)
+    functions = tuple(model.discrete(0.0, model.gain) for model in map(refit, runs))
+    return Repetition(float(np.mean(shares)) / math.sqrt(2.0), functions)
 
 
 def _find_nonlinearity(

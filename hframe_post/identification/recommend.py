@@ -22,12 +22,12 @@ from hframe_post.studies.tuning.tune import candidates, recommended, tune
 class Recommendation:
     """The windows of x and y for an identified plant, and their predicted effect.
 
-    rms_at_ends: contour error in µm RMS at the ends of x, for a printer that changes along x.
+    rms_of_others: contour error in µm RMS of other plants that were measured, too.
     """
 
     windows: tuple[Window, Window]
     predicted: SimulationReport
-    rms_at_ends: list[float]
+    rms_of_others: list[float]
 
     def rms(self, strategy: str) -> float:
         """Return the predicted contour error of the rectangle, µm."""
@@ -55,16 +55,16 @@ class Recommendation:
 
 @one_blas_thread()
 def recommend(
-    plant: Plant, profile: Printer, model_error: float, plants_at_ends: Sequence[Plant] = ()
+    plant: Plant, profile: Printer, model_error: float, others: Sequence[Plant] = ()
 ) -> Recommendation | None:
     """Return the best windows for ``plant`` on the machine of ``profile``.
 
     model_error: share by which the printer may differ from the plant; the windows are judged on ten
-    random printers that differ by as much, and on ``plants_at_ends``. None if the motors can
+    random printers that differ by as much, and on ``others``. None if the motors can
     follow no window, or if one of these printers would be worse off than without compensation.
     """
     updated = replace(profile, plant=plant, name="the identified printer")
-    printers = [*draws(plant, model_error, 10, seed=0), *plants_at_ends]
+    printers = [*draws(plant, model_error, 10, seed=0), *others]
     trials = tune(rectangle(updated), updated, candidates(updated.compensation), printers)
     best = recommended(trials, updated.motors)
     if best is None:
@@ -82,5 +82,5 @@ def recommend(
         return None
     rms = [1e3 * error for error in similar.rms("racking")]
     return Recommendation(
-        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(plants_at_ends) :]
+        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(others) :]
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from hframe_post.arrays import TS
 from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.identify import Identified, Measured
+from hframe_post.identification.identify import AXIS, Identified, Measured
 from hframe_post.identification.recommend import Recommendation
 from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.plant import Plant
@@ -62,7 +62,7 @@ class IdentificationReport:
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
                 + self._error_at_ends()
             )
-        elif along_x > 0.2:
+        elif along_x > 0.2 and "Gxx" not in identified.repetitions:
             messages.append(
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)
@@ -89,10 +89,28 @@ class IdentificationReport:
         return f". Up to {share * none:.0f} of the {none:.0f} µm without compensation may remain"
 
     def _error_at_ends(self) -> str:
-        if self.compensation is None or not self.compensation.rms_at_ends:
+        if self.compensation is None or not self.compensation.rms_of_others:
             return ""
-        worst = max(self.compensation.rms_at_ends)
+        worst = max(self.compensation.rms_of_others[:2])
         return f". At the ends of x the rectangle's contour error would be {worst:.0f} µm"
+
+    def _repetitions(self) -> list[str]:
+        repeated = self.identified.repetitions
+        if not repeated:
+            return []
+        parts = ", ".join(
+            f"{AXIS[name]} to {100 * one.share:.0f} % of its answer"
+            for name, one in repeated.items()
+        )
+        if self.compensation is None:
+            return [parts]
+        count = sum(len(one.functions) for one in repeated.values())
+        errors = self.compensation.rms_of_others[-count:]
+        none = self.compensation.rms("none")
+        return [
+            f"{parts}; as it was in single recordings, the rectangle keeps "
+            f"{min(errors):.1f} to {max(errors):.1f} of {none:.1f} µm"
+        ]
 
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
@@ -109,6 +127,7 @@ class IdentificationReport:
             rows.append(("x_c", f"{self.plant.x_c:.2f} mm{measured}"))
         rows.append(("sensor", self._sensor()))
         rows += [("uncertainty", text) for text in self._uncertainties()]
+        rows += [("repeats", text) for text in self._repetitions()]
         rows += self.compensation.rows() if self.compensation else []
         rows += [("note", text) for text in self.notes()]
         rows += [("WARNING", text) for text in self.warnings()]
@@ -127,7 +146,11 @@ class IdentificationReport:
         found = self.identified
         lines = []
         for name, one in found.uncertainties.items():
-            hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd in one.hz)
+            if not any(one.hz):
+                lines.append(f"{name}: a single recording does not tell")
+                continue
+            large = zip(one.hz, one.importance, strict=True)
+            hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd, size in large if size > 0.02)
             lines.append(f"{name}: modes {hz}; gain ±{200.0 * one.gain:.2f} %")
         if found.lever_arm_sd is not None:
             x_c, size = found.lever_arm_sd
@@ -146,6 +169,7 @@ class IdentificationReport:
             "functions": {name: self._function(name) for name in identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": identified.x_c is not None},
             "uncertainty": uncertainty,
+            "repeats": {name: round(one.share, 4) for name, one in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),
             "setup": self.setup,
