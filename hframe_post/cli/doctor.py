@@ -12,13 +12,13 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import chosen_printer, old_option, printer_option
+from hframe_post.cli.options import chosen_printer, old_option, printer_option, quoted
 from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macro_check import check_macros
 from hframe_post.firmware.klipper.macros import FILE
-from hframe_post.printer.choice import choose
+from hframe_post.printer.choice import VARIABLE, choose
 from hframe_post.printer.edit import changed_by_hand
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.klipper_check import Finding, check
@@ -129,10 +129,12 @@ def _check_profile(findings: _Findings, printer: str, config: Path | None) -> No
             "has written your printer's: see docs/identify.md"
         )
     if printer in shipped():
-        findings.note(
-            f"{printer} comes with hframe-post and is not your printer: run "
-            "'hframe-post printers new', then see docs/identify.md"
+        tell = findings.note if config is None else findings.problem
+        tell(
+            f"{printer} comes with hframe-post and is not your printer: run 'hframe-post setup "
+            f"{quoted(config or 'printer.cfg')}'"
         )
+        return
     _check_hooks(findings, printer)
     if config is None:
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
@@ -149,45 +151,47 @@ def _check_profile(findings: _Findings, printer: str, config: Path | None) -> No
 
 
 def _differences(config: KlipperConfig, profile: Printer, name: str) -> Iterator[Finding]:
-    if name in shipped():
-        remedy = f"make your own profile with 'hframe-post setup {config.path}'"
-        yield from check(config, profile, remedy)
-        return
     path = Path(name)
-    made_by_setup = path.name == PROFILE
-    folder = "" if path.absolute().parent == Path.cwd() else f" -o {path.parent}"
-    again = f"run 'hframe-post setup {config.path}{folder}' again"
-    remedy = again if made_by_setup else f"change it there or in {name}"
+    if path.name == PROFILE:
+        here = path.absolute().parent == Path.cwd()
+        folder = "" if here else f" -o {quoted(path.parent)}"
+        remedy = again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
+    else:
+        remedy = f"change it there or in {name}"
+        again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
     yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
-    if not made_by_setup:
-        again = f"run 'hframe-post klipper-macros -p {name} > {FILE}'"
     if profile.firmware.dialect == "klipper":
         yield from check_macros(config, profile, again)
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:
     """Report which profile the slicers use, where it is another than the one that is checked."""
+    found, line = list(presets()), f"{VARIABLE}={Path(printer).absolute()}"
+    named = [preset for preset in found if _same(preset.profile, printer)]
+    for preset in found:
+        if not preset.profile or preset in named:
+            findings.ok(f"{preset.place}: this preset of a slicer runs hframe-post")
+            continue
+        text = f"{preset.place}: this preset of a slicer takes {preset.profile}, not {printer}"
+        if named:
+            findings.note(f"{text}: is it of another printer?")
+        else:
+            findings.problem(
+                f"{text}: change it. If it is of another printer, write {line} into the notes of "
+                "this one"
+            )
     try:
         default = choose(None, os.environ)
     except HframeError as error:
         findings.problem(str(error))
         return
-    if not _same(default.profile, printer):
+    if not named and not _same(default.profile, printer):
         findings.problem(
-            f"a command without -p, such as the line in a slicer, takes {default.profile} "
-            f"({default.why}), not {printer}: run 'hframe-post use {printer}'"
+            f"a command without -p, such as the one in a slicer, takes {default.profile} "
+            f"({default.why}), not {printer}: run 'hframe-post use {quoted(printer)}', or write "
+            f"{line} into the notes of the slicer's printer"
         )
-    for preset in presets():
-        if preset.profile and not _same(preset.profile, printer):
-            findings.problem(
-                f"{preset.place}: this slicer's preset takes {preset.profile}, not {printer}: "
-                "change it, or check that profile with 'hframe-post doctor -p'"
-            )
-        else:
-            findings.ok(f"{preset.place}: this slicer's preset runs hframe-post")
 
 
 def _same(one: str, other: str) -> bool:
-    if one in shipped() or other in shipped():
-        return one == other
     return Path(one).resolve() == Path(other).resolve()

@@ -140,6 +140,11 @@ def say(text: str) -> None:
         click.echo(text, err=True)
 
 
+def quoted(path: str | Path) -> str:
+    """Return a path as a shell takes it."""
+    return f'"{path}"' if " " in str(path) else str(path)
+
+
 def files_read(*names: str | Path | None) -> list[Path]:
     """Return the files among names of sources and profiles."""
     return [Path(name) for name in names if name is not None and Path(name).is_file()]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, as_float, motors
+from hframe_post.printer.setup import Known, as_float, extruder, motors
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 
@@ -40,8 +40,8 @@ def check(
     if (line := config.unsaved) is not None:
         yield Finding(
             True,
-            f"{line.place}: for this line Klipper ignores all that SAVE_CONFIG saved, such as "
-            "z_offset, PID and bed mesh: move it, and what follows that SAVE_CONFIG did not write, "
+            f"{line.place}: because of this line Klipper ignores all that SAVE_CONFIG saved, such "
+            "as z_offset, PID and bed mesh: move it, and all else that SAVE_CONFIG did not write, "
             "above the block that begins with '#*# <--- SAVE_CONFIG'",
         )
     for wrong, section, option, text in (
@@ -64,20 +64,24 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]
         yield True, "printer", "kinematics", text
 
 
+def _speed_and_acceleration(config: KlipperConfig) -> tuple[float, float]:
+    return config.number("printer", "max_velocity"), config.number("printer", "max_accel")
+
+
 def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float, str, str, float]]:
     """Return the numbers of the profile that printer.cfg has too.
 
     Each is a key of the profile, its value, a section, an option and its default.
     """
     klipper, limits = printer.firmware.klipper, printer.limits
-    velocity = config.number("printer", "max_velocity")
-    acceleration = config.number("printer", "max_accel")
+    velocity, acceleration = _speed_and_acceleration(config)
+    filament = extruder(config, Known(velocity, ""), Known(acceleration, ""))
     pairs = [("limits.z_velocity", limits.z_velocity, "printer", "max_z_velocity", velocity),
         ("limits.z_acceleration", limits.z_acceleration, "printer", "max_z_accel", acceleration),
         ("limits.extruder_velocity", limits.extruder_velocity,
-         "extruder", "max_extrude_only_velocity", math.nan),
+         "extruder", "max_extrude_only_velocity", as_float(filament["extruder_velocity"])),
         ("limits.extruder_acceleration", limits.extruder_acceleration,
-         "extruder", "max_extrude_only_accel", math.nan),
+         "extruder", "max_extrude_only_accel", as_float(filament["extruder_acceleration"])),
         ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
          "extruder", "instantaneous_corner_velocity", 1.0),
     ]  # fmt: skip
@@ -146,11 +150,14 @@ def _above(
     config: KlipperConfig, printer: Printer, chosen: Collection[str]
 ) -> Iterator[Difference]:
     """Yield limits above those that `setup` derives from max_velocity and max_accel."""
-    known = {key: Known(config.number("printer", key), "") for key in ("max_velocity", "max_accel")}
-    belts = motors(printer.kinematics.type, *known.values())
-    for option, key in zip(known, ("velocity", "acceleration"), strict=True):
+    speed, acceleration = (Known(value, "") for value in _speed_and_acceleration(config))
+    belts = motors(printer.kinematics.type, speed, acceleration)
+    for option, key, known in (
+        ("max_velocity", "velocity", speed),
+        ("max_accel", "acceleration", acceleration),
+    ):
         limits = (
-            (f"limits.{key}", getattr(printer.limits, key), as_float(known[option])),
+            (f"limits.{key}", getattr(printer.limits, key), as_float(known)),
             (f"motors.belt_{key}", getattr(printer.motors, f"belt_{key}"),
              as_float(belts[f"belt_{key}"])),
         )  # fmt: skip

@@ -88,7 +88,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
             "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
             "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
             "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
-            **_extruder(config, velocity, acceleration),
+            **extruder(config, velocity, acceleration),
         },
         "motors": motors(kinematics, velocity, acceleration),
         "steps": _steps(config),
@@ -160,7 +160,7 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     return Known((low, high), f"position_min and position_max of [{section}]")
 
 
-def _extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
+def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
     """Return the limits of filament; those not given as Klipper computes them.
 
     Klipper lets the extruder follow a move whose line is max_extrude_cross_section (mm²) thick.
@@ -185,10 +185,11 @@ def _extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> di
 
 
 def _steps(config: KlipperConfig) -> dict[str, Known]:
-    """Return mm per step of each motor; nothing if one of them cannot be computed."""
+    """Return mm per step of each motor; nothing if one cannot be computed or x and y differ."""
     sections = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
     sizes = {name: config.step(section) for name, section in sections.items()}
-    if not all(1e-6 <= size <= 10.0 for size in sizes.values()):
+    same = math.isclose(sizes["belt"], config.step("stepper_y"), rel_tol=0.01)  # for x and y
+    if not same or not all(1e-6 <= size <= 10.0 for size in sizes.values()):
         return {}
     found = {
         name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]")

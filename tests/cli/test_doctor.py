@@ -110,7 +110,9 @@ def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, fo
 
 
 def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:
-    done = run("doctor", "-p", "example-corexy", "--printer-cfg", REAL)
+    other = tmp_path / "other.toml"
+    other.write_text('extends = "example-corexy"\n')
+    done = run("doctor", "-p", other, "--printer-cfg", REAL)
     assert done.returncode == 1
     assert done.stdout.count(b"PROBLEM") == int(done.stdout.split()[-2])
     assert b"max_z_velocity: 20, but limits.z_velocity = 15" in done.stdout

@@ -55,8 +55,10 @@ def _replaced(config: KlipperConfig, name: str, own: str) -> Iterator[Finding]:
             )
     if name == "CANCEL_PRINT" and own in sections and sections[-1] != own:
         later = config.place(sections[-1], "")
+        included = f"include {FILE}"
+        here = config.place(included if config.has(included) else own, "")
         yield Finding(
             True,
-            f"{config.place(own, '')}: [{sections[-1]}] at {later} comes later, so its moves run "
-            f"with the limits of the converted file: {LAST}",
+            f"{here}: [{sections[-1]}] at {later} comes later, so its moves run with the limits "
+            f"of the converted file: {LAST}",
         )
