@@ -62,6 +62,7 @@ class FirmwareChoice(click.Choice[str]):
 
 @click.command()
 @click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
+@click.argument("more", nargs=-1, metavar="")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
     help="Output file; '-' for standard output. Default: replace the input.",
@@ -114,7 +115,7 @@ class FirmwareChoice(click.Choice[str]):
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def convert(
-    source: Path, output: Path | None, format_name: str | None, printer: str,
+    source: Path, more: tuple[str, ...], output: Path | None, format_name: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: LimitSource,
     extrusion: Extrusion | None, on_limit: str, force: bool, tolerance: float | None,
     retract: Retract, predict: str, max_error: dict[str, float] | None,
@@ -132,6 +133,11 @@ def convert(
       hframe-post in.gcode -o out.gcode -p my.toml
       hframe-post in.gcode --report report.html
     """
+    if more:
+        raise click.UsageError(
+            f"one file at a time: for another output use -o {more[0]}, for many files "
+            "'hframe-post batch'"
+        )
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file is not None and report_file.suffix == ".html"
     if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:

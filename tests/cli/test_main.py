@@ -155,6 +155,12 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     assert run(*arguments).returncode == 2
 
 
+def test_a_second_file_is_answered_with_the_option_for_the_output(part: Path) -> None:
+    done = run(part, "out.gcode")
+    assert done.returncode == 2
+    assert b"use -o out.gcode" in done.stderr
+
+
 def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None:
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2
