@@ -167,8 +167,6 @@ def convert(
     """
     if firmware is not None:
         printer = profile.played_by(printer, firmware)
-    if force:
-        printer = replace(printer, invented=False)
     chosen = strategy_of(strategy or printer.compensation.strategy).name
     reported = ("none", chosen) if predict is None else predict
     path = Path(source) if isinstance(source, str | Path) else None
@@ -194,14 +192,15 @@ def convert(
         page_file = outputs.open(Path(page)) if page is not None else None
         lines = _lines_of(source, opened, outputs)
         written = files.Target(outputs, output, path) if target is not None else None
-        report = files.convert(_counted(lines, progress), written, printer, options, kind, jobs)
+        counted = _counted(lines, progress)
+        report = files.convert(counted, written, printer, options, kind, jobs, force)
         if fastest is not None:
             report = replace(
                 report, speed=speed_as_json(fastest), speed_text=speed_as_text(fastest)
             )
         if page_file is not None:
             name = title or (path.name if path else "print")
-            summary = [*notes, *report.as_text().splitlines()]
+            summary = report.summary(notes).splitlines()
             page_file.write(print_page(report, _again(source)(), printer, options, name, summary))
     return report
 

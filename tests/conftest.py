@@ -8,9 +8,10 @@ import tempfile
 
 # The configuration of whoever runs the tests must not matter.
 os.environ["XDG_CONFIG_HOME"] = os.path.join(tempfile.gettempdir(), "hframe-post-tests")
-os.environ["HFRAME_PRINTER"] = ""
+os.environ["HFRAME_PRINTER"] = os.path.join(os.path.dirname(__file__), "measured.toml")
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,7 @@ settings.register_profile(
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parent.parent
+MEASURED = ROOT / "tests" / "measured.toml"
 SAMPLES = ROOT / "sample_gcode"
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -66,7 +68,8 @@ def blas_in_one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def paper() -> Printer:
-    return load("paper")
+    """Return the paper's printer, as if it had been measured here."""
+    return replace(load("paper"), invented=False)
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from hframe_post.paper.results import path
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.writers.files import Outputs
-from tests.conftest import SAMPLES
+from tests.conftest import MEASURED, SAMPLES
 
 DESCRIPTORS = (property, classmethod, staticmethod)
 VERBS = """Add Certify Check Compensate Compute Convert Find Identify Load Predict Raise Read
@@ -183,8 +183,8 @@ def test_another_printer_is_another_prediction(paper: Printer) -> None:
 # ---------------------------------------------------------------------- files
 
 
-def test_convert_is_what_the_command_line_does(paper: Printer, tmp_path: Path) -> None:
-    report = hp.convert(RECTANGLE, tmp_path / "by_library.gcode", paper)
+def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:
+    report = hp.convert(RECTANGLE, tmp_path / "by_library.gcode", hp.load_printer(MEASURED))
     arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q"]
     subprocess.run([*arguments, "-o", str(tmp_path / "by_tool.gcode")], check=True)
     assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()

@@ -153,10 +153,12 @@ def convert(
         _check_tolerance(tolerance, kind, profile, firmware)
     choice = chosen_printer()
     name_in_slicer = os.environ.get(OUTPUT_NAME)
-    head = [choice.as_text(), verification_as_text(profile)]
+    head = [choice.as_text(), *verification_as_text(profile)]
+    # the paper's printer may be shown, but not in place: so do slicers what they print
+    force = force or (choice.demonstrates and output is not None and name_in_slicer is None)
     if name_in_slicer:
         head.insert(0, f"file             {one_line(name_in_slicer)}")
-    warnings = slicer_warnings(os.environ, profile.limits)
+    head += slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
     with (
         Outputs(files_read(source, printer)) as outputs,
@@ -184,7 +186,7 @@ def convert(
             jobs=jobs or processor_count(),
             page=report_file if html else None,
             title=one_line(Path(name_in_slicer or source).name),
-            notes=[*head, *warnings],
+            notes=head,
             outputs=outputs,
             progress=advance,
         )
@@ -194,7 +196,7 @@ def convert(
             share = 100.0 * spent / total
             log(f"  {stage:12s}{spent:8.3f} s of the processor{share:6.1f} %")
         write_json({**choice.as_json(), **report.as_json()})
-        text = "\n".join([*head, report.as_text(), *warnings])
+        text = report.summary(head)
         if text_file is not None:
             text_file.write(text.encode() + b"\n")
     log("all files are written")

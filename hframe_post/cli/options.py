@@ -67,7 +67,7 @@ def chosen_printer() -> Choice:
 printer_option = click.option(
     "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
     help="Printer profile: the name of a shipped one, or a TOML file. Default: the variable "
-    "HFRAME_PRINTER, then the profile set with 'hframe-post use', then 'paper'.",
+    "HFRAME_PRINTER, then the profile that 'hframe-post setup' or 'use' made the default.",
 )  # fmt: skip
 
 compensation_option = click.option(

@@ -15,7 +15,7 @@ from hframe_post.cli.options import files_read
 from hframe_post.errors import PrinterError
 from hframe_post.paper import plots, results, tables
 from hframe_post.paper.widths import widths
-from hframe_post.printer.choice import FALLBACK
+from hframe_post.printer.choice import DEMONSTRATIONS
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option(
-    "-p", "--printer", default=FALLBACK, show_default=True, metavar="NAME|FILE",
+    "-p", "--printer", default=DEMONSTRATIONS[0], show_default=True, metavar="NAME|FILE",
     help="Another printer's profile, shipped or in a TOML file.",
 )  # fmt: skip
 @click.option(

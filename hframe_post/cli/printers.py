@@ -14,7 +14,7 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
 from hframe_post.printer.profile import load, parse, shipped
-from hframe_post.printer.setup import CLOCK, JERK, Known, Tables, as_float, motors, profile_text
+from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, jerk, motors, profile_text
 from hframe_post.writers.files import Outputs
 
 ANSWER = "your answer"
@@ -101,7 +101,7 @@ def _asked() -> Tables:
     limits = {
         "velocity": velocity,
         "acceleration": acceleration,
-        "jerk": JERK,
+        "jerk": jerk(acceleration),
         "square_corner_velocity": _number("Speed in a square corner (mm/s)", 5.0),
         "z_velocity": _number("Maximum speed of z (mm/s; M203 Z)", 5.0),
         "z_acceleration": _number("Maximum acceleration of z (mm/s²; M201 Z)", 100.0),
@@ -135,8 +135,9 @@ def _marlin(limits: dict[str, Known]) -> dict[str, Known]:
     deviation = _number("Junction deviation (mm; M205 J; 0 if M205 shows X and Y instead)", 0.08, 0)
     corners = {"junction_deviation": deviation}
     if not deviation.value:
-        jerk = as_float(_number("Jerk of x and y (mm/s; M205 X Y)", 8.0))
-        corners = {"jerk": Known((jerk, jerk), ANSWER), "jerk_e": _number("M205 E (mm/s)", 5.0)}
+        instant = as_float(_number("Jerk of x and y (mm/s; M205 X Y)", 8.0))
+        of_filament = _number("Jerk of filament (mm/s; M205 E)", 5.0)
+        corners = {"jerk": Known((instant, instant), ANSWER), "jerk_e": of_filament}
     return {
         "max_velocity": Known((velocity, velocity), ANSWER),
         "max_acceleration": Known((greatest, greatest), ANSWER),
@@ -192,6 +193,8 @@ def use(profile: str | None, forget: bool) -> None:
         raise click.UsageError("--forget takes no profile")
     if forget:
         config_file().unlink(missing_ok=True)
+        click.echo("no profile is the default now")
+        return
     if profile is not None:
         load(profile)  # raises before anything is written
         set_default(profile if profile in shipped() else os.path.abspath(profile))

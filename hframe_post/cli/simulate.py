@@ -22,7 +22,6 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.state import Extrusion, LimitSource
-from hframe_post.printer.choice import invented_as_text
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
@@ -98,7 +97,7 @@ def simulate(
     ):
         write_json = open_json(outputs, json_file)
         choice = chosen_printer()
-        head = [choice.as_text(), *invented_as_text(simulated)]
+        head = [choice.as_text()]
         report = library.simulate(
             source if source and report_file else lines, profile, simulated=simulated,
             model_error=shares, draws=draws, seed=seed, steps=steps, limits=limits,

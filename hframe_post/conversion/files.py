@@ -64,16 +64,16 @@ class Format:
 @one_blas_thread()
 def convert(
     lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options,
-    kind: str = "gcode", jobs: int = 1,
+    kind: str = "gcode", jobs: int = 1, force: bool = False,
 ) -> Report:  # fmt: skip
     """Convert lines and write the target, which appears with its outputs.
 
     Raises HframeError, OSError.
 
     target None: nothing is written. kind: one of ``FORMATS``. jobs: number of processes, for
-    formats that can use several. A plant that was not measured must not be compensated for.
+    formats that can use several. A plant that was not measured is compensated for only by force.
     """
-    if target is not None and options.strategy != "none":
+    if target is not None and options.strategy != "none" and not force:
         check_identified(printer)
     chosen = FORMATS[kind]
     convert = partial(chosen.convert, jobs=jobs) if chosen.divides else chosen.convert

@@ -212,6 +212,7 @@ class Source:
         return Report(
             self._options.strategy, self._input.summary, self._path.summary, motion.time,
             motion.peaks, motion.clamped, motion.contour,
+            notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
         )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -37,7 +38,7 @@ class Report:
     lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
     motion in a second, compared with the firmware's lines_per_second. seconds: processor time by
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
-    with its errors, if one was asked for.
+    with its errors, if one was asked for. notices: warnings of the printer's profile.
     """
 
     strategy: str
@@ -56,6 +57,7 @@ class Report:
     speed: dict[str, Any] | None = None
     speed_text: str = ""
     picture: Picture | None = field(default=None, compare=False, repr=False)
+    notices: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
@@ -79,6 +81,7 @@ class Report:
             if limit.path
         }
         return {
+            "warnings": self.warnings(),
             "compensation": self.strategy,
             "moves": self.read.moves,
             "lines_read": self.read.lines,
@@ -102,6 +105,10 @@ class Report:
 
     def as_text(self) -> str:
         """Return a few lines for a person, warnings first."""
+        return self.summary(())
+
+    def summary(self, head: Iterable[str]) -> str:
+        """Return the text with a head between warnings and figures."""
         before, after = self.time.before, self.time.after
         change = 100.0 * (after / before - 1.0) if before else 0.0
         lines = [
@@ -127,11 +134,15 @@ class Report:
                 f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
-        return "\n".join(self.warnings() + lines + self.speed_text.splitlines())
+        return "\n".join([*self.warning_lines(), *head, *lines, *self.speed_text.splitlines()])
+
+    def warning_lines(self) -> list[str]:
+        """Return the warnings as lines of the text."""
+        return [f"WARNING          {text}" for text in self.warnings()]
 
     def warnings(self) -> list[str]:
-        """Return a line for everything that a person must not overlook."""
-        found = []
+        """Return a sentence for everything that a person must not overlook."""
+        found = list(self.notices)
         if not self.read.moves:
             found.append(
                 "nothing was compensated, because no move starts at a known position: move to an "
@@ -160,7 +171,7 @@ class Report:
                 f"line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
                 "compensated there"
             )
-        return [f"WARNING          {text}" for text in found]
+        return found
 
     # ------------------------------------------------------------------ the path
 

@@ -17,6 +17,8 @@ from hframe_post.studies.simulation.simulate import SimulationReport, Study, sim
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.tuning.tune import candidates, recommended, tune
 
+SPARED = 0.6  # of the belts' acceleration: short moves of a print need more than a rectangle
+
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
@@ -66,7 +68,8 @@ def recommend(
     updated = replace(profile, plant=plant, name="the identified printer")
     printers = [*draws(plant, model_error, 10, seed=0), *others]
     trials = tune(rectangle(updated), updated, candidates(updated.compensation), printers)
-    best = recommended(trials, updated.motors)
+    limit = replace(updated.motors, belt_acceleration=SPARED * updated.motors.belt_acceleration)
+    best = recommended(trials, limit) or recommended(trials, updated.motors)
     if best is None:
         return None
     x, y = best.windows

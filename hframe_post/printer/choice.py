@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
 VARIABLE = "HFRAME_PRINTER"
-FALLBACK = "paper"
+DEMONSTRATIONS = ("paper", "paper-marlin", "paper-strong")
+OPTION = "option -p"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,11 @@ class Choice:
 
     profile: str
     why: str
+
+    @property
+    def demonstrates(self) -> bool:
+        """Return whether the paper's printer was asked for by name."""
+        return self.why == OPTION and self.profile in DEMONSTRATIONS
 
     def as_text(self) -> str:
         return f"profile          {one_line(self.profile)} ({self.why})"
@@ -73,7 +79,7 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
     variable of that name for the whole slicer or shell.
     """
     if requested is not None:
-        return Choice(requested, "option -p")
+        return Choice(requested, OPTION)
     notes = re.sub(  # slicers escape the line ends of notes
         r"\\(.)",
         lambda match: {"n": "\n", "r": "\n"}.get(match[1], match[1]),
@@ -90,23 +96,16 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
                 "'hframe-post use'"
             )
         return Choice(default, "default set with 'hframe-post use'")
-    return Choice(FALLBACK, "the paper's printer, NOT YOURS: see 'hframe-post use'")
+    raise HframeError(
+        "no printer is chosen: make its profile with 'hframe-post setup printer.cfg', or name a "
+        "profile with -p (for a demonstration: -p paper)"
+    )
 
 
-def invented_as_text(printer: Printer) -> list[str]:
-    """Return a warning if the plant was not measured on the user's printer, else nothing."""
-    if not printer.invented:
-        return []
-    return [
-        "NOT YOUR PLANT   this profile's plant is invented: the figures below say nothing about "
-        "your printer until 'hframe-post identify' has measured it"
-    ]
-
-
-def verification_as_text(printer: Printer) -> str:
-    """Return a line for the summary: what ``verify`` measured with this profile."""
+def verification_as_text(printer: Printer) -> list[str]:
+    """Return a line for the summary: what ``verify`` measured with this profile, if it did."""
     mark = printer.verified
     if mark is None:
-        return "NOT VERIFIED on a machine: 'hframe-post verify' shows whether this profile helps"
+        return []
     less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the printer"
-    return f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"
+    return [f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"]

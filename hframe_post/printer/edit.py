@@ -42,15 +42,14 @@ def with_plant(
 ) -> str:  # fmt: skip
     """Return a profile's text with this plant, these windows, and notes as comments.
 
-    A shipped profile is extended, not copied. The plant counts as measured: ``invented`` is
-    removed, and a profile that compensated nothing compensates racking. uncertainty: share by
-    which the printer may differ from the plant, if known. Raises PrinterError if the text cannot
-    be changed safely.
+    A shipped profile is extended, not copied. The plant counts as measured, and a profile that
+    compensated nothing compensates racking. uncertainty: share by which the printer may differ
+    from the plant, if known. Raises PrinterError if the text cannot be changed safely.
     """
     before = parse(_text_and_newline(name_or_path)[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
-    table = _plant(plant, notes, before.invented, uncertainty)
+    table = _plant(plant, notes, uncertainty)
     return _changed(name_or_path, tables, table, ("plant", "verified"))
 
 
@@ -128,9 +127,7 @@ def _edited(text: str, tables: Settings, appended: str, dropped: Sequence[str]) 
     return f"{document.as_string().rstrip()}\n\n{appended}"
 
 
-def _plant(
-    plant: Plant, notes: Sequence[str], was_invented: bool, uncertainty: float | None
-) -> str:
+def _plant(plant: Plant, notes: Sequence[str], uncertainty: float | None) -> str:
     """Return the table ``plant`` with notes, and its transfer functions.
 
     Without racking it has a gain of zero, since the profile that is extended may rack.
@@ -138,9 +135,8 @@ def _plant(
     no_racking = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
-    measured = "invented = false\n" if was_invented else ""
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
-    head = f"[plant]\n{comments}{measured}{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
+    head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     return head + "".join(_transfer_function(name, G) for name, G in functions.items())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -71,10 +72,12 @@ def text_of(path: str) -> str:
 def parse(text: str, name: str, source: str = "") -> Printer:
     """Return a profile from its TOML text. Raises PrinterError, which names the bad key."""
     try:
-        document = _extended(_loaded(text))
+        loaded = _loaded(text)
+        document = _extended(loaded)
         known = {key: value for key, value in document.items() if key != "verified"}
         digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
-        return _printer(document, name, digest)
+        printer = _printer(document, name, digest)
+        return replace(printer, invented=False) if _identified(loaded) else printer
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
@@ -91,6 +94,12 @@ def _loaded(text: str) -> dict[str, Any]:
                 "'hframe-post setup printer.cfg'"
             ) from None
         raise PrinterError(f"not valid TOML: {error}") from None
+
+
+def _identified(loaded: dict[str, Any]) -> bool:
+    """Return whether `identify` wrote the plant before it marked each one as measured."""
+    plant = loaded.get("plant", {})
+    return "uncertainty" in plant and "Gxx" in plant and "invented" not in plant
 
 
 def _extended(document: dict[str, Any]) -> dict[str, Any]:
@@ -151,7 +160,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Sweep, document.get("sweep", {}), "sweep"),
         digest,
         _verified(document),
-        checked_value(bool, document["plant"].get("invented", False), {}, "plant.invented"),
+        checked_value(bool, document["plant"].get("invented", True), {}, "plant.invented"),
         checked(Speed, document.get("speed", {}), "speed"),
         optional_table(Retraction),
         uncertainty,
@@ -165,11 +174,13 @@ def _verified(document: dict[str, Any]) -> Verified | None:
     if "verified" not in document:
         return None
     mark = checked(Verified, document["verified"], "verified")
-    return mark if mark.model == _model_digest(document) else None
+    measured = _model_digest(document), _model_digest(document, ())  # until 0.1 with ``invented``
+    return mark if mark.model in measured else None
 
 
-def _model_digest(document: dict[str, Any]) -> str:
-    deciding = repr((document["plant"], document["compensation"]))
+def _model_digest(document: dict[str, Any], without: Sequence[str] = ("invented",)) -> str:
+    plant = {key: value for key, value in document["plant"].items() if key not in without}
+    deciding = repr((plant, document["compensation"]))
     return hashlib.sha256(deciding.encode()).hexdigest()[:12]
 
 
@@ -195,9 +206,10 @@ def check_identified(printer: Printer) -> None:
     """Raise PrinterError if the plant was not measured on this printer."""
     if printer.invented:
         raise PrinterError(
-            "this plant is not your printer's, so nothing is compensated with it: measure yours "
-            "with 'hframe-post sweep' and 'hframe-post identify' (docs/identify.md), convert "
-            "with -c none, or override with --force",
+            "this plant was not measured on your printer, so nothing is compensated with it: "
+            "measure yours with 'hframe-post sweep' and 'hframe-post identify' "
+            "(docs/identify.md), or override with --force. If it is your printer's, write "
+            "invented = false below [plant]",
             "plant.invented", printer.name,
         )  # fmt: skip
 

@@ -198,7 +198,8 @@ class Speed:
     error_measure: statistic compared with it. speed_up: largest factor on the file's feed rates.
     model_error: share by which the printer may differ from its model. filament_acceleration:
     largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
-    moves that accelerate harder than in the file; 0: no limit.
+    moves that accelerate harder than in the file; 0: no limit. acceleration: largest mm/s² of the
+    path; 0: limits.acceleration.
     """
 
     max_error: dict[str, float] = field(
@@ -208,6 +209,7 @@ class Speed:
     speed_up: float = within(1.0, 20.0, default=1.0)
     model_error: float = within(0.0, 0.99, default=0.05)
     filament_acceleration: float = not_negative(0.0, most=1e6)
+    acceleration: float = not_negative(0.0, most=1e6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,6 +249,17 @@ class Printer:
     speed: Speed = Speed()
     retraction: Retraction | None = None
     uncertainty: float | None = None
+
+    def warnings(self) -> list[str]:
+        """Return what must be known before a print that is compensated with this plant."""
+        if self.invented:
+            return [
+                "NOT YOUR PLANT: it was not measured on your printer, so its figures do not hold "
+                "there and the result must not be printed. Begin with 'hframe-post setup'"
+            ]
+        if self.verified is None:
+            return ["NOT VERIFIED on a machine: 'hframe-post verify' shows whether this helps"]
+        return []
 
     @property
     def known_speed(self) -> Speed:

@@ -58,7 +58,7 @@ def test_the_bytes_are_those_of_this_machine(scheduler: str, tmp_path: Path) -> 
     part, bad, own = tmp_path / "the part.gcode", tmp_path / "bad.gcode", tmp_path / "my own.toml"
     shutil.copy(RECTANGLE, part)
     bad.write_text("G28\nG1 X10 Y10\nG1 X9999\n")
-    own.write_text('extends = "paper"\n[limits]\nacceleration = 4321\n')
+    own.write_text('extends = "paper"\n[limits]\nacceleration = 4321\n[plant]\ninvented = false\n')
     expected = single(part, tmp_path, "-p", own)
     done = run("batch", part, bad, "-d", tmp_path / "out", "-p", own, "--scheduler", scheduler,
                "--json", tmp_path / "s.json")  # fmt: skip

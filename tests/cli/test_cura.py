@@ -95,7 +95,7 @@ def loaded(path: Path) -> Any:
 @pytest.fixture
 def own(cura: type[Script], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     path = tmp_path / "HframePost.py"
-    path.write_text(script(PROGRAM, "paper"))
+    path.write_text(script(PROGRAM, str(ROOT / "tests" / "measured.toml")))
     monkeypatch.chdir(ROOT)  # where python -m finds this tree, since PYTHONPATH does not reach it
     return loaded(path)
 
@@ -137,7 +137,7 @@ def test_spaces_in_all_paths(own: Any, data: list[str], tmp_path: Path) -> None:
     program, profile = folder / "hframe post", folder / "my printer.toml"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hframe_post "$@"\n')
     program.chmod(0o755)
-    profile.write_text('extends = "paper"\n')
+    profile.write_text('extends = "paper"\n[plant]\ninvented = false\n')
     report = folder / "the report.txt"
     own.own = {"program": str(program), "profile": str(profile),
                "options": f'--limits printer --report "{report}"'}  # fmt: skip

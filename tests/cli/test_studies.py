@@ -58,7 +58,7 @@ def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulati
     assert simulation["filament_mm"] == {"before": conversion["filament_mm"]["before"]}
     for key in conversion.keys() - unwritten - {"filament_mm"}:
         assert simulation[key] == conversion[key], key
-    assert simulation["simulated_plant"] == "paper"
+    assert simulation["simulated_plant"] == "measured"
     assert set(simulation["layers"]) >= {"0"}
     assert set(simulation["features"]) >= {"WALL-OUTER"}
     for part in (simulation, *simulation["layers"].values(), *simulation["features"].values()):
@@ -275,7 +275,7 @@ def test_simulate_says_that_a_plant_is_invented(tmp_path: Path) -> None:
     profile = tmp_path / "my.toml"
     profile.write_text('extends = "paper"\n[plant]\ninvented = true\n')
     assert b"NOT YOUR PLANT" in run("simulate", "-p", profile).stdout
-    assert b"NOT YOUR PLANT" not in run("simulate", "-p", "paper").stdout
+    assert b"NOT YOUR PLANT" not in run("simulate").stdout
 
 
 @pytest.mark.parametrize("text", ["", "heavy", "-1", "-0.1", "nan", "inf", "1e15"])

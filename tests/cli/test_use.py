@@ -17,24 +17,26 @@ from tests.command_line import RECTANGLE, run
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     path = tmp_path / "my printer.toml"
-    path.write_text('extends = "paper"\n')
+    path.write_text('extends = "paper"\n[plant]\ninvented = false\n')
     return path
 
 
 def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> None:
-    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
     assert at_home("use", own).returncode == 0
     used = at_home(RECTANGLE, "-n").stderr.decode()
-    assert used.startswith(f"profile          {own} (default set with 'hframe-post use')\n")
+    assert f"\nprofile          {own} (default set with 'hframe-post use')\n" in used
     assert str(own) in at_home("use").stdout.decode()
     summary = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
     assert summary["profile"] == str(own)
     assert at_home("use", "--forget").returncode == 0
-    assert b"NOT YOURS" in at_home(RECTANGLE, "-n").stderr
+    nothing = at_home(RECTANGLE, "-n")
+    assert nothing.returncode == 1
+    assert b"no printer is chosen: make its profile with 'hframe-post setup" in nothing.stderr
 
 
 def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
-    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
     at_home("use", own)
     varied = partial(at_home, HFRAME_PRINTER="paper-marlin")
     noted = partial(varied, SLIC3R_PRINTER_NOTES=r"2021\nHFRAME_PRINTER=paper-strong\nblue")
@@ -44,11 +46,11 @@ def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
         "paper (option -p": noted(RECTANGLE, "-n", "-p", "paper"),
     }
     for start, done in chosen.items():
-        assert done.stderr.decode().startswith("profile          " + start)
+        assert "\nprofile          " + start in done.stderr.decode()
 
 
 def test_a_bad_profile_is_refused_and_a_missing_one_is_an_error(own: Path, tmp_path: Path) -> None:
-    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"))
+    at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
     (tmp_path / "bad.toml").write_text('extends = "paper"\nnonsense = 1\n')
     assert at_home("use", tmp_path / "bad.toml").returncode == 1
     assert not (tmp_path / "config").exists()
@@ -65,7 +67,7 @@ def test_a_broken_configuration_is_an_error(tmp_path: Path) -> None:
     config.parent.mkdir()
     for text in ("printer = ", "printer = 3", "\xff"):
         config.write_text(text, "latin-1")
-        done = run(RECTANGLE, "-n", XDG_CONFIG_HOME=str(tmp_path))
+        done = run(RECTANGLE, "-n", XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
         assert done.returncode == 1
         assert b"config.toml" in done.stderr
         assert done.stderr.count(b"\n") == 1

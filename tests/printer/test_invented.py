@@ -21,8 +21,44 @@ STARTS = ("example-voron", "example-ender", "example-hbot")
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_of_the_shipped_only_the_papers_printer_is_a_printer(name: str) -> None:
-    assert load(name).invented != name.startswith("paper")
+def test_no_shipped_plant_and_no_copy_of_one_is_the_users(name: str) -> None:
+    assert load(name).invented
+    copied = run("printers", "show", name).stdout.decode()
+    assert parse(copied, "copy").invented
+    assert parse(f'extends = "{name}"\n', "own").invented
+
+
+def test_a_plant_of_unknown_origin_is_not_measured_until_its_profile_says_so() -> None:
+    unknown = shipped()["paper"].replace("invented = true", "")
+    assert parse(unknown, "old copy").invented
+    assert not parse(unknown.replace("[plant]", "[plant]\ninvented = false"), "typed").invented
+    # `identify` wrote this before it marked each plant as measured
+    assert not parse(unknown.replace("[plant]", "[plant]\nuncertainty = 0.05"), "old").invented
+
+
+def test_the_papers_printer_is_shown_where_it_is_asked_for_by_name_and_never_in_place(
+    tmp_path: Path,
+) -> None:
+    out, part = tmp_path / "out.gcode", tmp_path / "part.gcode"
+    part.write_bytes(RECTANGLE.read_bytes())
+    asked = run(part, "-o", out, "-p", "paper")
+    assert asked.returncode == 0
+    warning = "WARNING          NOT YOUR PLANT"
+    assert asked.stderr.decode().startswith(warning)
+    summary = [line for line in out.read_text().splitlines() if line.startswith("; hframe-post: ")]
+    assert summary[0].startswith(f"; hframe-post: {warning}")
+    for refused in (
+        run(part, "-p", "paper"),  # as a slicer's hook does
+        run(part, "-o", out, "-p", "paper", SLIC3R_PP_OUTPUT_NAME="part.gcode"),
+        run(part, "-o", out, HFRAME_PRINTER="paper"),
+        run("batch", part, "-d", tmp_path / "many", "-p", "paper"),
+        run("verify", "-p", "paper", "--gcode", out),
+    ):
+        assert refused.returncode == 1
+        assert b"this plant was not measured on your printer" in refused.stderr
+    assert part.read_bytes() == RECTANGLE.read_bytes()
+    with pytest.raises(PrinterError, match="was not measured"):
+        hp.convert(part, out, load("paper"))
 
 
 @pytest.mark.parametrize("name", STARTS)
@@ -44,7 +80,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     for refused in (run(*line), run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy"),
                     run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
         assert refused.returncode == 1
-        assert b"plant.invented: this plant is not your printer's" in refused.stderr
+        assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
         assert b"'hframe-post sweep' and 'hframe-post identify'" in refused.stderr
     assert not out.exists()
     assert not folder.exists()

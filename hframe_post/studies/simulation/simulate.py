@@ -134,7 +134,7 @@ class SimulationReport(Report):
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
-        return "\n".join(self.warnings() + lines)
+        return "\n".join(self.warning_lines() + lines)
 
     def _judged(self, groups: dict[str, Group]) -> list[tuple[str, Group]]:
         """Return the parts in which anything moves."""

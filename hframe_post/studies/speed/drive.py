@@ -66,7 +66,8 @@ class Drive:
         self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
         # The path may use half of the belts' acceleration; compensation needs the rest.
         belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
-        self.max_acceleration = 0.5 * belts
+        allowed = printer.speed.acceleration or printer.limits.acceleration
+        self.max_acceleration = min(0.5 * belts, allowed)
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
         """Return a printer and options that print with these settings."""
