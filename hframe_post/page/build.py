@@ -53,8 +53,8 @@ def page(
     data = {
         "name": name,
         "version": __version__,
-        "warnings": [note for note in notes if _warns(note)],
-        "notes": [note for note in notes if not _warns(note)],
+        "warnings": report.warnings(),
+        "notes": [note for note in notes if not note.startswith("WARNING")],
         "chosen": options.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
         "seconds": [report.time.before, report.time.after],
@@ -71,10 +71,6 @@ def page(
     }
     packed = _packed(pieces, columns)
     return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(_compressed(lines)))
-
-
-def _warns(note: str) -> bool:
-    return note.startswith(("WARNING", "NOT ")) or "NOT YOURS" in note
 
 
 def _coded(content: bytes) -> str:

@@ -285,7 +285,7 @@ function frame() {
   document.title = `${data.name} – hframe-post`;
   $("name").textContent = data.name.replace(/[_-]/g, "$&\u200b");  // where it may wrap
   $("version").textContent = data.version;
-  data.warnings.forEach((text) => add($("warnings"), make("p", text.replace(/^WARNING\s+/, "").replace(/\s{2,}/, ": "))));
+  data.warnings.forEach((text) => add($("warnings"), make("p", text)));
   const ramp = $("ramp").getContext("2d");
   for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
   $("magnified").addEventListener("change", () => { state.magnified = Number($("magnified").value); draw(); });
