@@ -14,7 +14,16 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.choice import choose, config_file, set_default
 from hframe_post.printer.profile import load, parse, shipped
-from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, jerk, motors, profile_text
+from hframe_post.printer.setup import (
+    CLOCK,
+    Known,
+    Tables,
+    as_float,
+    jerk,
+    motors,
+    profile_text,
+    speed,
+)
 from hframe_post.writers.files import Outputs
 
 ANSWER = "your answer"
@@ -113,6 +122,7 @@ def _asked() -> Tables:
         "travel": travel,
         "limits": limits,
         "motors": motors(kinematics, velocity, acceleration),
+        "speed": speed(acceleration),
     }
     if not marlin:
         return tables | {"firmware.klipper": {key: limits[key] for key in KLIPPERS}}

@@ -74,9 +74,7 @@ def parse(text: str, name: str, source: str = "") -> Printer:
     try:
         loaded = _loaded(text)
         document = _extended(loaded)
-        known = {key: value for key, value in document.items() if key != "verified"}
-        digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
-        printer = _printer(document, name, digest)
+        printer = _printer(document, name, _digest(document))
         return replace(printer, invented=False) if _identified(loaded) else printer
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
@@ -94,6 +92,14 @@ def _loaded(text: str) -> dict[str, Any]:
                 "'hframe-post setup printer.cfg'"
             ) from None
         raise PrinterError(f"not valid TOML: {error}") from None
+
+
+def _digest(document: dict[str, Any]) -> str:
+    """Return what identifies the contents that decide an output."""
+    known = {key: value for key, value in document.items() if key != "verified"}
+    if isinstance(known.get("plant"), dict):
+        known["plant"] = {key: v for key, v in known["plant"].items() if key != "invented"}
+    return hashlib.sha256(repr(known).encode()).hexdigest()[:12]
 
 
 def _identified(loaded: dict[str, Any]) -> bool:

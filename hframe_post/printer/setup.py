@@ -94,6 +94,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "motors": motors(kinematics, velocity, acceleration),
         "steps": _steps(config),
         "retraction": _retraction(config),
+        "speed": {"acceleration": acceleration},
         "sweep": _sweep(acceleration),
         "firmware.klipper": {
             "velocity": velocity,
@@ -232,6 +233,7 @@ TITLES = {
     "steps": "mm per step",
     "retraction": "what G10 and G11 do",
     "sweep": "the motion that measures the printer",
+    "speed": "of --max-error: largest acceleration of the path",
     "firmware.klipper": "limits before and after a print",
     "firmware.marlin": "settings before and after a print: those of M503",
 }

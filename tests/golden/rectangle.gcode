@@ -1,4 +1,4 @@
-; processed by hframe-post 0.1.0, printer paper, settings 814fc9652f7d
+; processed by hframe-post 0.1.0, printer paper, settings d9bf7795767b
 ; hframe-post:
 ;FLAVOR:Marlin
 G28

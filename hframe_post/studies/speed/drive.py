@@ -5,6 +5,7 @@ print, or pieces of it ──► paces ──► plan ──► commands ──�
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -66,8 +67,7 @@ class Drive:
         self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
         # The path may use half of the belts' acceleration; compensation needs the rest.
         belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
-        allowed = printer.speed.acceleration or printer.limits.acceleration
-        self.max_acceleration = min(0.5 * belts, allowed)
+        self.max_acceleration = min(0.5 * belts, printer.speed.acceleration or math.inf)
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
         """Return a printer and options that print with these settings."""
