@@ -122,7 +122,7 @@ def _asked() -> Tables:
         "travel": travel,
         "limits": limits,
         "motors": motors(kinematics, velocity, acceleration),
-        "speed": speed(acceleration),
+        "speed": {"acceleration": acceleration},
     }
     if not marlin:
         return tables | {"firmware.klipper": {key: limits[key] for key in KLIPPERS}}
