@@ -22,7 +22,6 @@ from hframe_post.printer.setup import (
     jerk,
     motors,
     profile_text,
-    speed,
 )
 from hframe_post.writers.files import Outputs
 
