@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -74,7 +73,9 @@ def parse(text: str, name: str, source: str = "") -> Printer:
     try:
         loaded = _loaded(text)
         document = _extended(loaded)
-        printer = _printer(document, name, _digest(document))
+        known = {key: value for key, value in document.items() if key != "verified"}
+        digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
+        printer = _printer(document, name, digest)
         return replace(printer, invented=False) if _identified(loaded) else printer
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
@@ -92,14 +93,6 @@ def _loaded(text: str) -> dict[str, Any]:
                 "'hframe-post setup printer.cfg'"
             ) from None
         raise PrinterError(f"not valid TOML: {error}") from None
-
-
-def _digest(document: dict[str, Any]) -> str:
-    """Return what identifies the contents that decide an output."""
-    known = {key: value for key, value in document.items() if key != "verified"}
-    if isinstance(known.get("plant"), dict):
-        known["plant"] = {key: v for key, v in known["plant"].items() if key != "invented"}
-    return hashlib.sha256(repr(known).encode()).hexdigest()[:12]
 
 
 def _identified(loaded: dict[str, Any]) -> bool:
@@ -180,13 +173,11 @@ def _verified(document: dict[str, Any]) -> Verified | None:
     if "verified" not in document:
         return None
     mark = checked(Verified, document["verified"], "verified")
-    measured = _model_digest(document), _model_digest(document, ())  # until 0.1 with ``invented``
-    return mark if mark.model in measured else None
+    return mark if mark.model == _model_digest(document) else None
 
 
-def _model_digest(document: dict[str, Any], without: Sequence[str] = ("invented",)) -> str:
-    plant = {key: value for key, value in document["plant"].items() if key not in without}
-    deciding = repr((plant, document["compensation"]))
+def _model_digest(document: dict[str, Any]) -> str:
+    deciding = repr((document["plant"], document["compensation"]))
     return hashlib.sha256(deciding.encode()).hexdigest()[:12]
 
 

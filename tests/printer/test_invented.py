@@ -29,7 +29,7 @@ def test_no_shipped_plant_and_no_copy_of_one_is_the_users(name: str) -> None:
 
 
 def test_a_plant_of_unknown_origin_is_not_measured_until_its_profile_says_so() -> None:
-    unknown = shipped()["paper"].replace("invented = true", "")
+    unknown = shipped()["paper"]
     assert parse(unknown, "old copy").invented
     assert not parse(unknown.replace("[plant]", "[plant]\ninvented = false"), "typed").invented
     # `identify` wrote this before it marked each plant as measured
