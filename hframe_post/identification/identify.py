@@ -263,15 +263,15 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
 def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
     """Return the runs of each axis; those of our own sweep, which tell more, if there are any."""
     nozzle = [run for run in runs if run.nozzle]
-    groups, others = dict[str, RunGroup](), list[Run]()
+    groups = dict[str, RunGroup]()
+    calibrated = [run for run in nozzle if run.calibrated]
     for axis, name in enumerate(AXIS):
-        chosen = [run for run in nozzle if run.axis == axis]
-        if any(run.calibrated for run in chosen):
-            groups[name] = nozzle_responses([run for run in chosen if run.calibrated], settings)
-        else:
-            others += chosen
+        chosen = [run for run in calibrated if run.axis == axis]
+        if chosen:
+            groups[name] = nozzle_responses(chosen, settings)
+    others = [run for run in nozzle if not run.calibrated]
     for axis, group in uncalibrated_responses(others, settings).items():
-        groups[tuple(AXIS)[axis]] = group
+        groups.setdefault(tuple(AXIS)[axis], group)
     if not groups:
         raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
     return groups

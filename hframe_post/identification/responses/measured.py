@@ -65,6 +65,22 @@ class Run:
         return int(moving[0])
 
     @property
+    def direction(self) -> Array:
+        """Return the unit vector (2,) of the motion. Raise IdentificationError if it is no line."""
+        moved = self.command - self.command[0]
+        _, sizes, axes = np.linalg.svd(moved - moved.mean(axis=0), full_matrices=False)
+        if not sizes[0] > 0.0 or sizes[1] > 1e-3 * sizes[0]:
+            raise IdentificationError(f"{self.name}: a test must move along one line")
+        along = np.where(np.abs(axes[0]) < 1e-3, 0.0, axes[0])
+        along = along / np.linalg.norm(along)
+        return np.asarray(along * np.sign(along[np.argmax(np.abs(along) > 0.1)]))
+
+    @property
+    def displacement(self) -> Array:
+        """Return the motion (m,) in mm along its direction."""
+        return np.asarray((self.command - self.command[0]) @ self.direction)
+
+    @property
     def place(self) -> float:
         return float(self.command[:, X].mean())
 

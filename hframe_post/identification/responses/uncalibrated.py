@@ -2,9 +2,8 @@
 
     runs → own clock and direction → responses along and across → one delay and gain for each axis
 
-The swept axis is where the answer points at low frequencies. Across it lies the other axis as a
-run of that axis shows it, if the sensor was mounted alike in both; else the horizontal direction
-at right angles, by gravity.
+The answer points along the motion at low frequencies. Runs in two directions with the sensor
+mounted alike show where x and y point; of one direction the other lies at right angles, by gravity.
 """
 
 from __future__ import annotations
@@ -32,34 +31,43 @@ from hframe_post.identification.responses.measured import (
     with_common_delay,
 )
 
-ALIKE = np.cos(np.radians(8.0))  # of two directions of gravity, or of one axis, of one mounting
-UPRIGHT = np.sin(np.radians(25.0))  # of the angle by which two axes may differ from 90°
+ALIKE = np.cos(np.radians(8.0))  # of gravity in two recordings of one mounting
+SQUARE = np.sin(np.radians(25.0))  # by which directions in the sensor may differ from the command's
+ALONG = 0.3  # of a motion's direction, from which it tells of an axis
 
 
 @dataclass(frozen=True, slots=True)
 class _Located:
+    """A run and its direction: in x and y as commanded (2,), and as the sensor sees it."""
+
     run: Run
     aligned: SelfAligned
-    direction: Direction
+    commanded: Array
+    seen: Direction
 
 
 def uncalibrated_responses(runs: Sequence[Run], settings: Settings) -> dict[int, RunGroup]:
     """Return the responses of the runs of each axis, X or Y, that were recorded.
 
-    Raises IdentificationError, which names the run.
+    A run along a diagonal counts for both axes if no run moves one of them alone. Raises
+    IdentificationError, which names the run.
     """
     located = [_located(run, settings) for run in runs]
-    return {axis: _group(axis, located, settings)
-            for axis in (X, Y) if any(one.run.axis == axis for one in located)}  # fmt: skip
+    groups = {}
+    for axis in (X, Y):
+        alone = [one for one in located if abs(one.commanded[axis]) > 1.0 - 1e-6]
+        chosen = alone or [one for one in located if abs(one.commanded[axis]) > ALONG]
+        if chosen:
+            groups[axis] = _group(axis, chosen, located, settings)
+    return groups
 
 
 def _located(run: Run, settings: Settings) -> _Located:
     assert run.nozzle is not None
     try:
-        command = acceleration(run.command[:, run.axis])
-        found = self_aligned(command, run.nozzle, run.rough_clock)
+        found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
         answers = [_response(found, axis, settings) for axis in np.eye(3)]
-        return _Located(run, found, direction(answers))
+        return _Located(run, found, run.direction, direction(answers))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
 
@@ -68,38 +76,54 @@ def _response(found: SelfAligned, axis: Array, settings: Settings) -> FrequencyR
     return estimate(found.command, found.acceleration @ axis).within(settings.band_hz)
 
 
-def _group(axis: int, located: Sequence[_Located], settings: Settings) -> RunGroup:
-    chosen = [one for one in located if one.run.axis == axis]
-    others = [one for one in located if one.run.axis != axis]
+def _group(
+    axis: int, chosen: Sequence[_Located], located: Sequence[_Located], settings: Settings
+) -> RunGroup:
     responses = []
     for one in chosen:
-        along = _response(one.aligned, one.direction.axis, settings)
-        across = along if axis == Y else _response(one.aligned, _across(one, others), settings)
-        place, swept = one.run.place + settings.offset[X], one.run.command[:, axis]
-        along, across = (advanced(H, one.direction.delay) for H in (along, across))
-        responses.append(RunResponse(place, along, across, 0.0, swept))
-    low = max(one.direction.excited_hz for one in chosen)
-    resonance = float(np.median([one.direction.resonance_hz for one in chosen]))
+        x, y = _axes(one, located)
+        along, across = (
+            advanced(_response(one.aligned, seen, settings), one.seen.delay)
+            for seen in ((x, y)[axis], y)
+        )
+        if axis == X and abs(one.commanded[Y]) > ALONG:
+            across = along  # a diagonal does not show racking alone
+        along = _scaled(along, 1.0 / float(one.commanded[axis]))
+        place = one.run.place + settings.offset[X]
+        responses.append(RunResponse(place, along, across, 0.0, one.run.displacement))
+    low = max(one.seen.excited_hz for one in chosen)
+    resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
     group = with_common_delay(_with_common_gain(responses, low, resonance))
     return replace(group, delay_bounds=(0.0, 0.0), excited_hz=low, resonance_hz=resonance)
 
 
-def _across(one: _Located, others: Sequence[_Located]) -> Array:
-    """Return the direction (3,) of +y in the recording of a run in x."""
-    along, up = one.direction.axis, one.aligned.up
-    for other in others:
-        y = other.direction.axis
-        mounted_alike = other.aligned.up @ up > ALIKE or not up.any()
-        if mounted_alike and abs(y @ along) < UPRIGHT:
-            across = y - (y @ along) * along
-            return np.asarray(across / np.linalg.norm(across))
-    if not up.any():
-        raise IdentificationError(
-            f"{one.run.name}: the recording does not show gravity, and no run of y shows where y "
-            "points. Record y with the sensor mounted alike"
-        )
-    across = np.cross(up, along)
-    return np.asarray(across / np.linalg.norm(across))
+def _axes(one: _Located, located: Sequence[_Located]) -> Array:
+    """Return what shows the printer's x and y, (2, 3), in the recording of a run.
+
+    From all runs with the sensor mounted alike; of a single direction, from gravity.
+    """
+    mates = [other for other in located if _mounted_alike(one, other)]
+    commanded = np.array([mate.commanded for mate in mates])
+    seen = np.array([mate.seen.axis for mate in mates])
+    if np.linalg.matrix_rank(commanded, tol=0.3) < 2:
+        if not one.aligned.up.any():
+            raise IdentificationError(
+                f"{one.run.name}: the recording does not show gravity, and no other run shows "
+                "where the other axis points. Record both axes with the sensor mounted alike"
+            )
+        turned = np.array([[-one.commanded[Y], one.commanded[X]]])
+        commanded = np.concatenate([commanded, turned])
+        seen = np.concatenate([seen, np.cross(one.aligned.up, one.seen.axis)[None]])
+    axes = np.linalg.lstsq(commanded, seen)[0]  # x and y as the sensor sees them, (2, 3)
+    return np.asarray(np.linalg.pinv(axes.T))
+
+
+def _mounted_alike(one: _Located, other: _Located) -> bool:
+    known = one.aligned.up.any() and other.aligned.up.any()
+    if known and float(one.aligned.up @ other.aligned.up) < ALIKE:
+        return False
+    angle = float(one.seen.axis @ other.seen.axis - one.commanded @ other.commanded)
+    return bool(abs(angle) < SQUARE)
 
 
 def _with_common_gain(
