@@ -86,7 +86,7 @@ class Prior:
         r = np.linspace(0.05, 1.0 / 3.0, 12)
         at_rest = np.concatenate([np.ones(n), np.zeros(n * structure.speed)])
         s = np.asarray(2j * np.pi * self.resonance_hz * r)
-        low = _columns(s, structure, parameters).real
+        low = columns(s, structure, parameters).real
         follows = (low - at_rest / (1.0 - r * r)[:, None]) / 0.02
         late = -parameters.zeta / parameters.omega
         if structure.speed:
@@ -172,7 +172,7 @@ class Modal:
         s = np.asarray(2j * np.pi * hz)
         played = np.sinc(hz * TS) ** 2 * np.exp(-s * self.delay)
         return np.asarray(
-            played * (_columns(s, self.structure, self.parameters) @ self.coefficients)
+            played * (columns(s, self.structure, self.parameters) @ self.coefficients)
         )
 
     def discrete(self, delay: float, gain: float) -> TransferFunction:
@@ -283,7 +283,7 @@ def refine(data: Data, structure: Structure, start: Parameters) -> Modal:
     return Modal(structure, parameters(x), coefficients, cost, data.mode_range_hz)
 
 
-def _columns(s: Complex, structure: Structure, parameters: Parameters) -> Complex:
+def columns(s: Complex, structure: Structure, parameters: Parameters) -> Complex:
     p = s[:, None] / parameters.omega
     one = 1.0 / (p * p + 2.0 * parameters.zeta * p + 1.0)
     lags = 1.0 / (1.0 + s[:, None] / parameters.corner)
@@ -296,7 +296,7 @@ def _solve(data: Data, structure: Structure, parameters: Parameters) -> tuple[Ar
     The last row holds a position's gain near that of the sensor.
     """
     s = np.asarray(2j * np.pi * data.hz)
-    A = _columns(s, structure, parameters)
+    A = columns(s, structure, parameters)
     A = A * (data.weight * np.sinc(data.hz * TS) ** 2 * np.exp(-s * parameters.delay))[:, None]
     target = data.weight * data.H
     rows, wanted = np.vstack([A.real, A.imag]), np.append(target.real, target.imag)
@@ -309,7 +309,7 @@ def _solve(data: Data, structure: Structure, parameters: Parameters) -> tuple[Ar
     if data.prior is not None:
         more = data.prior.rows(structure, parameters)
         rows, wanted = np.vstack([rows, more]), np.append(wanted, np.zeros(len(more)))
-    free = _free_directions(structure, parameters, at_rest)
+    free = free_directions(structure, parameters, at_rest)
     reduced = rows @ free
     scale = np.maximum(np.sqrt(np.einsum("ij,ij->j", reduced, reduced)), 1e-300)
     x, *_ = linalg.lstsq(
@@ -319,7 +319,7 @@ def _solve(data: Data, structure: Structure, parameters: Parameters) -> tuple[Ar
     return np.asarray(wanted - reduced @ x), np.asarray(free @ x)
 
 
-def _free_directions(structure: Structure, parameters: Parameters, at_rest: Array) -> Array:
+def free_directions(structure: Structure, parameters: Parameters, at_rest: Array) -> Array:
     """Return a basis of the coefficients that keep the zeros at rest.
 
     at_rest: the contribution of each coefficient to the response at rest.

@@ -106,7 +106,7 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
 
     The coherence of the mean is that of the runs taken together: it falls where they differ.
     """
-    _check_same_frequencies(responses)
+    check_same_frequencies(responses)
     H, gamma = (np.array([getattr(r, name) for r in responses]) for name in ("H", "coherence"))
     averages = np.array([[r.averages] for r in responses])
     w = averages * np.maximum(gamma, 1e-12) / (1.0 - gamma + LEAST_NOISE)
@@ -122,7 +122,7 @@ def spread(responses: Sequence[FrequencyResponse], band_hz: tuple[float, float])
 
     Weighted with input power times coherence. 0.1 means that the plant changes by 10 %.
     """
-    _check_same_frequencies(responses)
+    check_same_frequencies(responses)
     parts = [r.within(band_hz) for r in responses]
     if not len(parts[0].hz):
         raise IdentificationError(f"no frequency lies in {band_hz[0]:g}–{band_hz[1]:g} Hz")
@@ -133,7 +133,7 @@ def spread(responses: Sequence[FrequencyResponse], band_hz: tuple[float, float])
     return float(np.sqrt((w * np.abs(H - mean) ** 2).sum() / size)) if size else 0.0
 
 
-def _check_same_frequencies(responses: Sequence[FrequencyResponse]) -> None:
+def check_same_frequencies(responses: Sequence[FrequencyResponse]) -> None:
     if not responses:
         raise IdentificationError("no run to average")
     first = responses[0].hz

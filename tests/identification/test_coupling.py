@@ -1,0 +1,272 @@
+"""Printers whose modes move x and y together: found from runs in any directions, and told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.diagnosis.coupling import Coupling, find_coupling, pitching
+from hframe_post.identification.fitting.modal import Data, Modal, Parameters, Structure, refine
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.excitation import trajectory
+from hframe_post.identification.responses.frequency_response import (
+    FrequencyResponse,
+    estimate,
+    weights,
+)
+from hframe_post.identification.responses.full_response import (
+    DirectedRun,
+    FullResponse,
+    full_response,
+)
+from hframe_post.printer.settings import Sweep
+
+BAND = (4.0, 100.0)
+HZ = np.arange(BAND[0], BAND[1], 0.125)
+AVERAGES = 12.0
+COMMAND = acceleration(np.pad(trajectory(Sweep(rate_hz_per_s=10.0), 300.0, 80.0), 1000))
+MIDDLE, X_C = (140.0, 150.0), 120.0  # mm
+Pair = tuple[FrequencyResponse, FrequencyResponse]
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """A printer of two modes at right angles, turned by ``angle`` (rad) against x and y.
+
+    own: share of a mode at 75 Hz that only a command in x excites, and only in y. racking: rad
+    per mm/s² about x_c. turned: of the sensor, rad.
+    """
+
+    hz: tuple[float, float] = (45.0, 32.0)
+    zeta: tuple[float, float] = (0.06, 0.08)
+    angle: float = 0.2
+    own: float = 0.0
+    racking: float = 0.0
+    turned: float = 0.0
+    delay: float = 1.5e-3
+
+    def response(self, hz: Array, x: float = X_C) -> Complex:
+        """Return the matrix (k, 2, 2) of the nozzle at x (mm)."""
+        s = np.asarray(2j * np.pi * hz)
+        c, d = np.cos(self.angle), np.sin(self.angle)
+        shapes = np.array([[c, d], [-d, c]])
+        modes = [_mode(s, *each) for each in zip(self.hz, self.zeta, strict=True)]
+        G = np.einsum("mk,mi,mj->kij", np.array(modes), shapes, shapes)
+        own = self.own * np.subtract(_mode(s, 75.0, 0.08), _mode(s, 45.0, 0.06))
+        theta = self.racking * s**2 * _mode(s, 60.0, 0.1) * _mode(s, self.hz[0], self.zeta[0])
+        G[:, 1, 0] += own + (x - X_C) * theta
+        return np.asarray(G * np.exp(-s * self.delay)[:, None, None])
+
+    def measured(
+        self, direction: tuple[float, float], seed: int, x: float = X_C, noise: float = 0.003
+    ) -> Pair:
+        """Return the responses of the sensor's x and y to a run along the direction.
+
+        noise: of a response, as a share of the command.
+        """
+        d = np.divide(direction, np.hypot(*direction))
+        H = (self._sensed(HZ, x) @ d).T
+        rng = np.random.default_rng(seed)
+        H = H + noise * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / 2**0.5
+        coherence = np.abs(H) ** 2 / (np.abs(H) ** 2 + AVERAGES * noise**2)
+        first, second = (
+            FrequencyResponse(HZ, *each, np.ones(len(HZ)), AVERAGES)
+            for each in zip(H, coherence, strict=True)
+        )
+        return first, second
+
+    def swept(self, direction: tuple[float, float], seed: int) -> DirectedRun:
+        """Return a run from samples of a sensor with noise of 50 mm/s²."""
+        n = len(COMMAND)
+        d = np.divide(direction, np.hypot(*direction))
+        hz = np.asarray(np.fft.rfftfreq(n, TS), dtype=np.float64)
+        a = np.fft.irfft((self._sensed(hz, X_C) @ d).T * np.fft.rfft(COMMAND, n), n)
+        a += 50.0 * np.random.default_rng(seed).standard_normal(a.shape)
+        first, second = (estimate(COMMAND, each).within(BAND) for each in a)
+        return DirectedRun(direction, MIDDLE, first, second)
+
+    def _sensed(self, hz: Array, x: float) -> Complex:
+        c, s = np.cos(self.turned), np.sin(self.turned)
+        return np.asarray(np.array([[c, s], [-s, c]]) @ self.response(hz, x))
+
+    def run(self, direction: tuple[float, float], seed: int, x: float = X_C) -> DirectedRun:
+        return DirectedRun(direction, (x, 150.0), *self.measured(direction, seed, x))
+
+
+def _mode(s: Complex, hz: float, zeta: float) -> Complex:
+    w = 2.0 * np.pi * hz
+    return np.asarray(w * w / (s * s + 2.0 * zeta * w * s + w * w))
+
+
+@cache
+def model(printer: Coupled, axis: int, noise: float) -> Modal:
+    """Return the model of a direct response, of x (0) or y (1)."""
+    response = printer.measured(((1.0, 0.0), (0.0, 1.0))[axis], axis, noise=noise)[axis]
+    data = Data(response.hz, _straight(response).H, weights(response), (2.0, 100.0), (0.0, 5e-3))
+    omega = 2.0 * np.pi * np.array(printer.hz) * 1.02
+    start = Parameters(omega, np.array(printer.zeta), np.zeros(0), 2e-3)
+    return refine(data, Structure(2, True), start)
+
+
+def coupling(printer: Coupled, *others: Coupled, noise: float = 0.003) -> Coupling:
+    """Return what x does to y, from a recording of the printer and one of each of the others."""
+    pairs = [
+        each.measured((1.0, 0.0), seed, noise=noise) for seed, each in enumerate((printer, *others))
+    ]
+    played = [(_straight(x), _straight(y)) for x, y in pairs]
+    return find_coupling("x", played, (model(printer, 0, noise), model(printer, 1, noise)))
+
+
+def _straight(response: FrequencyResponse) -> FrequencyResponse:
+    """Return the response as if the command had been played as straight lines between samples."""
+    return replace(response, H=response.H * np.sinc(response.hz * TS) ** 2)
+
+
+def off(found: Complex, true: Complex) -> float:
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+def check_entries(found: FullResponse, printer: Coupled, limit: float) -> None:
+    true = printer.response(found.hz, found.middle[0])
+    for answer in (0, 1):
+        for command in (0, 1):
+            one = found.entry(answer, command)
+            w = np.sqrt(one.power)
+            assert off(w * one.H, w * true[:, answer, command]) < limit, (answer, command)
+
+
+# ---------------------------------------------------------------------- the full response
+
+
+def test_two_diagonals_tell_all_four_entries() -> None:
+    printer = Coupled()
+    found = full_response([printer.swept((1.0, 1.0), 1), printer.swept((1.0, -1.0), 2)])
+    assert found.commanded == (True, True)
+    assert not found.slopes.any()
+    check_entries(found, printer, 0.06)
+
+
+def test_more_runs_lower_the_noise_and_one_axis_tells_its_column() -> None:
+    printer = Coupled()
+    two = full_response([printer.run((1.0, 0.0), 1), printer.run((0.0, 1.0), 2)])
+    four = full_response([printer.run(d, k) for k, d in enumerate(
+        ((1.0, 0.0), (0.0, 1.0), (3.0, 3.0), (1.0, -1.0)))])  # fmt: skip
+    assert np.median(four.variance[:, 1, 0] / two.variance[:, 1, 0]) == pytest.approx(0.5, abs=0.2)
+    check_entries(four, printer, 0.06)
+    alone = full_response([printer.run((1.0, 0.0), 1)])
+    assert alone.commanded == (True, False)
+    assert not alone.G[:, :, 1].any()
+    assert off(alone.G[:, 1, 0], two.G[:, 1, 0]) < 1e-9
+
+
+@pytest.mark.parametrize("directions", [((1.0, 0.0), (0.0, 1.0)), ((1.0, 1.0), (1.0, -1.0))])
+def test_five_places_tell_the_lever_arm_of_racking(
+    directions: tuple[tuple[float, float], ...],
+) -> None:
+    printer = Coupled(racking=2e-8)
+    places = (80.0, 110.0, 140.0, 170.0, 200.0)
+    runs = [printer.run(d, int(x) + k, x) for k, d in enumerate(directions) for x in places]
+    found = full_response(runs)
+    assert found.middle == MIDDLE
+    check_entries(found, printer, 0.05)
+    far, near = printer.response(found.hz, 200.0), printer.response(found.hz, 80.0)
+    lever = ((far - near) / 120.0)[:, 1, 0]
+    w = np.sqrt(found.power)
+    assert off(w * found.slopes[:, 0, 1, 0], w * lever) < 0.1
+    assert not found.slopes[:, 1].any()  # all places have one y
+    assert off(found.at((80.0, 150.0))[:, 1, 0], near[:, 1, 0]) < 0.1
+
+
+def test_one_diagonal_alone_is_an_error() -> None:
+    printer = Coupled()
+    with pytest.raises(IdentificationError, match=r"AXIS=1,-1"):
+        full_response([printer.run((1.0, 1.0), k) for k in range(2)])
+
+
+def test_runs_of_other_frequencies_are_an_error() -> None:
+    x, y = Coupled().measured((1.0, 0.0), 1)
+    with pytest.raises(IdentificationError, match="frequencies"):
+        full_response([DirectedRun((1.0, 0.0), (0.0, 0.0), x, y.within((10.0, 90.0)))])
+
+
+# ---------------------------------------------------------------------- coupling
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.2, -0.4])
+def test_coupling_of_shared_modes_is_found_with_its_size(angle: float) -> None:
+    printer = Coupled(angle=angle)
+    found = coupling(printer, printer)
+    assert found.counts
+    hz = np.linspace(*BAND, 400)
+    w = np.abs(hz / 50.0)
+    true = printer.response(hz)[:, 1, 0]
+    model_of = found.model.response(hz) / np.sinc(hz * TS) ** 2 / found.along.gain
+    assert off(w * model_of, w * true) < 0.05
+    at = int(np.argmax(np.abs(true)))
+    assert found.hz == pytest.approx(hz[at], abs=1.0)
+    assert found.size == pytest.approx(np.abs(true[at]), rel=0.12)
+    assert abs(np.degrees(found.turn)) < 0.4
+    assert abs(found.model.gain) < 1e-9  # nothing at rest
+    assert [round(mode.hz) for mode in found.modes] == sorted(round(hz) for hz in printer.hz)
+    assert "a command in x moves y by" in found.as_text()
+    assert found.as_json()["modes"][0]["y"] > 0.0
+
+
+def test_a_turned_sensor_is_no_coupling() -> None:
+    straight = Coupled(angle=0.0, turned=np.radians(11.0))
+    found = coupling(straight, straight)
+    assert np.degrees(abs(found.turn)) == pytest.approx(11.0, abs=0.4)
+    assert found.size < 0.05
+    assert "turned by 11°" in found.warnings()[0]
+    both = coupling(*[Coupled(turned=np.radians(11.0))] * 2)
+    alone = coupling(*[Coupled()] * 2)
+    assert np.degrees(abs(both.turn)) == pytest.approx(11.0, abs=0.5)
+    assert both.size == pytest.approx(alone.size, rel=0.1)
+    assert not alone.warnings()
+
+
+def test_a_mode_that_neither_axis_shows_is_found_if_it_repeats() -> None:
+    printer = Coupled(own=0.15)
+    found = coupling(printer, printer)
+    hz = np.linspace(*BAND, 400)
+    true = printer.response(hz)[:, 1, 0]
+    assert off(found.model.response(hz) / np.sinc(hz * TS) ** 2, true) < 0.25
+    assert [mode for mode in found.modes if abs(mode.hz - 75.0) < 4.0 and mode.along == 0.0]
+    assert len(coupling(Coupled(), Coupled()).model.c) == 2  # none is made up
+
+
+def test_coupling_counts_only_if_a_second_recording_shows_it() -> None:
+    printer = Coupled()
+    single = coupling(printer)
+    assert single.unexplained is None
+    assert not single.counts
+    assert "record x again" in single.as_text()
+    other = coupling(printer, Coupled(angle=-0.2))
+    assert not other.counts
+    assert "does not repeat" in other.as_text()
+    noisy = coupling(printer, printer, noise=0.1)
+    assert noisy.counts
+    nothing = coupling(*[Coupled(angle=0.0)] * 2)
+    assert not nothing.counts or nothing.size < 0.02
+
+
+# ---------------------------------------------------------------------- a head that pitches
+
+
+def test_a_head_that_pitches_is_reported_with_what_one_height_hides() -> None:
+    along, _ = Coupled().measured((1.0, 0.0), 1)
+    pitch = replace(along, H=0.5 * along.H * (along.hz > 30.0))
+    text = pitching("x", along, pitch, 40.0)
+    assert text is not None
+    assert "0.5 times as strongly as x" in text
+    assert "40 mm above the nozzle" in text
+    assert "A sensor above the nozzle" in str(pitching("x", along, pitch, None))
+    assert pitching("x", along, pitch, 0.0) is None  # at the nozzle's height nothing is hidden
+    assert pitching("x", along, replace(along, H=0.1 * along.H), 40.0) is None
+    silent = replace(along, coherence=np.full(len(along.hz), 1e-3))
+    assert pitching("x", along, silent, 40.0) is None
