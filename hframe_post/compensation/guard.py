@@ -227,7 +227,7 @@ class Clamp:
             for chunk, wide, where in with_neighbours(stretch, AROUND, AROUND):
                 command = wide.commands[strategy]
                 safe = self._reduced(wide.xyze[:, :Z], command)
-                changed = (safe != command).any(axis=1)[where]
+                changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
                     line = int(chunk.line[np.argmax(changed)])

@@ -98,14 +98,17 @@ class Profiler:
         chosen_t, chosen_j = t.copy(), j.copy()
         free = np.flatnonzero(~forced)
         # Ruckig checks in absolute numbers, which rounding fails at great accelerations in mm: it
-        # is asked again in a longer unit. A power of two changes no digit.
+        # finds no profile, or one as slow as a ramp. Then it is asked again in a longer unit. A
+        # power of two changes no digit.
+        ramp = (1.0 - 1e-9) * t.sum(axis=1)
         for unit in (1.0, 16.0):
             self._input.max_jerk = [jerk / unit]
             solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
             if solved:
                 chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
                 chosen_j[free] *= unit
-            free = free[_misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
+            slow = (ramp[free] > 0.0) & (chosen_t[free].sum(axis=1) >= ramp[free])
+            free = free[slow | _misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
         wrong = _misses(chosen_t, chosen_j, v0, length)
         chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
         wrong = _misses(chosen_t, chosen_j, v0, length)

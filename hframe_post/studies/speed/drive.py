@@ -41,6 +41,11 @@ from hframe_post.studies.speed.trial import (
     measured,
 )
 
+# Searches for the following gave no faster prints than these values.
+JERK = 1e7  # mm/s³
+CORNER = 4e-3  # s: speed at square corners over acceleration
+TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
+
 Lines = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
 
 
@@ -76,14 +81,12 @@ class Drive:
             for name, acceleration in settings.acceleration.items()
         }
         # The ringing at the end of a travel is printed, so travel must be gentle, too.
-        travel = settings.travel * min(settings.acceleration.values())
+        travel = TRAVEL_SHARE * min(settings.acceleration.values())
         kinds[TRAVEL] = self._pace(settings, travel, self._freedom.speed_up)
         limits = self._printer.limits
         highest = max(limits.acceleration, *(p.acceleration for p in kinds.values()))
         corner = max(limits.square_corner_velocity, *(p.corner for p in kinds.values()))
-        limits = replace(
-            limits, jerk=settings.jerk, acceleration=highest, square_corner_velocity=corner
-        )
+        limits = replace(limits, jerk=JERK, acceleration=highest, square_corner_velocity=corner)
         paces = Paces(
             kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
             self._freedom.filament_acceleration,
@@ -93,7 +96,7 @@ class Drive:
     def _pace(self, settings: SpeedSettings, acceleration: float, feed: float) -> Pace:
         """Return a pace; corner speed grows with the acceleration, so corners keep their shape."""
         acceleration = min(acceleration, self.max_acceleration)
-        return Pace(acceleration, settings.corner * acceleration / 1e4, feed)
+        return Pace(acceleration, CORNER * acceleration, feed)
 
     # ------------------------------------------------------------------ trials
 
@@ -162,6 +165,8 @@ class Drive:
 
 # ---------------------------------------------------------------------- cooling
 
+SLOWEST = 0.05  # times the feed rate; a layer that takes too little time even then stays so
+
 
 @dataclass(frozen=True, slots=True)
 class LayerTimes:
@@ -169,24 +174,23 @@ class LayerTimes:
 
     least: dict[int, float]
 
-    def short(self, layers: dict[int, float]) -> dict[int, float]:
-        """Return the layers that take less than 98 % of their least time: their share of it."""
-        return {
-            layer: seconds / self.least[layer]
-            for layer, seconds in layers.items()
-            if seconds < 0.98 * self.least.get(layer, 0.0)
-        }
+    def short(self, settings: SpeedSettings, layers: dict[int, float]) -> bool:
+        """Return whether these layers take too little time, and can be slowed."""
+        present, slowed = settings.layer_feed, self.slowed(settings, layers).layer_feed
+        return any(factor < present.get(layer, 1.0) for layer, factor in slowed.items())
 
     def slowed(self, settings: SpeedSettings, layers: dict[int, float]) -> SpeedSettings:
-        """Return settings with lower feed rates in the layers that took less than their time.
+        """Return settings with other feed rates in layers not at 98 … 101 % of their least time.
 
         The exponent makes up for the part of a layer's time that does not depend on the feed rate.
         """
-        factors = {
-            layer: max(settings.layer_feed.get(layer, 1.0) * (share / 1.01) ** 1.3, 0.05)
-            for layer, share in self.short(layers).items()
-        }
-        return replace(settings, layer_feed={**settings.layer_feed, **factors})
+        factors = dict(settings.layer_feed)
+        for layer, seconds in layers.items():
+            share = seconds / (self.least.get(layer) or math.inf)
+            factor = factors.get(layer, 1.0)
+            if (0.0 < share < 0.98) or (share > 1.01 and factor < 1.0):
+                factors[layer] = min(max(factor * (share / 0.985) ** 1.3, SLOWEST), 1.0)
+        return replace(settings, layer_feed=factors)
 
     def planned(self, drive: Drive, settings: SpeedSettings) -> SpeedSettings:
         """Return settings whose plan leaves each layer its time.
@@ -195,8 +199,8 @@ class LayerTimes:
         at most.
         """
         for _ in range(6):
-            layers = drive.layer_times(settings)
-            if not self.short(layers):
+            slowed = self.slowed(settings, drive.layer_times(settings))
+            if slowed == settings:
                 break
-            settings = self.slowed(settings, layers)
+            settings = slowed
         return settings

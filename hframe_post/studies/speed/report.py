@@ -29,9 +29,6 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             "before": round(original.seconds, 3), "after": round(trial.seconds, 3),
         },
         "measure": found.bound.measure,
-        "jerk": trial.settings.jerk,
-        "corner": trial.settings.corner,
-        "travel": trial.settings.travel,
         "features": {
             name: {
                 "bound_um": round(found.bound.limit(name) * 1e3, 4),

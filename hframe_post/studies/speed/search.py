@@ -1,27 +1,25 @@
 """Search for the fastest print whose predicted error stays within a bound.
 
-The error grows nearly in proportion to the acceleration of the path and to the speed at its
-corners, and it is local: each kind of feature can be accelerated as far as its own bound allows.
-The bound holds for the model and for random printers near it. So the search
+The error grows with the acceleration of the path, and it is local: each kind of feature has its own
+search for the acceleration at which it uses up its bound, and each trial print is a step of them
+all. The bound holds for the model and for random printers near it. So the search
 
- 1. prints pieces from all over the file and finds which plants have the greatest error, and which
-    feed rates, jerk, corner speed and travel acceleration give the least time within the bound;
+ 1. prints pieces from all over the file and finds which plants have the greatest error, and at
+    which of a few feed rates each kind of feature takes the least time within its bound;
  2. plans the whole print and slows layers that need time to cool;
- 3. prints the whole file on those plants. If an error is beyond its bound, or well within it, the
-    acceleration of that feature is corrected and the whole file is printed again.
+ 3. prints the whole file on those plants, with further steps until it is within its bounds.
 
-The result is one of the whole prints, so its error is a prediction, not an extrapolation.
+The result is a whole print, so its error is a prediction, not an extrapolation.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
-from hframe_post.arrays import Array
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
@@ -33,18 +31,11 @@ from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
 from hframe_post.studies.speed.trial import ADJUSTED, CAUSES, Freedom, Measure, SpeedSettings, Trial
 
 MAX_SPEED_UP = 20.0  # times the file's feed rates
-ROUNDS, MAX_ROUNDS = 2, 6  # of the whole print; more than ROUNDS only until one is within bounds
-LIMIT = 0.95  # share of a bound that may be used up: other printers may have a greater error
-AIM = 0.92  # share of a bound to aim at
-NEAR = 0.85  # share of a bound beyond which a feature is fast enough
-RESTRAINT = 0.85  # factor on the aim after each round beyond the limit
-QUICKER = 0.995  # share of the time below which a change is worth making
-MIN_FEED = 0.3  # times the file's feed rates, where the error is too great
-LADDERS = {  # values tried of the other settings
-    "jerk": (1e5, 2e5, 5e5, 1e6, 3e6, 1e7, 5e7),
-    "corner": (2.5, 5.0, 10.0, 20.0, 40.0),
-    "travel": (1.0, 2.0, 4.0),
-}
+NEAR, LIMIT = 0.87, 0.95  # share of a bound to use up: other printers may have a greater error
+AIM = math.sqrt(NEAR * LIMIT)
+FEED_STEP = 0.8  # factor from one feed rate that is tried to the next
+MIN_FEED, MAX_FEEDS = 0.3, 8  # times the file's feed rates; how many are tried
+MIN_ACCELERATION = 200.0  # mm/s²
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +101,10 @@ def search(
     freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom)
     original = drive.original()
-    layers = original.layers.items()
-    least = LayerTimes({k: min(seconds, freedom.min_layer_time) for k, seconds in layers if k})
-    pieces = _PieceSearch(drive, bound, (printer.plant, *near), freedom.speed_up)
-    settings, plants = pieces.fastest()
-    settings = least.planned(drive, settings)
+    least = LayerTimes(
+        {k: min(seconds, freedom.min_layer_time) for k, seconds in original.layers.items() if k}
+    )
+    settings, plants = _fastest_pieces(drive, bound, (printer.plant, *near), freedom.speed_up)
     trial = _fastest_whole(drive, bound, settings, plants, least, options.clamp)
     return Fastest(*drive.configured(trial.settings), bound, trial, original)
 
@@ -123,37 +113,20 @@ def _fastest_whole(
     drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
     least: LayerTimes, may_clamp: bool,
 ) -> Trial:  # fmt: skip
-    """Return the fastest of a few prints of the whole file within the bound, or raise HframeError.
-
-    Each round corrects the settings by the outcome of the one before.
-    """
-    accepted, aims = list[Trial](), dict[str, float]()
-    for number in range(1, MAX_ROUNDS + 1):
-        last_round = number == MAX_ROUNDS
+    """Return the first print of the whole file within the bound, or raise HframeError."""
+    searches = _Searches(bound, drive.max_acceleration)
+    for limit in (*[LIMIT] * 5, 1.0):
+        settings = least.planned(drive, settings)
         trial = drive.try_whole(settings, plants)
-        if trial.refused:
+        shares = bound.shares(trial)
+        if trial.refused or (trial.clamped and not may_clamp and limit < 1.0):
             settings = _gentler(settings)
             continue
-        shares, short = bound.shares(trial), least.short(trial.layers)
-        within = all(share <= (1.0 if last_round else LIMIT) for share in shares.values())
-        clamped = trial.clamped > 0 and not may_clamp and not last_round
-        if within and not short and not clamped:
-            accepted.append(trial)
-        if accepted and (number >= ROUNDS or _exhausted(trial, shares, drive.max_acceleration)):
-            return min(accepted, key=lambda t: t.seconds)
-        if not within or not short:  # more acceleration would make further layers short
-            gains = _gains(shares, aims)
-            feed = {
-                name: max(gains[name] * now, MIN_FEED) if gains.get(name, 1.0) < 1.0 else now
-                for name, now in settings.feed.items()
-            }
-            settings = _accelerated(replace(settings, feed=feed), gains, drive.max_acceleration)
-        if clamped and number < ROUNDS:
-            milder = {name: 0.93 * a for name, a in settings.acceleration.items()}
-            settings = replace(settings, acceleration=milder)
-        elif clamped:
-            settings = _gentler(settings)
-        settings = least.planned(drive, least.slowed(settings, trial.layers))
+        short = least.short(settings, trial.layers)
+        if max(shares.values(), default=0.0) <= limit and not short:
+            return trial
+        searches.trials.append(trial)
+        settings = least.slowed(searches.corrected(settings.feed), trial.layers)
     if trial.refused:
         raise HframeError(trial.refused)
     worst = max(shares, key=lambda name: shares[name])
@@ -164,178 +137,113 @@ def _fastest_whole(
     )
 
 
-def _gains(shares: dict[str, float], aims: dict[str, float]) -> dict[str, float]:
-    """Return the factor on each feature's acceleration with which it should use up its bound.
+def _fastest_pieces(
+    drive: Drive, bound: Bound, near: tuple[Plant, ...], speed_up: float
+) -> tuple[SpeedSettings, tuple[Plant, ...]]:
+    """Return settings to begin with, and the plants with the greatest errors."""
+    pieces, searches = drive.excerpt(), _Searches(bound, drive.max_acceleration)
+    useful = drive.useful_feeds(pieces)
+    feed = {name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED}
 
-    aims: share of the bound to aim at, of features that were beyond it; updated here.
-    """
-    gains = {}
-    for name, share in shares.items():
-        if share > LIMIT:
-            aims[name] = RESTRAINT * aims.get(name, AIM)
-            gains[name] = aims[name] / share
-        elif share > NEAR or name in aims:
-            gains[name] = 1.0
-        else:
-            gains[name] = AIM / max(share, 1e-9)
-    return gains
-
-
-def _exhausted(trial: Trial, shares: dict[str, float], max_acceleration: float) -> bool:
-    """Return whether more acceleration would gain next to nothing."""
-    if trial.limited_by["error"] < 0.05 * trial.seconds:
-        return max(shares.values(), default=0.0) <= LIMIT
-    used = trial.settings.acceleration
-    return all(
-        share <= LIMIT and (share >= NEAR or used[name] >= max_acceleration)
-        for name, share in shares.items()
-    )
-
-
-# ---------------------------------------------------------------------- changing settings
-
-
-def _accelerated(settings: SpeedSettings, gains: dict[str, float], most: float) -> SpeedSettings:
-    """Return settings with each feature's acceleration times its gain, from 200 to ``most`` mm/s².
-
-    A gain counts from 0.3 to 3. Features without a gain get the least acceleration of the others.
-    """
-    present = settings.acceleration
-    changed = {
-        name: float(np.clip(present[name] * np.clip(gain, 0.3, 3.0), 200.0, most))
-        for name, gain in gains.items()
-    }
-    least = min(changed.values(), default=8e3)
-    return replace(settings, acceleration={name: changed.get(name, least) for name in present})
-
-
-def _gentler(settings: SpeedSettings) -> SpeedSettings:
-    """Return settings with the highest accelerations cut, and all else a rung lower."""
-    present = settings.acceleration
-    highest = 0.8 * max(present.values())
-    lower: dict[str, Any] = {
-        name: ladder[max(ladder.index(getattr(settings, name)) - 1, 0)]
-        for name, ladder in LADDERS.items()
-    }
-    acceleration = {name: min(value, highest) for name, value in present.items()}
-    return replace(settings, acceleration=acceleration, **lower)
-
-
-# ---------------------------------------------------------------------- search on pieces
-
-
-class _PieceSearch:
-    """Search on pieces of the print. plants: the model, and random ones near it."""
-
-    def __init__(
-        self, drive: Drive, bound: Bound, plants: tuple[Plant, ...], speed_up: float
-    ) -> None:
-        self._drive, self._bound, self._plants = drive, bound, plants
-        self._pieces = drive.excerpt()
-        useful = drive.useful_feeds(self._pieces)
-        self._max_feed = {
-            name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED
-        }
-
-    def fastest(self) -> tuple[SpeedSettings, tuple[Plant, ...]]:
-        """Return settings to begin with, and the plants with the greatest errors."""
-        acceleration = dict.fromkeys(ADJUSTED, min(8e3, self._drive.max_acceleration))
-        settings = SpeedSettings(acceleration, self._max_feed, jerk=1e6)
-        settings, plants = self._worst_plants(settings)
-        best = self._with_best_feeds(self._try(settings, plants), plants)
-        for name, ladder in LADDERS.items():
-            best = self._with_best(name, ladder, best, plants)
-        return self._worst_plants(self._corrected(best))
-
-    def _try(self, settings: SpeedSettings, plants: tuple[Plant, ...]) -> Trial:
-        """Return the outcome with these settings, or with gentler ones if they are refused."""
+    def worst_plants(settings: SpeedSettings, plants: tuple[Plant, ...]) -> tuple[Plant, ...]:
+        """Add a trial, with gentler settings if these are refused; return its worst plants."""
         for _ in range(6):
-            trial = self._drive.try_pieces(self._pieces, settings, plants)
+            trial = drive.try_pieces(pieces, settings, plants)
             if not trial.refused:
-                return trial
+                searches.trials.append(trial)
+                worst = (np.argsort(errors)[-2:].tolist() for errors in trial.errors.values())
+                return tuple(plants[k] for k in sorted({0}.union(*worst)))
             settings = _gentler(settings)
         raise HframeError(trial.refused)
 
-    def _worst_plants(self, settings: SpeedSettings) -> tuple[SpeedSettings, tuple[Plant, ...]]:
-        """Return settings corrected on all plants; the model and the two worst for each feature."""
-        trial = self._try(settings, self._plants)
-        worst = {k for errors in trial.errors.values() for k in np.argsort(errors)[-2:].tolist()}
-        plants = (self._plants[0], *(self._plants[k] for k in sorted(worst - {0})))
-        return self._corrected(trial), plants
+    acceleration = dict.fromkeys(ADJUSTED, min(8e3, drive.max_acceleration))
+    plants = worst_plants(SpeedSettings(acceleration, feed), near)
+    for _ in range(MAX_FEEDS):
+        worst_plants(searches.corrected(feed), plants)
+        before, feed = feed, searches.next_feeds()
+        if feed == before:
+            break
+    feed = searches.best_feeds()
+    plants = worst_plants(searches.corrected(feed), near)
+    return searches.corrected(feed), plants
 
-    def _corrected(self, trial: Trial) -> SpeedSettings:
-        """Return settings with which each feature should use up its bound."""
-        shares = self._bound.shares(trial).items()
-        gains = {name: AIM / max(share, 1e-9) for name, share in shares}
-        return _accelerated(trial.settings, gains, self._drive.max_acceleration)
 
-    def _with_best_feeds(self, best: Trial, plants: tuple[Plant, ...]) -> Trial:
-        """Lower each feature's feed rate in steps of 20 % as long as that makes it quicker.
+class _Searches:
+    """The searches of all kinds of features. trials: their steps so far."""
+
+    def __init__(self, bound: Bound, max_acceleration: float) -> None:
+        self._bound, self._max_acceleration = bound, max_acceleration
+        self.trials: list[Trial] = []
+
+    def corrected(self, feed: dict[str, float]) -> SpeedSettings:
+        """Return the last settings with accelerations at which features use up their bounds.
+
+        Features of unknown error get the least acceleration of the others.
+        """
+        last, known = self.trials[-1], dict[str, float]()
+        for name in last.errors:
+            same_feed = [t for t in self.trials if t.settings.feed[name] == feed[name]]
+            points = [self._point(t, name) for t in same_feed or [last] if name in t.errors]
+            found = math.exp(_root(points or [self._point(last, name)]))
+            known[name] = min(max(found, MIN_ACCELERATION), self._max_acceleration)
+        least = min(known.values(), default=8e3)
+        acceleration = {name: known.get(name, least) for name in feed}
+        return replace(last.settings, acceleration=acceleration, feed=feed)
+
+    def _point(self, trial: Trial, name: str) -> tuple[float, float]:
+        """Return the logarithms of acceleration and of error; the latter is 0 at the aim."""
+        share = self._bound.shares(trial)[name]
+        return math.log(trial.settings.acceleration[name]), math.log(max(share, 1e-9) / AIM)
+
+    def best_feeds(self) -> dict[str, float]:
+        """Return the feed rate at which each feature takes the least time within its bound."""
+        return {name: min(times, key=lambda f: times[f]) for name, times in self._times().items()}
+
+    def next_feeds(self) -> dict[str, float]:
+        """Return each feature's best feed rate, or a lower one if not two lower ones were tried.
 
         Where a plant is slightly off the model, the path is missed at speed, and a slower feature
         may accelerate more.
         """
-        first = best
-        times, feeds = self._times(best), dict(best.settings.feed)
-        improving = set(times)
-        for step in range(1, 20):
-            shares = self._bound.shares(best)
-            least = {name: MIN_FEED if shares.get(name, 0.0) > 1.0 else 1.0 for name in feeds}
-            lower = {name: self._max_feed[name] * 0.8**step for name in improving}
-            feed = feeds | {name: max(value, least[name]) for name, value in lower.items()}
-            if feed == feeds:
-                break
-            trial = self._try(replace(self._corrected(best), feed=feed), plants)
-            now = self._times(trial)
-            improving = {n for n in improving if now.get(n, np.inf) < QUICKER * times[n]}
-            if not improving:
-                break
-            best = trial
-            feeds |= {name: feed[name] for name in improving}
-            times |= {name: now[name] for name in improving}
-        if best is first:
-            return first
-        return self._try(replace(self._corrected(best), feed=feeds), plants)
+        feeds = self.best_feeds()
+        for name, times in self._times().items():
+            if min(times) > FEED_STEP**1.5 * feeds[name]:
+                feeds[name] = max(FEED_STEP * min(times), MIN_FEED)
+        return feeds
 
-    def _with_best(
-        self, name: str, ladder: tuple[float, ...], best: Trial, plants: tuple[Plant, ...]
-    ) -> Trial:
-        """Raise a setting as long as the print gets quicker; if it does not, lower it likewise."""
-        start = ladder.index(getattr(best.settings, name))
-        for values in (ladder[start + 1 :], ladder[:start][::-1]):
-            first = best
-            for value in values:
-                changed: dict[str, Any] = {name: value}
-                trial = self._try(replace(self._corrected(best), **changed), plants)
-                if not self._time(trial) < QUICKER * self._time(best):
-                    break
-                best = trial
-            if best is not first:
-                break
-        return best
-
-    def _time(self, trial: Trial) -> float:
-        """Estimate the seconds of the trial with each feature using up its bound."""
-        measured = sum(self._seconds(trial, name).sum() for name in trial.errors)
-        return trial.seconds - float(measured) + sum(self._times(trial).values())
-
-    def _times(self, trial: Trial) -> dict[str, float]:
-        """Estimate the seconds of each feature if it used up its bound.
+    def _times(self) -> dict[str, dict[float, float]]:
+        """Estimate the seconds of each feature at each feed rate tried, with its bound used up.
 
         The time of speed changes falls with the root of the acceleration, which the motors limit.
         A feature whose error is too great must be slower as a whole.
         """
-        changing_causes = [CAUSES.index(cause) for cause in ("motors", "error")]
-        times, used = dict[str, float](), trial.settings.acceleration
-        for name, share in self._bound.shares(trial).items():
-            seconds = self._seconds(trial, name)
-            changing = float(seconds[changing_causes].sum())
-            least = max(0.3, used[name] / self._drive.max_acceleration)
-            log_gain = float(np.log(np.clip(share, least, 1.0)))
-            times[name] = float(seconds.sum()) * max(share, 1.0) + 0.5 * changing * log_gain
+        changing = [CAUSES.index(cause) for cause in ("motors", "error")]
+        times: dict[str, dict[float, float]] = {name: {} for name in ADJUSTED}
+        for trial in self.trials:
+            shares, used = self._bound.shares(trial), trial.settings.acceleration
+            for name, feed in trial.settings.feed.items():
+                seconds = trial.limited[NAMES.index(name)]
+                share = shares.get(name, AIM) / AIM
+                gain = math.log(min(max(share, used[name] / self._max_acceleration), 1.0))
+                times[name][feed] = float(
+                    seconds.sum() * max(share, 1.0) + 0.5 * gain * seconds[changing].sum()
+                )
         return times
 
-    @staticmethod
-    def _seconds(trial: Trial, name: str) -> Array:
-        """Return the seconds of a feature by cause, (CAUSES,)."""
-        return np.asarray(trial.limited[NAMES.index(name)])
+
+def _root(points: list[tuple[float, float]]) -> float:
+    """Return where y is 0 on the line through the two points nearest to that; y = x + c for one.
+
+    A point that is near enough is returned itself.
+    """
+    (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
+    if math.log(NEAR / AIM) <= y <= math.log(LIMIT / AIM):
+        return x
+    slopes = [(y - v) / (x - u) for u, v in others if abs(x - u) > 0.01]
+    slope = min(max(slopes[0], 0.4), 1.5) if slopes else 1.0
+    return x - min(max(y / slope, -1.2), 1.2)
+
+
+def _gentler(settings: SpeedSettings) -> SpeedSettings:
+    acceleration = {name: 0.85 * value for name, value in settings.acceleration.items()}
+    return replace(settings, acceleration=acceleration)

@@ -46,17 +46,12 @@ class Freedom:
 class SpeedSettings:
     """Speeds and accelerations of a print.
 
-    acceleration: by feature, mm/s²; feed: factor on the file's feed rates, by feature; jerk: of the
-    path, mm/s³; corner: mm/s at square corners with an acceleration of 10 m/s², in proportion for
-    others; travel: acceleration of travel moves, as a factor on the gentlest feature's;
-    layer_feed: factor on the feed rates of layers, by number from 1.
+    acceleration: by feature, mm/s²; feed: factor on the file's feed rates, by feature; layer_feed:
+    factor on the feed rates of layers, by number from 1.
     """
 
     acceleration: dict[str, float]
     feed: dict[str, float]
-    jerk: float
-    corner: float = 5.0
-    travel: float = 1.0
     layer_feed: dict[int, float] = field(default_factory=dict)
 
 
