@@ -1,4 +1,4 @@
-"""The test motion of `verify`: a rectangle and a zigzag at the profile's limits, between marks.
+"""The test motion of `verify`: a rectangle and a zigzag, or part of a print, between marks.
 
 It is played twice, plain and compensated. When recordings are judged, the part of a command that
 is the motion, and its corners, are found again from the command itself.
@@ -6,18 +6,23 @@ is the motion, and its corners, are found again from the command itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
+
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, X, Y, Z
+from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.errors import HframeError
 from hframe_post.identification.recordings.excitation import alignment_mark
 from hframe_post.identification.recordings.sweep import Run, room
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import frozen
+from hframe_post.stream.types import Samples, frozen
 
 NAMES = ("none", "racking")  # the strategies that are compared
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
+LOOKED_AT, LONGEST, SHORTEST = 200_000, 40_000, 5_000  # samples of a print: of these, from … to
+SHORTEST_STOP, STANDS = 20, 1e-9  # samples and mm per sample of a standstill
 QUIET = 1000  # samples of rest before, between and after the parts
 
 
@@ -39,26 +44,58 @@ def path(printer: Printer) -> list[bytes]:
     return [f"{line}\n".encode() for line in lines]
 
 
-def runs(printer: Printer) -> list[Run]:
-    """Return the plain and the compensated run. Raises HframeError."""
+def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
+    """Return the plain and the compensated run: of the test motion, or of a print's beginning.
+
+    lines: the print's G-code. Nothing is extruded, and z does not move. Raises HframeError.
+    """
     options = Options("racking", limits="printer")
-    source = Commands(path(printer), printer, options, NAMES)
-    chunks = [chunk for chunk in source.computed() if len(chunk)]
-    wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
-    begin = _begin(wanted)
+    source = Commands(path(printer) if lines is None else lines, printer, options, NAMES)
+    chunks = list(_until(source.computed(), LOOKED_AT))
+    if not chunks:
+        raise HframeError("the print does not move in x and y")
+    commands = {name: np.concatenate([c.commands[name] for c in chunks]) for name in NAMES}
+    part = slice(None)
+    if lines is not None:
+        ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
+        part = _between_stops(commands["racking"], ends)
     made = []
-    for name, strategy in (("verify-plain", "none"), ("verify-compensated", "racking")):
-        motion = np.concatenate([chunk.commands[strategy] for chunk in chunks])[begin:]
-        made.append(Run(name, X, (float(motion[0, X]), float(motion[0, Y])),
+    for run, strategy in zip(("verify-plain", "verify-compensated"), NAMES, strict=True):
+        motion = commands[strategy][part]
+        made.append(Run(run, X, (float(motion[0, X]), float(motion[0, Y])),
                         frozen(_framed(motion, printer))))  # fmt: skip
     return made
 
 
-def _begin(wanted: Array) -> int:
-    """Return the sample at which the test motion begins: after the last rest of the approach."""
-    still = np.flatnonzero((np.diff(wanted, axis=0) == 0.0).all(axis=1))
-    ends = still[np.diff(still, append=len(wanted) + 2) > 1]
-    return int(ends[ends < len(wanted) // 2][-1])  # the motion is far longer than its approach
+def _until(chunks: Iterable[Samples], most: int) -> Iterator[Samples]:
+    for chunk in chunks:
+        if len(chunk):
+            yield chunk
+        if chunk.end > most:
+            return
+
+
+def _between_stops(command: Array, ends: Sequence[int]) -> slice:
+    """Return the longest part of at most ``LONGEST`` samples from one standstill to another.
+
+    command (m, 2): mm; ends: samples after which the machine moves on its own.
+    """
+    still = (np.abs(np.diff(command, axis=0)) < STANDS).all(axis=1)
+    edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
+    first, last = edges[::2], edges[1::2]
+    stops = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST_STOP]
+    best = slice(0, 0)
+    for k, (_, start) in enumerate(stops):
+        own = min((end for end in ends if end > start), default=len(command))
+        for stop, _ in stops[k + 1 :]:
+            if stop <= own and best.stop - best.start < stop - start <= LONGEST:
+                best = slice(start, stop + 1)
+    if best.stop - best.start < SHORTEST:
+        raise HframeError(
+            f"the print's first {LOOKED_AT * TS:.0f} s have no part of {SHORTEST * TS:.0f} to "
+            f"{LONGEST * TS:.0f} s between two standstills. Choose another print, or leave it out"
+        )
+    return best
 
 
 def _framed(motion: Array, printer: Printer) -> Array:
