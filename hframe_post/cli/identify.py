@@ -1,11 +1,11 @@
-"""``hframe-post identify``: a profile of your own printer, from sweeps that it has played."""
+"""``hframe-post identify``: a profile of your own printer, from recordings of its motion."""
 
 from __future__ import annotations
 
-import hashlib
+import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -18,22 +18,28 @@ from hframe_post.cli.options import (
     open_json,
     page_option,
     position,
-    printer_option,
 )
-from hframe_post.cli.sweep import FILE, QUIET
+from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.identify import Run, Settings
-from hframe_post.identification.identify import identify as identified
-from hframe_post.identification.recommend import recommend
+from hframe_post.identification.gather import (
+    SAME_AXES,
+    Gathered,
+    along_printer,
+    from_folders,
+    from_pair,
+)
+from hframe_post.identification.identify import Settings
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.report import IdentificationReport, identification_page
+from hframe_post.identification.recordings.folder import files_in
+from hframe_post.identification.report import conclude, identification_page
+from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
-from hframe_post.printer.profile import load
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
+from hframe_post.printer.setup import kinematics_in, text_from_klipper
 from hframe_post.writers.files import Outputs
 
-SAME_AXES = "x=x,y=y,z=z"
 NO_WINDOW = (
     "no window and weight compensate this plant within the motors' limits on every printer that "
     "may differ from it by the model uncertainty. See 'hframe-post tune --help'"
@@ -56,11 +62,27 @@ def _reading(text: str) -> tuple[float, float, float]:
 
 
 @click.command()
-@printer_option
+@click.argument(
+    "recordings",
+    nargs=-1,
+    metavar="[FOLDER|FILES]...",
+    type=click.Path(path_type=Path, exists=True),
+)
+@click.option(
+    "-p",
+    "--printer",
+    metavar="NAME|FILE",
+    help="Profile to complete. Default: a new one from --printer-cfg, or the default profile.",
+)
+@click.option(
+    "--printer-cfg", "config_file", type=FILE, metavar="FILE",
+    help="Klipper's printer.cfg: it describes the tests that were recorded and, without -p, the "
+    "printer.",
+)  # fmt: skip
 @click.option(
     "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
     help="A sweep's command (.csv, written by `sweep`), and what the sensor on the nozzle recorded "
-    "of it. Repeat for each run; x and y are both needed.",
+    "of it, where their names do not show that they belong together. May be repeated.",
 )  # fmt: skip
 @click.option(
     "-b", "--bridge", type=(FILE, FILE, FILE), multiple=True, metavar="COMMAND P1 P2",
@@ -73,8 +95,8 @@ def _reading(text: str) -> tuple[float, float, float]:
 )  # fmt: skip
 @click.option(
     "--axes", multiple=True, metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. A second "
-    f"--axes is for the sensors on the bridge.  [default: {SAME_AXES}]",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
+    "the recordings show. A second --axes is for the sensors on the bridge.",
 )  # fmt: skip
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
@@ -100,7 +122,7 @@ def _reading(text: str) -> tuple[float, float, float]:
 @json_option
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
-    help="Write the profile: that of -p with the plant, the window and λ found.",
+    help="Write the profile: that of -p, or of --printer-cfg, with the plant and the window found.",
 )  # fmt: skip
 @old_option("--unit", "gravity in the recording shows its unit",
                  type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
@@ -110,110 +132,87 @@ def _reading(text: str) -> tuple[float, float, float]:
 @old_option("--estimator", "the estimator is always H1", removed=True)
 @old_option("--order", "the recordings determine the order", removed=True, multiple=True)
 def identify(
-    printer: str, nozzle: tuple[tuple[Path, Path], ...],
-    bridge: tuple[tuple[Path, Path, Path], ...], L_G: float | None, axes: tuple[str, ...],
-    columns: tuple[str, ...] | None, band: tuple[float, float],
-    readings: tuple[tuple[float, float, float], ...], x_c: float | None,
-    offset: tuple[float, float], report_file: Path | None, json_file: Path | None,
-    output: Path | None, unit: str | None, bridge_axes: str | None,
+    recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
+    nozzle: tuple[tuple[Path, Path], ...], bridge: tuple[tuple[Path, Path, Path], ...],
+    L_G: float | None, axes: tuple[str, ...], columns: tuple[str, ...] | None,
+    band: tuple[float, float], readings: tuple[tuple[float, float, float], ...],
+    x_c: float | None, offset: tuple[float, float], report_file: Path | None,
+    json_file: Path | None, output: Path | None, unit: str | None, bridge_axes: str | None,
 ) -> None:  # fmt: skip
-    """Identify a printer's own model from sweeps recorded by accelerometers.
+    """Identify a printer's own model from recordings of its accelerometer.
 
-    One sensor on the nozzle is enough: runs of x at several places show racking, too. Start
-    from a profile (-p) that has your printer's travel and limits. No profile is written if a
-    recording cannot be trusted.
+    Give the folder with the recordings: Klipper's (TEST_RESONANCES with OUTPUT=raw_data),
+    Shake&Tune's, or those of `sweep`. One sensor on the nozzle is enough. The summary says what
+    was used, and what was left aside and why. No profile is written if a recording cannot be
+    trusted.
 
     \b
     Example:
-      hframe-post identify -p my.toml -n x.csv x.recording.csv -n y.csv y.recording.csv -o my.toml
+      hframe-post identify recordings/ --printer-cfg printer.cfg -o mine.toml
     """
-    profile = load(printer)
-    _check_usage(nozzle, bridge, L_G, band, axes)
-    nozzle_axes, second_axes = (*axes, SAME_AXES, SAME_AXES)[:2]
-    reader = _Reader(nozzle_axes, bridge_axes or second_axes, columns, unit)
-    sources = [*files_read(printer), *(path for files in (*nozzle, *bridge) for path in files)]
+    _check_usage([*recordings, *nozzle], bridge, L_G, band, axes)
+    config = KlipperConfig(config_file) if config_file is not None else None
+    source, text = _profile_source(printer, config)
+    profile = load(source) if text is None else parse(text, "printer", source)
+    pairs = [path for files in (*nozzle, *bridge) for path in files]
+    sources = [*files_read(source, *files_in(recordings)), *pairs]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        old = Path(source) if text is None else None
+        file = profiles.open(output, old) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
-            runs = [reader.run(*files) for files in (*nozzle, *bridge)]
-            _check_travel(runs, profile)
-            settings = Settings(band, L_G, profile.kinematics.racks, offset)
-            if profile.steps:
-                settings = replace(settings, step=profile.steps.belt)
+            gathered = Gathered([], [], [])
+            if recordings:
+                gathered += from_folders(recordings, config, profile.travel, columns)
+            for command, *paths in (*nozzle, *bridge):
+                gathered += from_pair(command, paths, profile.travel, columns, unit)
+            second = bridge_axes or (axes[1] if len(axes) > 1 else SAME_AXES)
+            gathered = along_printer(gathered, axes[0] if axes else None, second)
+            settings = _settings(profile, config, band, L_G, offset)
             if readings:
                 gains = accelerometer.gains_at_rest(np.array(readings))
-                along = accelerometer.gains_along_printer(gains, nozzle_axes)
+                along = accelerometer.gains_along_printer(gains, axes[0] if axes else SAME_AXES)
                 settings = replace(settings, sensor=along)
-            found = identified(runs, settings)
-            middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
-            plant, error = found.plant(middle), found.model_error
-            compensation = None
-            if found.refusal is None:
-                compensation = recommend(plant, profile, error, found.other_plants(middle))
-            report = IdentificationReport(found, plant, compensation, reader.setup, reader.findings)
+            report = conclude(gathered, profile, settings, x_c)
             write_json(report.as_json())
             if html is not None:
                 html.write(identification_page(report, profile.description or profile.name))
         click.echo(report.as_text(), err=str(json_file) == "-")
-        if compensation is None:
-            raise IdentificationError(found.refusal or NO_WINDOW)
+        if report.compensation is None:
+            raise IdentificationError(report.identified.refusal or NO_WINDOW)
         if file is not None:
-            windows, notes = compensation.windows, report.origin()
-            text = with_plant(printer, report.plant, windows, notes, round(error, 4))
-            file.write(text.encode())
+            windows, error = report.compensation.windows, round(report.identified.model_error, 4)
+            written = with_plant(source, report.plant, windows, report.origin(), error, text)
+            file.write(written.encode())
+
+
+def _profile_source(printer: str | None, config: KlipperConfig | None) -> tuple[str, str | None]:
+    """Return the profile to complete: its name or file, and its text if it is in no file yet."""
+    if printer is None and config is not None:
+        return str(config.path), text_from_klipper(config)
+    return choose(printer, os.environ).profile, None
+
+
+def _settings(
+    profile: Printer, config: KlipperConfig | None, band: tuple[float, float],
+    L_G: float | None, offset: tuple[float, float],
+) -> Settings:  # fmt: skip
+    # Klipper calls an H-bot corexy, too
+    racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
+    settings = Settings(band, L_G, racks, offset)
+    return replace(settings, step=profile.steps.belt) if profile.steps else settings
 
 
 def _check_usage(
-    nozzle: Sequence[object], bridge: Sequence[object], L_G: float | None,
+    given: Sequence[object], bridge: Sequence[object], L_G: float | None,
     band: tuple[float, float], axes: Sequence[str],
 ) -> None:  # fmt: skip
-    if not nozzle:
-        raise click.UsageError("give at least one --nozzle run of x and one of y")
+    if not given:
+        raise click.UsageError("give the folder with the recordings, or --nozzle COMMAND RECORDING")
     if bridge and L_G is None:
         raise click.UsageError("--bridge needs --bridge-length")
     if not 0.0 < band[0] < band[1] < 500.0:
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
     if len(axes) > 2:
         raise click.UsageError("give --axes at most twice: the nozzle's, then the bridge's")
-
-
-def _check_travel(runs: Sequence[Run], profile: Printer) -> None:
-    for run in runs:
-        ranges = zip("xy", run.command.T, (profile.travel.x, profile.travel.y), strict=True)
-        for axis, at, (low, high) in ranges:
-            if at.min() < low or at.max() > high:
-                raise IdentificationError(
-                    f"{run.name}: its sweep goes from {at.min():.1f} to {at.max():.1f} mm in "
-                    f"{axis}, but the profile's travel from {low:g} to {high:g} mm. Was it played "
-                    "on another printer?"
-                )
-
-
-@dataclass
-class _Reader:
-    """Reader of recordings; ``setup`` and ``findings`` collect remarks for the report."""
-
-    nozzle_axes: str
-    bridge_axes: str
-    columns: tuple[str, ...] | None
-    unit: str | None
-    setup: list[str] = field(default_factory=list)
-    findings: list[str] = field(default_factory=list)
-
-    def run(self, command: Path, *files: Path) -> Run:
-        """Return a run with one recording of the nozzle, or with two of the bridge's ends."""
-        axes = self.nozzle_axes if len(files) == 1 else self.bridge_axes
-        recordings = [self._recording(path, axes) for path in files]
-        name, motion = ", ".join(path.name for path in files), read_command(command)
-        if len(recordings) == 1:
-            return Run(name, motion, recordings[0])
-        return Run(name, motion, None, (recordings[0], recordings[1]))
-
-    def _recording(self, path: Path, axes: str) -> accelerometer.Recording:
-        read = accelerometer.read(path, self.columns, self.unit)
-        self.findings += [f"{path.name}: {text}" for text in accelerometer.diagnose(read, QUIET)]
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-        self.setup.append(f"  {path.name}, axes {axes}, sha256 {digest}")
-        return accelerometer.oriented(read, axes, QUIET)

@@ -63,6 +63,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
+OTHER_PRINTER = 0.4  # spread of an axis; a printer that was used for ten weeks: 0.3
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 SAME_PLACE = 5.0  # mm
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
@@ -155,6 +156,14 @@ class Identified:
     @property
     def refusal(self) -> str | None:
         """Return why the models are too poor for a profile, or None if they are good enough."""
+        for name in AXIS.keys() & self.fits.keys():
+            measured = self.measured[name]
+            if measured.resonance_hz is not None and measured.spread > OTHER_PRINTER:
+                return (
+                    f"the recordings of {AXIS[name]} differ from each other by "
+                    f"{100 * measured.spread:.0f} %. They are of two printers, or of one that was "
+                    "changed in between: identify each by itself"
+                )
         for name in AXIS.keys() & self.fits.keys():
             calibrated = self.measured[name].resonance_hz is None
             off = abs(self.fits[name].gain - 1.0)

@@ -9,13 +9,37 @@ import numpy as np
 
 from hframe_post.arrays import TS
 from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.identify import AXIS, Identified, Measured
-from hframe_post.identification.recommend import Recommendation
+from hframe_post.identification.gather import Gathered
+from hframe_post.identification.identify import (
+    AXIS,
+    Identified,
+    Measured,
+    Settings,
+    identify,
+)
+from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page.measured import Card, Chart, Line, Section, page
 from hframe_post.plotting import decibel, degrees
+from hframe_post.printer.settings import Printer
+
+
+def conclude(
+    gathered: Gathered, profile: Printer, settings: Settings, x_c: float | None = None
+) -> IdentificationReport:
+    """Identify the printer of a profile from gathered runs, and report it.
+
+    x_c: mm, where no run shows it; by default the middle of the travel. Raises HframeError.
+    """
+    found = identify(gathered.runs, settings)
+    middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
+    plant, compensation = found.plant(middle), None
+    if found.refusal is None:
+        others = found.other_plants(middle)
+        compensation = recommend(plant, profile, found.model_error, others)
+    return IdentificationReport(found, plant, compensation, gathered)
 
 
 def functions_table(identified: Identified) -> list[str]:
@@ -36,20 +60,23 @@ def functions_table(identified: Identified) -> list[str]:
 class IdentificationReport:
     """Everything that is reported to the user.
 
-    compensation: None if no window works. setup: the recordings, a line each. findings: warnings
-    about the recordings.
+    compensation: None if no window works. gathered: the recordings, used and not.
     """
 
     identified: Identified
     plant: Plant
     compensation: Recommendation | None
-    setup: list[str]
-    findings: list[str]
+    gathered: Gathered
+
+    @property
+    def setup(self) -> list[str]:
+        """Return the recordings that were used, a line each."""
+        return [f"  {one.label}, {one.motion}, sha256 {one.digest}" for one in self.gathered.used]
 
     def warnings(self) -> list[str]:
         """Return what the user should not rely on, with the contour error that may remain."""
         identified = self.identified
-        messages = [*self.findings, *identified.warnings]
+        messages = [*identified.warnings]
         messages += [
             found.rocking.message(name) for name, found in identified.fits.items() if found.rocking
         ]
@@ -121,6 +148,12 @@ class IdentificationReport:
         return []
 
     def as_text(self) -> str:
+        used = [f"{label:13s}{text}" for label, text in self.gathered.rows()]
+        table = functions_table(self.identified)
+        return "\n".join([*used, "", *table, "", *self.remarks()])
+
+    def remarks(self) -> list[str]:
+        """Return what is known in addition to the functions, a line each."""
         rows = []
         if "Gxtheta" in self.identified.fits:
             measured = "" if self.identified.x_c is not None else " (not measured)"
@@ -131,8 +164,7 @@ class IdentificationReport:
         rows += self.compensation.rows() if self.compensation else []
         rows += [("note", text) for text in self.notes()]
         rows += [("WARNING", text) for text in self.warnings()]
-        lines = [f"{label:13s}{text}" for label, text in rows]
-        return "\n".join([*functions_table(self.identified), "", *lines])
+        return [f"{label:13s}{text}" for label, text in rows]
 
     def _sensor(self) -> str:
         errors = []
@@ -172,6 +204,7 @@ class IdentificationReport:
             "repeats": {name: round(one.share, 4) for name, one in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),
+            **self.gathered.as_json(),
             "setup": self.setup,
             "warnings": self.warnings(),
             "notes": self.notes(),
@@ -223,9 +256,9 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
             "printer."
         )
     sections = [Section(name, _charts(name, measured[name], found)) for name, found in fits.items()]
-    notes = report.as_text().partition("\n\n")[2].splitlines()  # without the table
+    notes = report.remarks()
     facts = [(name, _fact(measured[name], found)) for name, found in fits.items()]
-    facts += [("data", line.strip()) for line in report.setup]
+    facts += report.gathered.rows()
     return page(name, lead, cards, sections, notes, facts)
 
 

@@ -38,19 +38,21 @@ def with_windows(
 
 def with_plant(
     name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
-    uncertainty: float | None = None,
+    uncertainty: float | None = None, text: str | None = None,
 ) -> str:  # fmt: skip
     """Return a profile's text with this plant, these windows, and notes as comments.
 
     A shipped profile is extended, not copied. The plant counts as measured, and a profile that
     compensated nothing compensates racking. uncertainty: share by which the printer may differ
-    from the plant, if known. Raises PrinterError if the text cannot be changed safely.
+    from the plant, if known. text: of the profile, if it is in no file. Raises PrinterError if the
+    text cannot be changed safely.
     """
-    before = parse(_text_and_newline(name_or_path)[0], name_or_path)
+    source = _text_and_newline(name_or_path) if text is None else (text, "\n")
+    before = parse(source[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
     table = _plant(plant, notes, uncertainty)
-    return _changed(name_or_path, tables, table, ("plant", "verified"))
+    return _changed(name_or_path, tables, table, ("plant", "verified"), source)
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -69,10 +71,14 @@ def with_verification(name_or_path: str, date: str, reduction: float) -> str:
 
 
 def _changed(
-    name_or_path: str, tables: Settings, appended: str = "", dropped: Sequence[str] = ()
-) -> str:
-    """Return the profile's text with these settings, and with TOML that replaces some tables."""
-    text, newline = _text_and_newline(name_or_path)
+    name_or_path: str, tables: Settings, appended: str = "", dropped: Sequence[str] = (),
+    source: tuple[str, str] | None = None,
+) -> str:  # fmt: skip
+    """Return the profile's text with these settings, and with TOML that replaces some tables.
+
+    source: its text and line end, by default those of its file.
+    """
+    text, newline = source or _text_and_newline(name_or_path)
     try:
         before = tomllib.loads(text)
         kept = {name: table for name, table in before.items() if name not in dropped}

@@ -223,6 +223,13 @@ def _shaper(config: KlipperConfig) -> dict[str, Known]:
     return {key: known for key, known in found.items() if known.value}
 
 
+def text_from_klipper(config: KlipperConfig) -> str:
+    """Return a new profile for a printer.cfg, with the safest kinematics. Raises HframeError."""
+    kind = kinematics_in(config)[0]
+    tables = {"kinematics": {"type": Known(kind, "kinematics of [printer]")}}
+    return profile_text(tables | from_klipper(config, kind), f"made from {config.path.name}")
+
+
 # ---------------------------------------------------------------------- as text
 
 TITLES = {

@@ -222,9 +222,10 @@ def oriented(recording: Recording, axes: str = "x=x,y=y,z=z", quiet: float = 1.0
 
 
 def axis_map(axes: str) -> Array:
-    """Return the rotation (3, 3) for a map such as ``x=-y,y=x,z=z``.
+    """Return the matrix (3, 3) for a map such as ``x=-y,y=x,z=z``.
 
-    Raises IdentificationError if the map is invalid.
+    It may be a reflection: a sensor on a moving bed sees y mirrored, and so do the recordings of
+    an owner whose printer.cfg has a wrong sign. Raises IdentificationError if the map is invalid.
     """
     parts = [re.fullmatch(r"([xyz])=([-+]?)([xyz])", part.strip())
              for part in axes.lower().split(",")]  # fmt: skip
@@ -237,11 +238,6 @@ def axis_map(axes: str) -> Array:
         raise IdentificationError(
             f"invalid axis map {axes!r}: x, y and z must each name one axis of the sensor, as in "
             "x=-y,y=x,z=z"
-        )
-    if np.linalg.det(matrix) < 0.0:
-        raise IdentificationError(
-            f"the axis map {axes} is left-handed, which no sensor is: a sign is wrong or two axes "
-            "are exchanged"
         )
     return matrix
 

@@ -65,9 +65,9 @@ class Command:
 class Measurement:
     """A recording in a file.
 
-    label: the file, and the measurement in it if there are several. digest: of the samples.
-    command: its motion; None for a test of resonances, whose motion printer.cfg describes.
-    session: 1, or more for recordings that repeat the test of an earlier one.
+    label: the file, within the folder given, and its measurement if there are several. digest: of
+    the samples. command: its motion; None for a test of resonances, whose motion follows from
+    printer.cfg. session: 1, or more for recordings that repeat the test of an earlier one.
     """
 
     label: str
@@ -116,14 +116,14 @@ def contents(
     use where several recorded tests along one direction. Raises OSError if a folder cannot be
     read, and IdentificationError if no file is of a kind that recordings have.
     """
-    files = _files(paths, columns is not None)
+    files = files_in(paths, columns is not None)
     if not files:
         raise IdentificationError(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
             "raw_data_x_….csv, adxl345-….csv or ….stdata. To record, run TEST_RESONANCES AXIS=X "
             "OUTPUT=raw_data, and AXIS=Y; Klipper writes to /tmp of its host"
         )
-    read = [each for path in files for each in _read(path, columns)]
+    read = [each for path, label in files.items() for each in _read(path, label, columns)]
     commands = [each for each in read if isinstance(each, Command)]
     steps: Iterable[Measurement | Aside] = (
         _with_motion(each, commands) if isinstance(each, Measurement) else each
@@ -139,35 +139,42 @@ def contents(
     )
 
 
-def _files(paths: Sequence[Path], arrays: bool) -> list[Path]:
-    """Return the files given, and those in the folders given that may be recordings."""
+def files_in(paths: Sequence[Path], arrays: bool = False) -> dict[Path, str]:
+    """Return the files given, and those in the folders given that may be recordings.
+
+    Each has a label: its name, or its path within the folder. arrays: whether to look for files
+    of arrays, too. Raises OSError if a folder cannot be read, and IdentificationError.
+    """
     suffixes = (*SUFFIXES, *ARRAYS) if arrays else SUFFIXES
-    files: dict[Path, None] = {}
+    files: dict[Path, str] = {}
     for path in paths:
         if not path.is_dir():
-            files[path] = None
+            files[path] = path.name
             continue
         for folder, inner, names in os.walk(path, onerror=_raise):
             deep = len(Path(folder).relative_to(path).parts) >= DEPTH
             inner[:] = [] if deep else sorted(name for name in inner if not name.startswith("."))
             chosen = [n for n in names if n.lower().endswith(suffixes) and not n.startswith(".")]
-            files |= dict.fromkeys(Path(folder) / name for name in sorted(chosen))
+            inside = [Path(folder) / name for name in sorted(chosen)]
+            files |= {file: str(file.relative_to(path)) for file in inside}
     if len(files) > MOST_FILES:
         raise IdentificationError(
             f"{paths[0]}: {len(files)} files are too many. Give a folder with the recordings of "
             "one printer"
         )
-    return list(files)
+    return files
 
 
 def _raise(error: OSError) -> None:
     raise error
 
 
-def _read(path: Path, columns: Sequence[str] | None) -> list[Command | Measurement | Aside]:
+def _read(
+    path: Path, label: str, columns: Sequence[str] | None
+) -> list[Command | Measurement | Aside]:
     by_file = parsed(path.name)
     if by_file.other:
-        return [Aside(str(path), UNUSABLE[by_file.other])]
+        return [Aside(label, UNUSABLE[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
@@ -175,19 +182,28 @@ def _read(path: Path, columns: Sequence[str] | None) -> list[Command | Measureme
             return [Command(path, run, read_command(path))]
         tables = read_tables(path, content, columns)
     except (HframeError, OSError) as error:
-        return [Aside(str(path), _reason(path, error))]
+        return [Aside(label, _reason(path, error))]
     found: list[Command | Measurement | Aside] = []
     for table in tables:
-        label = f"{path}: {table.name}" if len(tables) > 1 else str(path)
+        which = f"{label}: {table.name}" if len(tables) > 1 else label
         name = parsed(table.name) | by_file if table.name else by_file
         try:
             recording = from_table(path, table)
         except HframeError as error:
-            found.append(Aside(label, _reason(path, error)))
+            found.append(Aside(which, _reason(path, error)))
             continue
-        digest = hashlib.sha256(table.values.tobytes()).hexdigest()[:16]
-        found.append(Measurement(label, path, recording, name, digest))
+        digest = _digest(table.values.tobytes())
+        found.append(Measurement(which, path, recording, name, digest))
     return found
+
+
+def digest_of(path: Path) -> str:
+    """Return a short hash of a file's content."""
+    return _digest(path.read_bytes())
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _reason(path: Path, error: Exception) -> str:

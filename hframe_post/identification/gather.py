@@ -1,0 +1,259 @@
+"""Runs to identify a printer from: recordings, each with the motion that was played.
+
+    folders, pairs → runs → with recordings along the printer's axes
+
+The motion of a sweep is in its command's file. That of a test of resonances follows from
+[resonance_tester] of printer.cfg, corrected by what the recording shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.errors import HframeError, IdentificationError
+from hframe_post.identification.recordings import accelerometer
+from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.folder import Aside, Measurement, contents, digest_of
+from hframe_post.identification.recordings.orientation import (
+    QUIET,
+    has_marks,
+    nearest_map,
+    sensor_axes,
+)
+from hframe_post.identification.recordings.resonance_search import find
+from hframe_post.identification.recordings.resonance_test import (
+    DEFAULTS,
+    SECTION,
+    ResonanceTest,
+    probe_points,
+)
+from hframe_post.identification.responses.measured import Run
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.settings import Travel
+
+SAME_AXES = "x=x,y=y,z=z"
+ALIKE = 0.9  # cosine between two sensors' views of one axis, from which they are mounted alike
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """A recording that is used: of which motion, and what was unusual about it."""
+
+    label: str
+    motion: str
+    digest: str
+    session: int = 1
+    notes: tuple[str, ...] = ()
+
+    def as_text(self) -> str:
+        repeated = f", session {self.session}" if self.session > 1 else ""
+        return "; ".join([f"{self.label}: {self.motion}{repeated}", *self.notes])
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """Runs, the recordings that they are made of, and what was left aside."""
+
+    runs: list[Run]
+    used: list[Used]
+    aside: list[Aside]
+
+    def __add__(self, other: Gathered) -> Gathered:
+        return Gathered(self.runs + other.runs, self.used + other.used, self.aside + other.aside)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what was used and what was not, labelled, for a summary."""
+        return [
+            *(("used", one.as_text()) for one in self.used),
+            *(("left aside", f"{one.label}: {one.reason}") for one in self.aside),
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "recordings": [
+                {"file": one.label, "motion": one.motion, "session": one.session,
+                 "sha256": one.digest, "notes": list(one.notes)}
+                for one in self.used
+            ],
+            "left_aside": [{"file": one.label, "reason": one.reason} for one in self.aside],
+        }  # fmt: skip
+
+
+# ---------------------------------------------------------------------- folders
+
+
+def from_folders(
+    paths: Sequence[Path], config: KlipperConfig | None, travel: Travel,
+    columns: Sequence[str] | None = None,
+) -> Gathered:  # fmt: skip
+    """Return the runs in files and folders, with recordings in the sensors' axes.
+
+    config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
+    columns: names of time, x, y, z in files that do not say it. Raises OSError, and
+    IdentificationError if no recording can be used.
+    """
+    held = contents(paths, columns, _chips(config))
+    runs, used, aside = [], [], list(held.aside)
+    for one in held.measurements:
+        try:
+            run, record = _run(one, config, travel)
+        except HframeError as error:
+            aside.append(Aside(one.label, str(error)))
+        else:
+            runs.append(run)
+            used.append(record)
+    if not runs:
+        reasons = "; ".join(f"{one.label}: {one.reason}" for one in aside[:3])
+        more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
+        raise IdentificationError(f"no recording can be used. {reasons}{more}")
+    return Gathered(runs, used, aside)
+
+
+def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tuple[Run, Used]:
+    if one.command is not None:
+        if one.command.direction is None:
+            raise IdentificationError("a motion of both axes; 'hframe-post verify' judges it")
+        motion, rough = one.command.motion, None
+        check_travel(motion, travel)
+        shown = f"sweep {one.command.path.name}"
+    else:
+        found = find(one.recording, _expected(one, config, travel))
+        motion, shown = found.test.command(), _described(found.test, config)
+        rough = (found.start - float(one.recording.t[0]), found.drift)
+    calibrated = rough is None and has_marks(motion)
+    run = Run(one.label, motion, one.recording, calibrated=calibrated, rough_clock=rough)
+    return run, Used(one.label, shown, one.digest, one.session, one.recording.notes)
+
+
+def check_travel(motion: Array, travel: Travel) -> None:
+    """Raise IdentificationError if a motion (m, 2) leaves the printer's travel."""
+    for axis, at, (low, high) in zip("xy", motion.T, (travel.x, travel.y), strict=True):
+        if at.min() < low or at.max() > high:
+            raise IdentificationError(
+                f"its sweep goes from {at.min():.1f} to {at.max():.1f} mm in {axis}, but the "
+                f"profile's travel from {low:g} to {high:g} mm. Was it played on another printer?"
+            )
+
+
+def _expected(one: Measurement, config: KlipperConfig | None, travel: Travel) -> ResonanceTest:
+    """Return the test that printer.cfg describes."""
+    assert one.direction is not None
+    middle = (sum(travel.x) / 2.0, sum(travel.y) / 2.0)
+    if config is None or not config.has(SECTION):
+        test = DEFAULTS["klipper"]
+        return ResonanceTest(one.direction, one.name.point or middle, **test, around_point=False)
+    point = one.name.point or probe_points(config)[0]
+    # Shake&Tune tests in the middle where the point is -1, -1
+    return ResonanceTest.from_config(config, one.direction, middle if min(point) < 0.0 else point)
+
+
+def _described(test: ResonanceTest, config: KlipperConfig | None) -> str:
+    """Return the test as the recording shows it, and what printer.cfg says otherwise."""
+    dx, dy = test.direction[:2]
+    axis = ("x" if dx else "y") if not dx or not dy else f"{dx / abs(dx):g},{dy / abs(dx):.3g}"
+    keys = ["min_freq", "max_freq", "accel_per_hz"]
+    keys += ["sweeping_accel", "sweeping_period"] if test.sweeping_period else []
+    shown = []
+    for key in keys:
+        value = float(getattr(test, key))
+        given = value if config is None else config.number(SECTION, key, value)
+        differs = abs(given - value) > 0.1 * value
+        shown.append(f"{key} {value:g}" + (f" (printer.cfg: {given:g})" if differs else ""))
+    old = " of Klipper before December 2024" if test.around_point else ""
+    x, y = test.point
+    return f"TEST_RESONANCES{old} of {axis} at {x:g},{y:g}: {', '.join(shown)}"
+
+
+def _chips(config: KlipperConfig | None) -> dict[str, str]:
+    """Return the names of the sensors for x and for y, as files have them."""
+    if config is None:
+        return {}
+    both = config.text(SECTION, "accel_chip")
+    return {
+        axis: "_".join((config.text(SECTION, f"accel_chip_{axis}") or both).lower().split())
+        for axis in "xy"
+    }
+
+
+# ---------------------------------------------------------------------- files that the user pairs
+
+
+def from_pair(
+    command: Path, files: Sequence[Path], travel: Travel, columns: Sequence[str] | None,
+    unit: str | None,
+) -> Gathered:  # fmt: skip
+    """Return the run of a command and one recording of the nozzle, or two of the bridge's ends.
+
+    The recordings are in the sensors' axes. travel: of the printer. Raises OSError and
+    IdentificationError.
+    """
+    recordings = [accelerometer.read(path, columns, unit) for path in files]
+    used = [
+        Used(path.name, f"sweep {command.name}", digest_of(path), notes=recording.notes)
+        for path, recording in zip(files, recordings, strict=True)
+    ]
+    name, motion = ", ".join(path.name for path in files), read_command(command)
+    try:
+        check_travel(motion, travel)
+    except IdentificationError as error:
+        raise IdentificationError(f"{name}: {error}") from None
+    ends = (recordings[0], recordings[1]) if len(recordings) == 2 else None
+    nozzle = recordings[0] if ends is None else None
+    return Gathered([Run(name, motion, nozzle, ends, calibrated=has_marks(motion))], used, [])
+
+
+# ---------------------------------------------------------------------- axes
+
+
+def along_printer(
+    gathered: Gathered, axes: str | None = None, bridge_axes: str = SAME_AXES
+) -> Gathered:
+    """Return the same with the recordings of our own sweeps along the printer's axes.
+
+    axes: map of the nozzle's sensor, by default what the recordings show. In a run of x the sign
+    of y is that which a run of y by the same sensor shows, and the other way round: an owner may
+    have mirrored an axis in printer.cfg. bridge_axes: map of the sensors on the bridge. Raises
+    IdentificationError.
+    """
+    found = {}
+    for run in gathered.runs:
+        if run.nozzle is not None and run.calibrated and axes is None:
+            try:
+                found[run.name] = sensor_axes(run.command, run.nozzle)
+            except IdentificationError as error:
+                raise IdentificationError(f"{run.name}: {error}") from None
+    shown = {run.axis: found[run.name][run.axis] for run in gathered.runs if run.name in found}
+    maps = {}
+    for run in gathered.runs:
+        if run.name in found:
+            across = 1 - run.axis
+            maps[run.name] = nearest_map(_mirrored(found[run.name], across, shown.get(across)))
+    runs = [_along(run, axes or maps.get(run.name), bridge_axes) for run in gathered.runs]
+    return replace(gathered, runs=runs)
+
+
+def _mirrored(axes: Array, across: int, shown: Array | None) -> Array:
+    """Return axes (3, 3) with the sign of one that a run along it shows, if mounted alike."""
+    if shown is None or abs(shown @ axes[across]) < ALIKE:
+        return axes
+    turned = axes.copy()
+    turned[across] *= np.sign(shown @ axes[across])
+    return turned
+
+
+def _along(run: Run, axes: str | None, bridge_axes: str) -> Run:
+    if run.bridge is not None:
+        P1, P2 = (accelerometer.oriented(one, bridge_axes, QUIET) for one in run.bridge)
+        return replace(run, bridge=(P1, P2))
+    if axes is None or run.nozzle is None:
+        return run
+    try:
+        return replace(run, nozzle=accelerometer.oriented(run.nozzle, axes, QUIET))
+    except IdentificationError as error:
+        raise IdentificationError(f"{run.name}: {error}") from None
