@@ -121,4 +121,4 @@ def _next_steps(config: KlipperConfig, sections: Path) -> str:
     return f"""
 Next:
   1. {first}
-  2. Restart Klipper, then measure the printer: hframe-post sweep --axis x -o sweep-x.gcode"""
+  2. Restart Klipper, then measure the printer: hframe-post sweep -o sweep.gcode"""
