@@ -73,7 +73,8 @@ def doctor(context: click.Context, printer: str, config: Path | None, folder: Pa
     _check_folders(findings, folder)
     _check_profile(findings, printer, config)
     n = findings.problems
-    click.echo("no problems found" if not n else f"{n} problem{'s' * (n > 1)}")
+    unchecked = ", but printer.cfg was not checked" if config is None else ""
+    click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
     context.exit(1 if n else 0)
 
 

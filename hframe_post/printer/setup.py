@@ -179,13 +179,13 @@ def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dic
     thickest = config.number("extruder", "max_extrude_cross_section", thickest)
     share = thickest / (math.pi / 4.0 * as_float(diameter) ** 2)
 
-    def limit(key: str, of: Known) -> Known:
-        computed = float(f"{share * as_float(of):.6g}")
+    def limit(key: str, of: Known, most: float) -> Known:
+        computed = min(float(f"{share * as_float(of):.6g}"), most)  # what a profile takes
         return _or(config, "extruder", key, Known(computed, "as Klipper computes it"))
 
     return {
-        "extruder_velocity": limit("max_extrude_only_velocity", velocity),
-        "extruder_acceleration": limit("max_extrude_only_accel", acceleration),
+        "extruder_velocity": limit("max_extrude_only_velocity", velocity, 1e4),
+        "extruder_acceleration": limit("max_extrude_only_accel", acceleration, 1e6),
         "extruder_corner_velocity": _or(config, "extruder", "instantaneous_corner_velocity", 1.0),
         "filament_diameter": diameter,
     }
