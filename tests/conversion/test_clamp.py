@@ -15,7 +15,7 @@ PER_MM = 0.033  # filament
 SHAPES: dict[str, list[tuple[float, float]]] = {  # corners on the edges of a bed of 280 by 295 mm
     "along": [(0, 0), (280, 0), (280, 295), (0, 295), (0, 0)],
     "towards": [(100, 50), (1, 60), (0, 80), (0, 200), (1, 210), (100, 295), (200, 295)],
-    "zigzag": [(x % 2 * 3, 100 + 0.4 * x) for x in range(60)],
+    "zigzag": [(k // 2 % 2 * 3, 60 + 6 * ((k + 1) // 2)) for k in range(50)],
 }
 
 
