@@ -70,7 +70,7 @@ def setup(config: Path, folder: Path, kinematics: str | None) -> None:
     if old:
         click.echo("\n".join([f"{target}: {len(changes) or 'no'} changes", *changes]))
     click.echo("\n".join(_summary(klipper, profile, target, kind)))
-    click.echo(_next_steps(klipper, folder / FILE))
+    click.echo(_next_steps(klipper, profile, target))
 
 
 def _kinematics(config: KlipperConfig, requested: str | None, before: Printer | None) -> Known:
@@ -109,7 +109,8 @@ def _summary(config: KlipperConfig, profile: Printer, target: Path, kind: Known)
     yield f"accelerometer    {sensors}"
 
 
-def _next_steps(config: KlipperConfig, sections: Path) -> str:
+def _next_steps(config: KlipperConfig, profile: Printer, target: Path) -> str:
+    sections = target.with_name(FILE)
     include = f"[include {sections.name}]"
     if config.has(include[1:-1]):
         first = f"Copy {sections} next to your printer.cfg, which includes it already."
@@ -118,7 +119,13 @@ def _next_steps(config: KlipperConfig, sections: Path) -> str:
             f"Copy {sections} next to your printer.cfg, and add this line to printer.cfg, at its "
             f"end but above the SAVE_CONFIG block:\n     {include}"
         )
+    if not profile.invented:
+        return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
+    places = ", at three places 60 mm apart" if profile.kinematics.racks else ""
     return f"""
 Next:
   1. {first}
-  2. Restart Klipper, then measure the printer: hframe-post sweep -o sweep.gcode"""
+  2. Restart Klipper, home, and run on its console TEST_RESONANCES AXIS=X OUTPUT=raw_data{places};
+     then the same with AXIS=Y. docs/start.md has the commands, also for a bed that moves.
+  3. Fetch raw_data_*.csv from /tmp of Klipper's host into a folder recordings, and run
+     hframe-post identify recordings --printer-cfg {config.path} -o {target}"""
