@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -21,24 +22,16 @@ from hframe_post.cli.options import (
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.gather import (
-    SAME_AXES,
-    Gathered,
-    along_printer,
-    from_folders,
-    from_pair,
-)
-from hframe_post.identification.identify import Settings
-from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.folder import files_in
-from hframe_post.identification.report import conclude, identification_page
 from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse
-from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import kinematics_in, text_from_klipper
 from hframe_post.writers.files import Outputs
+
+if TYPE_CHECKING:  # these import SciPy, which takes a second
+    from hframe_post.identification.identify import Settings
+    from hframe_post.printer.settings import Printer
 
 NO_WINDOW = (
     "no window and weight compensate this plant within the motors' limits on every printer that "
@@ -122,7 +115,8 @@ def _reading(text: str) -> tuple[float, float, float]:
 @json_option
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
-    help="Write the profile: that of -p, or of --printer-cfg, with the plant and the window found.",
+    help="Write the profile: that of -p, or this file if it exists, or a new one made from "
+    "--printer-cfg, with the plant and the window found.",
 )  # fmt: skip
 @old_option("--unit", "gravity in the recording shows its unit",
                  type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
@@ -150,9 +144,20 @@ def identify(
     Example:
       hframe-post identify recordings/ --printer-cfg printer.cfg -o mine.toml
     """
+    from hframe_post.identification.gather import (
+        SAME_AXES,
+        Gathered,
+        along_printer,
+        from_folders,
+        from_pair,
+    )
+    from hframe_post.identification.recordings import accelerometer
+    from hframe_post.identification.recordings.folder import files_in
+    from hframe_post.identification.report import conclude, identification_page
+
     _check_usage([*recordings, *nozzle], bridge, L_G, band, axes)
     config = KlipperConfig(config_file) if config_file is not None else None
-    source, text = _profile_source(printer, config)
+    source, text = _profile_source(printer, config, output)
     profile = load(source) if text is None else parse(text, "printer", source)
     pairs = [path for files in (*nozzle, *bridge) for path in files]
     sources = [*files_read(source, *files_in(recordings)), *pairs]
@@ -187,9 +192,16 @@ def identify(
             file.write(written.encode())
 
 
-def _profile_source(printer: str | None, config: KlipperConfig | None) -> tuple[str, str | None]:
-    """Return the profile to complete: its name or file, and its text if it is in no file yet."""
+def _profile_source(
+    printer: str | None, config: KlipperConfig | None, output: Path | None
+) -> tuple[str, str | None]:
+    """Return the profile to complete: its name or file, and its text if it is in no file yet.
+
+    The output is completed if it exists, so that it keeps what `setup` and its owner wrote.
+    """
     if printer is None and config is not None:
+        if output is not None and output.is_file():
+            return str(output), None
         return str(config.path), text_from_klipper(config)
     return choose(printer, os.environ).profile, None
 
@@ -198,6 +210,8 @@ def _settings(
     profile: Printer, config: KlipperConfig | None, band: tuple[float, float],
     L_G: float | None, offset: tuple[float, float],
 ) -> Settings:  # fmt: skip
+    from hframe_post.identification.identify import Settings
+
     # Klipper calls an H-bot corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
     settings = Settings(band, L_G, racks, offset)

@@ -18,11 +18,6 @@ from hframe_post.cli.options import (
 )
 from hframe_post.cli.sweep import FILE, QUIET, chips_option, height_option, write_motion
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import oriented, read
-from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.report import verification_page
-from hframe_post.identification.verification.motion import runs
-from hframe_post.identification.verification.verdict import judge
 from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs
@@ -68,6 +63,8 @@ def verify(
     Example:
       hframe-post verify -p my.toml --gcode verify.gcode
     """
+    from hframe_post.identification.verification.motion import runs
+
     if gcode is not None:
         profile = load(printer)
         check_identified(profile)
@@ -84,6 +81,11 @@ def _judge(
     printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
     report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
+    from hframe_post.identification.recordings.accelerometer import oriented, read
+    from hframe_post.identification.recordings.excitation import read_command
+    from hframe_post.identification.report import verification_page
+    from hframe_post.identification.verification.verdict import judge
+
     profile = load(printer)
     sources = [*files_read(printer), *plain, *compensated]
     with Outputs(sources) as profiles:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 
 import click
 import pytest
@@ -35,6 +37,17 @@ def called(words: list[str]) -> tuple[click.Command, list[str]]:
         if (name := " ".join(words[:length])) in COMMANDS:
             return COMMANDS[name], words[length:]
     return COMMANDS["convert"], words
+
+
+def test_help_does_not_wait_for_scipy() -> None:
+    """Importing SciPy takes a second."""
+    code = (
+        "import sys, hframe_post.cli.main as m; c = m.click.Context(m.main)\n"
+        "for name in m.COMMANDS: m.main.get_command(c, name)\n"
+        "print(*(name for name in sys.modules if name.startswith('scipy')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert not done.stdout.strip()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
