@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
-QUIET = 0.5  # s at the start of a recording in which the printer stands still
 
 
 def _chip(text: str) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,18 +18,30 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.cli.sweep import FILE, QUIET, chips_option, height_option, write_motion
+from hframe_post.cli.sweep import FILE, chips_option, height_option, write_motion
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs
 
+if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
+    from hframe_post.identification.verification.pairing import Run
+
 
 @click.command()
+@click.argument(
+    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
+    type=click.Path(path_type=Path, exists=True),
+)  # fmt: skip
 @printer_option
 @click.option(
     "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="VERIFY.GCODE",
     help="Write the test motion, plain and compensated; both commands are written next to it.",
+)  # fmt: skip
+@click.option(
+    "--motion", type=FILE, metavar="PART.GCODE",
+    help="With --gcode: up to 40 s of this print's beginning as test motion, without filament and "
+    "at one height. Default: a rectangle and a zigzag.",
 )  # fmt: skip
 @click.option(
     "--plain", type=(FILE, FILE), metavar="COMMAND RECORDING",
@@ -38,8 +52,9 @@ from hframe_post.writers.files import Outputs
     help="The same two files of the compensated motion.",
 )  # fmt: skip
 @click.option(
-    "--axes", default="x=x,y=y,z=z", show_default=True, metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z.",
+    "--axes", metavar="MAP",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
+    "the recordings show.",
 )  # fmt: skip
 @chips_option
 @height_option
@@ -51,62 +66,89 @@ from hframe_post.writers.files import Outputs
     help="Write the profile, marked as verified, if the verdict is good.",
 )  # fmt: skip
 def verify(
-    printer: str, gcode: Path | None, plain: tuple[Path, Path] | None,
-    compensated: tuple[Path, Path] | None, axes: str, chips: tuple[str, ...], z: float | None,
-    report_file: Path | None, json_file: Path | None, output: Path | None,
+    recordings: tuple[Path, ...], printer: str, gcode: Path | None, motion: Path | None,
+    plain: tuple[Path, Path] | None, compensated: tuple[Path, Path] | None, axes: str | None,
+    chips: tuple[str, ...], z: float | None, report_file: Path | None, json_file: Path | None,
+    output: Path | None,
 ) -> None:  # fmt: skip
     """Check on the printer what a profile does: first --gcode, then both recordings.
 
-    Exits with status 1 if compensation does not help as the profile's model predicts.
+    Put the recordings into one folder with the commands that --gcode wrote. Exits with status 1 if
+    compensation does not help as the profile's model predicts.
 
     \b
     Example:
       hframe-post verify -p my.toml --gcode verify.gcode
+      hframe-post verify -p my.toml recordings/ -o my.toml
     """
-    from hframe_post.identification.verification.motion import runs
+    from hframe_post.identification.recordings.accelerometer import read
+    from hframe_post.identification.recordings.excitation import read_command
+    from hframe_post.identification.recordings.folder import files_in
+    from hframe_post.identification.verification.pairing import from_files
 
     if gcode is not None:
-        profile = load(printer)
-        check_identified(profile)
+        _write(gcode, printer, motion, chips, z)
+    elif recordings and plain is None and compensated is None:
+        runs, files = from_files(recordings)
+        _judge(printer, runs, files, list(files_in(recordings)), axes,
+               report_file, json_file, output)  # fmt: skip
+    elif plain is not None and compensated is not None:
+        runs = [(read_command(command), read(path)) for command, path in (plain, compensated)]
+        _judge(printer, runs, [plain[1], compensated[1]], [*plain, *compensated], axes,
+               report_file, json_file, output)  # fmt: skip
+    else:
+        raise click.UsageError(
+            "give --gcode, the folder with both recordings, or both --plain and --compensated"
+        )
+
+
+def _write(
+    gcode: Path, printer: str, motion: Path | None, chips: tuple[str, ...], z: float | None
+) -> None:
+    from hframe_post.gcode.lines import lines_of
+    from hframe_post.identification.verification.motion import runs
+
+    profile = load(printer)
+    check_identified(profile)
+    if motion is None:
         planned = runs(profile)
-        write_motion(gcode, printer, profile, planned, chips, z)
-        say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
-        return
-    if plain is None or compensated is None:
-        raise click.UsageError("give --gcode, or both --plain and --compensated")
-    _judge(printer, plain, compensated, axes, report_file, json_file, output)
+    else:
+        with motion.open("rb") as file:
+            planned = runs(profile, lines_of(file))
+    write_motion(gcode, printer, profile, planned, chips, z)
+    say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
 
 
 def _judge(
-    printer: str, plain: tuple[Path, Path], compensated: tuple[Path, Path], axes: str,
-    report_file: Path | None, json_file: Path | None, output: Path | None,
+    printer: str, given: Sequence[Run], recorded: Sequence[Path], read_from: Sequence[Path],
+    axes: str | None, report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
-    from hframe_post.identification.recordings.accelerometer import oriented, read
-    from hframe_post.identification.recordings.excitation import read_command
     from hframe_post.identification.report import verification_page
+    from hframe_post.identification.verification.pairing import along_printer, sorted_out
     from hframe_post.identification.verification.verdict import judge
 
     profile = load(printer)
-    sources = [*files_read(printer), *plain, *compensated]
+    sources = [*files_read(printer), *read_from]
     with Outputs(sources) as profiles:
         file = profiles.open(output, Path(printer)) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
-            first, second = (
-                (read_command(command), oriented(read(recording), axes, QUIET))
-                for command, recording in (plain, compensated)
-            )
-            verdict = judge(profile, first, second)
-            write_json(verdict.as_json())
+            first, second = (along_printer(run, axes) for run in given)
+            plain, compensated, notes = sorted_out(profile, first, second)
+            verdict = judge(profile, plain, compensated)
+            write_json({**verdict.as_json(), "notes": notes})
             if html is not None:
-                setup = [("plain", plain[1].name), ("compensated", compensated[1].name)]
+                setup = [("recordings", ", ".join(path.name for path in recorded))]
+                setup += [("note", note) for note in notes]
                 name = profile.description or profile.name
-                html.write(verification_page(verdict, name, [*setup, ("axes", axes)]))
+                html.write(verification_page(verdict, name, setup))
+        for note in notes:
+            say(f"WARNING     {note}")
         click.echo(verdict.as_text(), err=str(json_file) == "-")
         if verdict.fault is not None:
             raise IdentificationError(f"the profile is not verified: {verdict.fault}")
         if file is not None:
-            recorded = datetime.fromtimestamp(compensated[1].stat().st_mtime, UTC)
-            date = recorded.date().isoformat()
+            latest = datetime.fromtimestamp(max(path.stat().st_mtime for path in recorded), UTC)
+            date = latest.date().isoformat()
             file.write(with_verification(printer, date, verdict.reduction).encode())

@@ -16,6 +16,7 @@ from hframe_post.identification.verification.verdict import Verdict, judge
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from tests.conftest import SAMPLES
 from tests.page.pages import data_of
 from tests.random_printers import printer, traced
 from tests.recordings import write_klipper
@@ -118,6 +119,57 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert data_of(report)["cards"][0]["kind"] == "bad"
     assert not (tmp_path / "wrong.toml").exists()
+
+
+def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path) -> None:
+    """The sensor is turned, and one of its axes mirrored."""
+    mine, held = tmp_path / "mine.toml", tmp_path / "held"
+    held.mkdir()
+    windows = load("paper").compensation.windows
+    mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
+    assert invoked("-p", mine, "--gcode", held / "v.gcode").exit_code == 0
+    commands = [held / f"v.verify-{name}.csv" for name in ("plain", "compensated")]
+    files = [held / f"adxl345-verify-{name}.csv" for name in ("plain", "compensated")]
+    for k, (command, path) in enumerate(zip(commands, files, strict=True)):
+        rows = np.loadtxt(command, delimiter=",", skiprows=1)
+        made = CHIP.record(STRANGER, rows[:, 1:], k)
+        write_klipper(path, replace(made, a=made.a[:, [1, 0, 2]] * [1.0, -1.0, 1.0]))
+    assert "VERDICT     good" in (done := invoked("-p", mine, held)).output
+    assert "exchanged" not in done.output
+    both = invoked("-p", mine, "--plain", commands[1], files[1], "--compensated", commands[0],
+                   files[0])  # fmt: skip
+    assert "the plain and the compensated motion were exchanged" in both.output
+    assert "VERDICT     good" in both.output
+    files[0].rename(held / "kept.csv")
+    files[1].rename(files[0])
+    (held / "kept.csv").rename(files[1])
+    done = invoked("-p", mine, held, "-o", tmp_path / "marked.toml")
+    assert "the two recordings were exchanged" in done.output
+    assert "VERDICT     good" in done.output
+    assert load(str(tmp_path / "marked.toml")).verified is not None
+    files[1].unlink()
+    done = invoked("-p", mine, held)
+    assert done.exit_code == 1
+    assert "2 commands of 'verify --gcode' and 1 recordings" in done.output
+
+
+def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
+    cube, mine = SAMPLES / "cube.gcode", tmp_path / "mine.toml"
+    windows = load("paper").compensation.windows
+    mine.write_text(with_plant("paper", load("paper").plant, windows, []))
+    done = invoked("-p", mine, "--gcode", tmp_path / "v.gcode", "--motion", cube)
+    assert done.exit_code == 0, done.output
+    plain, compensated = (
+        np.loadtxt(tmp_path / f"v.verify-{name}.csv", delimiter=",", skiprows=1)[:, 1:]
+        for name in ("plain", "compensated")
+    )
+    assert len(plain) == len(compensated)
+    for command in (plain, compensated):
+        assert np.abs(np.diff(command, 2, axis=0)).max() * 1e6 < 25_000.0  # no jump at its ends
+    assert np.ptp(plain[:, 1]) == pytest.approx(19.6, abs=0.5)  # the cube's walls
+    done = invoked("-p", mine, "--gcode", tmp_path / "w.gcode", "--motion", tmp_path / "v.gcode")
+    assert done.exit_code == 1
+    assert not (tmp_path / "w.gcode").exists()
 
 
 def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:

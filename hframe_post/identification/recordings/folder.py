@@ -116,6 +116,26 @@ def contents(
     use where several recorded tests along one direction. Raises OSError if a folder cannot be
     read, and IdentificationError if no file is of a kind that recordings have.
     """
+    commands, read = read_files(paths, columns)
+    steps: Iterable[Measurement | Aside] = (
+        _with_motion(each, commands) if isinstance(each, Measurement) else each for each in read
+    )
+    for step in (_without_copies, lambda each: _one_sensor(each, chips), _in_sessions):
+        steps = step(list(steps))
+    done = list(steps)
+    return Contents(
+        [each for each in done if isinstance(each, Measurement)],
+        [each for each in done if isinstance(each, Aside)],
+    )
+
+
+def read_files(
+    paths: Sequence[Path], columns: Sequence[str] | None = None
+) -> tuple[list[Command], list[Measurement | Aside]]:
+    """Return the commands and the recordings in files and folders, not yet paired.
+
+    Raises as ``contents``.
+    """
     files = files_in(paths, columns is not None)
     if not files:
         raise IdentificationError(
@@ -124,18 +144,9 @@ def contents(
             "OUTPUT=raw_data, and AXIS=Y; Klipper writes to /tmp of its host"
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]
-    commands = [each for each in read if isinstance(each, Command)]
-    steps: Iterable[Measurement | Aside] = (
-        _with_motion(each, commands) if isinstance(each, Measurement) else each
-        for each in read
-        if not isinstance(each, Command)
-    )
-    for step in (_without_copies, lambda each: _one_sensor(each, chips), _in_sessions):
-        steps = step(list(steps))
-    done = list(steps)
-    return Contents(
-        [each for each in done if isinstance(each, Measurement)],
-        [each for each in done if isinstance(each, Aside)],
+    return (
+        [each for each in read if isinstance(each, Command)],
+        [each for each in read if not isinstance(each, Command)],
     )
 
 

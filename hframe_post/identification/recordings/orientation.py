@@ -34,8 +34,8 @@ LEAST = 0.3  # share of the command that a sensor must show
 
 def has_marks(command: Array) -> bool:
     """Return whether a command (m, 2) begins and ends with the marks of our own motions."""
-    u = acceleration(command[:, int(np.argmax(np.ptp(command, axis=0)))])
-    return find_marks(u, moving_samples(u)) is not None
+    accelerations = (acceleration(along) for along in command.T if np.ptp(along) > 0.0)
+    return any(find_marks(u, moving_samples(u)) is not None for u in accelerations)
 
 
 def sensor_axes(command: Array, recording: Recording) -> Array:
@@ -47,9 +47,8 @@ def sensor_axes(command: Array, recording: Recording) -> Array:
     """
     moved = [axis for axis in (X, Y) if np.ptp(command[:, axis]) > 0.0]
     u = np.column_stack([acceleration(command[:, axis]) for axis in moved])
-    marked = u[:, 0]
-    marks = find_marks(marked, moving_samples(marked))
-    assert marks is not None
+    found = ((v, find_marks(v, moving_samples(v))) for v in u.T)
+    marked, marks = next((v, marks) for v, marks in found if marks is not None)
     at_rest = _at_rest(recording)
     sensor = Resampler(recording.t, recording.a - at_rest)
     track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)

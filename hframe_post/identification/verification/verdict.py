@@ -128,8 +128,8 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class _Measurement:
-    """One run: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
+class Measured:
+    """A run as measured: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
 
     a_racking (m,): the part of a_predicted in y that is due to racking. noise: of a place, mm.
     """
@@ -156,7 +156,7 @@ def judge(
             "the same 'hframe-post verify --gcode'"
         )
     part = motion_of(wanted)
-    runs = [_measure(printer, *run) for run in (plain, compensated)]
+    runs = [measured_run(printer, *run) for run in (plain, compensated)]
     inside = np.zeros(len(wanted), dtype=bool)
     inside[part] = True
     moving = np.zeros(len(wanted), dtype=bool)
@@ -174,8 +174,8 @@ def judge(
         predicted.append(float(np.sqrt((model**2).mean())))
         ringing.append(float(np.sqrt(((run.a - a_path)[after] ** 2).sum(axis=1).mean())))
     band = (GAIN_HZ[1], HIGH_HZ)
-    missed = _rms((runs[0].a - runs[0].a_predicted)[part], *band)
-    off_path = _rms((runs[0].a - a_path)[part], *band)
+    missed = band_rms((runs[0].a - runs[0].a_predicted)[part], *band)
+    off_path = band_rms((runs[0].a - a_path)[part], *band)
     return Verdict(
         (measured[0], measured[1]), (predicted[0], predicted[1]), (ringing[0], ringing[1]),
         missed / max(off_path, 1e-9), _racking(runs, part), np.asarray(TS * np.flatnonzero(moving)),
@@ -183,7 +183,8 @@ def judge(
     )  # fmt: skip
 
 
-def _measure(printer: Printer, command: Array, recording: Recording) -> _Measurement:
+def measured_run(printer: Printer, command: Array, recording: Recording) -> Measured:
+    """Return what a recording shows of a command (m, 2) in mm. Raises IdentificationError."""
     found = aligned(acceleration(command[:, X]), recording, X)
     predicted = Response(printer.plant, command[0]).run(command)
     without = Response(replace(printer.plant, Gxtheta=None), command[0]).run(command)
@@ -195,10 +196,10 @@ def _measure(printer: Printer, command: Array, recording: Recording) -> _Measure
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
     a_racking = acceleration(predicted[:, Y] - without[:, Y])
-    return _Measurement(predicted + off, predicted, a, a_predicted, a_racking, noise)
+    return Measured(predicted + off, predicted, a, a_predicted, a_racking, noise)
 
 
-def _racking(runs: Sequence[_Measurement], part: slice) -> tuple[float, float] | None:
+def _racking(runs: Sequence[Measured], part: slice) -> tuple[float, float] | None:
     """Return the nozzle's racking relative to the prediction, and its standard deviation.
 
     Found by least squares over both runs; other errors of the model in y count as noise.
@@ -268,5 +269,6 @@ def _within(a: Array, low: float, high: float) -> Array:
     return np.asarray(irfft(spectrum, n, axis=0)[: len(a)])
 
 
-def _rms(a: Array, low: float, high: float) -> float:
+def band_rms(a: Array, low: float, high: float) -> float:
+    """Return the RMS of signals (m, k), every 1 ms, between two frequencies in Hz."""
     return float(np.sqrt((_within(a, low, high) ** 2).sum(axis=1).mean()))
