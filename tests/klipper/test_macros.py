@@ -11,15 +11,17 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few
+from tests.printers import profile_of
 
 from .console import typed
+from .host import TEMPLATE
 from .test_objects import strokes
 
 OWN = {"limits": [250.0, 3000.0, 7.0, 0.25], "shapers": [51.5, 38.0]}
-STREAM = {"limits": [770.0, 35355.0, 20.0, 0.0], "shapers": [0.0, 0.0]}
+STREAM = {"limits": [427.79, 7500.0, 20.0, 0.0], "shapers": [0.0, 0.0]}  # of `setup`'s profile
 PRINTER = """
 [printer]
 max_velocity: 250
@@ -83,10 +85,18 @@ SCRIPT = [
 
 
 @pytest.fixture(scope="module")
-def files() -> dict[str, bytes]:
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Printer:
+    """Return the profile that `setup` makes for this printer."""
+    config = tmp_path_factory.mktemp("machine") / "printer.cfg"
+    config.write_text(TEMPLATE.read_text() + PRINTER)
+    return profile_of(KlipperConfig(config))
+
+
+@pytest.fixture(scope="module")
+def files(machine: Printer) -> dict[str, bytes]:
     """Return a converted print, and the same with an error in mid-stream."""
     lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
-    conversion = GcodeConversion(lines, load("paper"), Options("racking"))
+    conversion = GcodeConversion(lines, machine, Options("racking"))
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
     rows = text.splitlines(keepends=True)
     half = len(rows) // 2
@@ -94,12 +104,12 @@ def files() -> dict[str, bytes]:
     return {"part.gcode": text, "error.gcode": b"".join(broken)}
 
 
-def sections(client: str, folder: Path) -> str:
+def sections(client: str, machine: Printer, folder: Path) -> str:
     """Return the configuration with hframe.cfg, which looks ten times as often after errors."""
     before, after = CLIENTS[client]
     config = folder / "own.cfg"
     config.write_text(f"{PRINTER}\n{before}\n{after}".replace("@", ""))
-    text = macros(load("paper"), KlipperConfig(config))
+    text = macros(machine, KlipperConfig(config))
     text = text.replace("DURATION=2", "DURATION=.2").replace("duration: 2", "duration: .2")
     return f"{PRINTER}\n{before}\n{after}".replace("@", text)
 
@@ -111,14 +121,14 @@ def like(row: dict[str, Any], expected: dict[str, list[float]]) -> bool:
 @pytest.mark.klipper
 @pytest.mark.parametrize("client", few([*CLIENTS], 2))
 def test_limits_and_shapers_are_the_printers_whatever_stops_the_print(
-    client: str, files: dict[str, bytes], tmp_path: Path
+    client: str, machine: Printer, files: dict[str, bytes], tmp_path: Path
 ) -> None:
     script, has_client = SCRIPT.copy(), CLIENT in CLIENTS[client]
     if has_client:
         script[4:5] = [("at once", "RESUME FILAMENT=0")]  # refused, as with a runout sensor
-    rows = typed(script, files, sections(client, tmp_path), tmp_path / "host")
+    rows = typed(script, files, sections(client, machine, tmp_path), tmp_path / "host")
     _, cancelled, _, paused, again, resumed, done, _, failed, later = rows
-    assert [like(row, OWN) for row in (cancelled, paused, again, later)] == [True] * 4
+    assert [like(row, OWN) for row in (cancelled, paused, again, done, later)] == [True] * 5
     assert like(resumed, STREAM)
     assert done["state"] == "complete"
     assert failed["state"] in ("error", "cancelled", "standby")

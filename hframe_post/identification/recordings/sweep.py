@@ -59,8 +59,8 @@ HEAD = """\
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature
 ; at which you print, and check that the accelerometers answer (ACCELEROMETER_QUERY).
 ; The nozzle rises to z {z} mm and moves in x and y; nothing is extruded.
-; If you cancel it, Klipper keeps this file's limits: run FIRMWARE_RESTART. Where the macros of
-; hframe-post klipper-macros are installed, cancelling restores the printer's limits by itself.
+; If you cancel it, Klipper keeps this file's limits: run FIRMWARE_RESTART. Where hframe.cfg is
+; included, cancelling restores the printer's limits by itself.
 SAVE_GCODE_STATE NAME={state}
 """
 
