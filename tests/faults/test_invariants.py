@@ -19,13 +19,14 @@ from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream import machine, segments
+from tests.conftest import MEASURED
 
 PART = (
     b"G28\nG90\nM83\nG1 X140 Y100 Z0.2 F9000\nG1 X200 Y100 E2\nM106 S9\nG1 X260 E2\n"
     b"G1 Y120 E0.7\nM106 S8\nG1 X140 E4\n"
 )
 LINES = PART.splitlines(keepends=True)
-PAPER = load("paper")
+PAPER = load(str(MEASURED))
 PRINTER = replace(PAPER, travel=replace(PAPER.travel, z=(0.0, 250.0)))
 MOVING = 500  # samples; the others stand
 Fault = Callable[[Samples], Samples]

@@ -17,6 +17,7 @@ from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES, few
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
+OWN = 'extends = "paper"\n[plant]\ninvented = false\n'
 ME = f"{sys.executable} -m hframe_post"
 
 
@@ -32,7 +33,7 @@ def shell(command: str, folder: Path, **more: Callable[[], None]) -> tuple[int, 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     shutil.copy(RECTANGLE, tmp_path / "in.gcode")
-    (tmp_path / "my.toml").write_text('extends = "paper"\n')
+    (tmp_path / "my.toml").write_text(OWN)
     return tmp_path
 
 
@@ -61,7 +62,7 @@ def test_what_cannot_be_done_is_told_and_nothing_is_touched(
     folder: Path, command: str, cause: str
 ) -> None:
     refused(shell(command, folder), folder, cause)
-    assert (folder / "my.toml").read_text() == 'extends = "paper"\n'
+    assert (folder / "my.toml").read_text() == OWN
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_an_output_that_cannot_be_made_touches_nothing(
     monkeypatch.chdir(folder)
     done = run(*command.split())
     refused((done.returncode, done.stderr.decode()), folder, cause)
-    assert (folder / "my.toml").read_text() == 'extends = "paper"\n'
+    assert (folder / "my.toml").read_text() == OWN
 
 
 @pytest.mark.parametrize(
@@ -140,7 +141,7 @@ def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
 )
 def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes) -> None:
     profile = os.path.join(os.fsencode(folder), name + b".toml")
-    Path(os.fsdecode(profile)).write_text('extends = "paper"\n')
+    Path(os.fsdecode(profile)).write_text(OWN)
     target = os.path.join(os.fsencode(folder), name + b".gcode")
     arguments: list[str | bytes] = [
         sys.executable,

@@ -158,7 +158,7 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
     part, mine = tmp_path / "in.gcode", tmp_path / "mine.toml"
     mine.write_text(
         'extends = "paper"\n[speed]\nmax_error = { outer-wall = 0.05, infill = 0.3 }\n'
-        "speed_up = 2.0\nmodel_error = 0.0\n"
+        "speed_up = 2.0\nmodel_error = 0.0\n[plant]\ninvented = false\n"
     )
     for options, faster in ((), True), (("--max-error", "off"), False):
         part.write_bytes(b"".join(cube()))
@@ -173,7 +173,10 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
 
 def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) -> None:
     part, mine, out = tmp_path / "in.gcode", tmp_path / "mine.toml", tmp_path / "out"
-    mine.write_text('extends = "paper"\n[speed]\nmax_error = 0.1\nmodel_error = 0.0\n')
+    mine.write_text(
+        'extends = "paper"\n[speed]\nmax_error = 0.1\nmodel_error = 0.0\n'
+        "[plant]\ninvented = false\n"
+    )
     part.write_bytes(b"".join(cube()))
     again = partial(run, "batch", part, "-d", out, "-p", mine, "--resume")
     assert b"1 converted, 0 skipped" in again().stderr
