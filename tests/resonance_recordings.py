@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array
 from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
+from hframe_post.identification.responses.measured import Run
 from tests.random_printers import drawn
 from tests.simulator import ADXL345, Chip, Machine
 
@@ -22,15 +24,21 @@ SENSORS = {
     "lis2dw": Chip(step=LIS2DW, noise=1.3, rate=1600.0, filtered=True),
     "lis2dw-394": Chip(step=LIS2DW, noise=1.3, rate=394.0, filtered=True),
 }
+MOTIONS: dict[str, dict[str, Any]] = {
+    "sweeping": {},
+    "pulses": {"sweeping_period": 0.0},
+    "former pulses": {
+        "sweeping_period": 0.0, "around_point": True, "accel_per_hz": 75.0, "max_freq": 400.0 / 3.0,
+    },
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording of a test; sensor (3, 3): the printer's axes in those of the sensor, ±1."""
+    """A test and its recording."""
 
     test: ResonanceTest
     recording: Recording
-    sensor: Array
 
 
 def klipper(direction: tuple[float, ...] = X, **changes: Any) -> ResonanceTest:
@@ -40,18 +48,18 @@ def klipper(direction: tuple[float, ...] = X, **changes: Any) -> ResonanceTest:
 
 
 def recorded(
-    machine: Machine, test: ResonanceTest, chip: Chip, mounting: int, seed: int, step: float = 0.0
+    machine: Machine, test: ResonanceTest, chip: Chip, mounting: int, seed: int
 ) -> Recorded:
     """Return a recording of the machine that plays the test, begun some tenths of a second early.
 
     mounting: seed of the way in which the sensor sits; half of the draws are left-handed, as are
-    many owners' axes maps. step: mm of belt that a motor step moves.
+    many owners' axes maps.
     """
     rng = np.random.default_rng(mounting)
     axes = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
     chip = replace(chip, lead=float(np.random.default_rng(seed).uniform(0.15, 0.6)))
-    made = chip.record(machine, test.command(), seed, step)
-    return Recorded(test, Recording(made.t, made.a @ axes.T, False), axes)
+    made = chip.record(machine, test.command(), seed)
+    return Recorded(test, Recording(made.t, made.a @ axes.T, False))
 
 
 def drawn_sensor(seed: int, kind: str) -> Chip:
@@ -72,3 +80,28 @@ def drawn_sensor(seed: int, kind: str) -> Chip:
 def linear_printer(seed: int) -> Machine:
     """Return a drawn printer without friction, play or harmonics."""
     return drawn(2 * seed)[0]
+
+
+def tested(
+    machine: Machine, chip: Chip, motion: str, seed: int, x: Sequence[float], y: Sequence[float]
+) -> list[Run]:
+    """Return runs of TEST_RESONANCES at places (mm of x), found in their recordings.
+
+    motion: a key of MOTIONS, while printer.cfg leaves all to Klipper's defaults of today. Each
+    run has a clock and a start of its own; the sensor stays as it is mounted.
+    """
+    rng = np.random.default_rng(seed + 999)
+    runs: list[Run] = []
+    for direction, places in ((X, x), (Y, y)):
+        for place in places:
+            point = (place, 147.5)
+            test = klipper(direction, **MOTIONS[motion], point=point)
+            worn = replace(chip, drift=float(rng.uniform(-0.02, 0.02)))
+            it = recorded(machine, test, worn, seed, 1000 * seed + len(runs))
+            found = find(it.recording, klipper(direction, point=point))
+            clock = found.start - float(it.recording.t[0]), found.drift
+            name = f"{'xy'[direction == Y]}-{place:g}"
+            runs.append(
+                Run(name, found.test.command(), it.recording, calibrated=False, rough_clock=clock)
+            )
+    return runs

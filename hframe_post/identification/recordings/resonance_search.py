@@ -42,10 +42,6 @@ LEAST_SWEEPING = 30.0  # mm/s²
 SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
 LEAD = 11  # steps of rest before a motion
 END = 0.15  # s over which the end of the pulses is looked for
-NOTED = {
-    "min_freq": "", "max_freq": "", "hz_per_sec": "", "accel_per_hz": "near ",
-    "sweeping_accel": "near ", "sweeping_period": "",
-}  # fmt: skip
 REST = 0.05  # s before the motion that a whole recording has
 
 
@@ -54,16 +50,13 @@ class Found:
     """What a recording shows of a resonance test.
 
     test: the motion that was played; start: s on the sensor's clock at the first moment of the
-    motion, within 5 ms; drift: by how much that clock runs fast, within 0.05 %; along: unit
-    vector (3,) of the test's direction in the sensor's axes; notes: sentences about what differs
-    from the test that was expected.
+    motion, within 5 ms, the printer's delay included; drift: by how much that clock runs fast,
+    within 0.05 %.
     """
 
     test: ResonanceTest
     start: float
     drift: float
-    along: Array
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +94,8 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     last = _last_hz(a, line, drift, fit, expected)
     _check_shaping(level, low)
     test = _with_levels(fit, low / (1.0 + drift), expected)
-    test = replace(test, max_freq=last)
-    answer = fit.pulses if not test.sweeping_period else fit.pulses + fit.sweeping
-    return Found(
-        test,
-        float(recording.t[0] + fit.start * (1.0 + drift)),
-        drift,
-        np.asarray(answer / np.linalg.norm(answer)),
-        tuple(_notes(test, expected)),
-    )
+    start = float(recording.t[0] + fit.start * (1.0 + drift))
+    return Found(replace(test, max_freq=last), start, drift)
 
 
 def _uniform(recording: Recording) -> Array:
@@ -323,15 +309,3 @@ def _usual(found: float, usual: tuple[float, ...], step: float) -> float:
         if abs(found / value - 1.0) < tolerance:
             return value
     return max(step, step * round(found / step))
-
-
-def _notes(test: ResonanceTest, expected: ResonanceTest) -> list[str]:
-    notes = [
-        f"the recording shows {name} {near}{getattr(test, name):g}; "
-        f"printer.cfg says {getattr(expected, name):g}"
-        for name, near in NOTED.items()
-        if getattr(test, name) != getattr(expected, name)
-    ]
-    if test.around_point:
-        notes.append("the pulses are those of Klipper before December 2024")
-    return notes
