@@ -52,7 +52,7 @@ class _Findings:
 @printer_option
 @click.option(
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Compare Klipper's printer.cfg with the profile.",
+    metavar="FILE", help="Check Klipper's printer.cfg, its includes and macros, and this profile.",
 )  # fmt: skip
 @old_option(
     "--folder", "run doctor in that folder instead", default=".",
@@ -60,7 +60,7 @@ class _Findings:
 )  # fmt: skip
 @click.pass_context
 def doctor(context: click.Context, printer: str, config: Path | None, folder: Path) -> None:
-    """Check the installation, the profile, and whether files can be written here.
+    """Check the installation, the profile, printer.cfg, and what the slicers use.
 
     Exit status: 0 if there are no problems, 1 if there are. Please add the output to bug reports.
 

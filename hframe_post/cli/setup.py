@@ -93,6 +93,8 @@ def _kinematics(config: KlipperConfig, requested: str | None, before: Printer | 
 
 def _summary(config: KlipperConfig, profile: Printer, target: Path, kind: Known) -> Iterator[str]:
     limits, motors = profile.limits, profile.motors
+    if config.unsaved:
+        yield f"WARNING          {config.unsaved}"
     for name in config.missing:
         yield f"WARNING          [include {name}] was not found, so what it sets is not known"
     yield f"profile          {target}, from now on the default"

@@ -21,6 +21,11 @@ from hframe_post.printer.decoding import decoded
 
 SAVED = "#*#"  # starts each line that SAVE_CONFIG wrote
 HEADING = re.compile(r"#\*# <-+ SAVE_CONFIG -+>")
+VOID = (
+    "{}: because of this line Klipper ignores all that SAVE_CONFIG saved, such as z_offset, PID "
+    "and mesh: move it, and all else that SAVE_CONFIG did not write, above the block that begins "
+    "with '#*# <--- SAVE_CONFIG'"
+)
 MAX_FILES = 500
 MAX_SIZE = 1 << 22  # bytes
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
@@ -44,8 +49,8 @@ class Line:
 class KlipperConfig:
     """A printer.cfg with its includes. Raises HframeError if it is not a printer.cfg.
 
-    missing: includes that were not found. unsaved: the line for which Klipper drops all that
-    SAVE_CONFIG wrote, None if there is none.
+    missing: includes that were not found. unsaved: why Klipper ignores all that SAVE_CONFIG wrote,
+    and what to do; empty if it does not.
     """
 
     def __init__(self, path: Path) -> None:
@@ -54,7 +59,8 @@ class KlipperConfig:
         self._lines: dict[tuple[str, str], list[Line]] = {}  # of each section and option
         self._files = 0
         text = _text(path)
-        regular, saved, self.unsaved = _divided(_lines(path, text))
+        regular, saved, void = _divided(_lines(path, text))
+        self.unsaved = VOID.format(void.place) if void is not None else ""
         self._parser = _parser()
         try:
             self._read(regular, ())

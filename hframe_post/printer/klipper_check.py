@@ -37,13 +37,8 @@ def check(
     for name in config.missing:
         place = config.place(f"include {name}", "")
         yield Finding(False, f"{place}: [include {name}] was not found and is not checked")
-    if (line := config.unsaved) is not None:
-        yield Finding(
-            True,
-            f"{line.place}: because of this line Klipper ignores all that SAVE_CONFIG saved, such "
-            "as z_offset, PID and bed mesh: move it, and all else that SAVE_CONFIG did not write, "
-            "above the block that begins with '#*# <--- SAVE_CONFIG'",
-        )
+    if config.unsaved:
+        yield Finding(True, config.unsaved)
     for wrong, section, option, text in (
         *_kinematics(config, printer),
         *_steps(config, printer),
