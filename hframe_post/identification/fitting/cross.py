@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import optimize
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.fitting.modal import (
@@ -35,22 +36,18 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 SAME_MODE = 0.04  # relative distance of frequencies below which both axes' models mean one mode
 UNKNOWN = 0.05  # share of C, or of its RMS, that no linear model explains
 MOST_OWN = 2  # modes of the coupling alone
-OWN_DAMPING = (0.03, 0.08, 0.2)
-OWN_FREQUENCIES = 24  # at which such a mode is tried
+OWN_DAMPING = (0.02, 0.06, 0.2)
+OWN_FREQUENCIES = 20  # at which such a mode is tried
 BETTER = 0.05, 0.01  # of what was unexplained, and of C, that a mode must add to be kept
 FREQUENCIES = 250  # enough to search with
 
 
 @dataclass(frozen=True, slots=True)
 class CrossFit:
-    """turn: ψ in rad. model: the rest of C, 0 at rest, with gain and delay of the commanded axis.
-
-    unexplained: share of C that is left, by power.
-    """
+    """turn: ψ in rad. model: the rest of C, 0 at rest, with gain and delay of the axis itself."""
 
     turn: float
     model: Modal
-    unexplained: float
 
     def coupling(self, across: FrequencyResponse, along: FrequencyResponse) -> Complex:
         """Return the measured C (k,) without what the turned sensor sees of the commanded axis."""
@@ -79,21 +76,23 @@ def fit_cross(
         structure, parameters, coefficients, float((np.abs(left) ** 2).sum()),
         models[0].mode_range_hz,
     )  # fmt: skip
-    power = across.power / across.power.sum()
-    unexplained = (power * np.abs(across.H - A @ x) ** 2).sum() / (
-        power * np.abs(across.H) ** 2
-    ).sum()
-    return CrossFit(float(x[0]), model, float(np.sqrt(unexplained)))
+    return CrossFit(float(x[0]), model)
 
 
-def foreseen(fit: CrossFit, across: FrequencyResponse, along: FrequencyResponse) -> float:
-    """Return the share of another recording of C that a model leaves, whatever its ψ."""
-    power = across.power / across.power.sum()
-    left = across.H - fit.model.response(across.hz)
-    turn = (power * along.H.conj() * left).sum().real / (power * np.abs(along.H) ** 2).sum()
-    left = left - turn * along.H
-    whole = (power * np.abs(across.H) ** 2).sum()
-    return float(np.sqrt((power * np.abs(left) ** 2).sum() / whole))
+def foreseen(
+    first: tuple[FrequencyResponse, FrequencyResponse],
+    second: tuple[FrequencyResponse, FrequencyResponse],
+    models: Sequence[Modal],
+) -> float:
+    """Return the share of the second C, by power, that the coupling fitted to the first leaves.
+
+    first, second: as for ``with_own_modes``; each has its own ψ, as its sensor may have turned.
+    """
+    across, along = second
+    turn = fit_cross(across, along, models).turn
+    left = across.H - turn * along.H - fit_cross(*first, models).model.response(across.hz)
+    whole = (across.power * np.abs(across.H) ** 2).sum()
+    return float(np.sqrt((across.power * np.abs(left) ** 2).sum() / whole))
 
 
 def with_own_modes(
@@ -106,35 +105,48 @@ def with_own_modes(
     first, second: responses across and along, on one delay and the same frequencies.
     """
     kept = list(models)
-    left = foreseen(fit_cross(*first, kept), *second)
-    low, high = first[0].hz[[0, -1]]
-    thinned = [_thinned(response) for response in first]
+    left = foreseen(first, second, kept)
+    across, along = (_thinned(response) for response in first)
     for _ in range(MOST_OWN):
-        tried = [
-            [*kept, _single(models[0], hz, zeta)]
-            for hz in np.geomspace(1.5 * low, 0.98 * high, OWN_FREQUENCIES).tolist()
-            for zeta in OWN_DAMPING
-        ]
-        best = int(
-            np.argmin([fit_cross(thinned[0], thinned[1], each).model.cost for each in tried])
-        )
-        its_left = foreseen(fit_cross(*first, tried[best]), *second)
+        tried = [*kept, _own_mode(across, along, kept)]
+        its_left = foreseen(first, second, tried)
         if left - its_left < BETTER[0] * left + BETTER[1]:
             break
-        kept, left = tried[best], its_left
+        kept, left = tried, its_left
     return kept
+
+
+def _own_mode(
+    across: FrequencyResponse, along: FrequencyResponse, models: Sequence[Modal]
+) -> Modal:
+    """Return the mode that explains most of what the models leave."""
+    low, high = np.log(across.hz[[0, -1]])
+
+    def mode(place: Array) -> Modal:
+        hz, zeta = np.exp(place)
+        omega, delay = np.array([2.0 * np.pi * hz]), models[0].parameters.delay
+        parameters = Parameters(omega, np.array([zeta]), np.zeros(0), delay)
+        return replace(models[0], parameters=parameters)
+
+    def cost(place: Array) -> float:
+        return fit_cross(across, along, [*models, mode(place)]).model.cost
+
+    starts = [
+        np.array([hz, np.log(zeta)])
+        for hz in np.linspace(low, high, OWN_FREQUENCIES)[1:-1].tolist()
+        for zeta in OWN_DAMPING
+    ]
+    bounds = [(low, high), tuple(np.log([OWN_DAMPING[0], OWN_DAMPING[-1]]))]
+    best = optimize.minimize(
+        cost, min(starts, key=cost), method="Nelder-Mead", bounds=bounds, options={"maxfev": 60}
+    )
+    return mode(best.x)
 
 
 def _thinned(response: FrequencyResponse) -> FrequencyResponse:
     s = slice(None, None, max(1, len(response.hz) // FREQUENCIES))
     arrays = {name: getattr(response, name)[s] for name in ("hz", "H", "coherence", "power")}
     return replace(response, **arrays)
-
-
-def _single(model: Modal, hz: float, zeta: float) -> Modal:
-    omega = np.array([2.0 * np.pi * hz])
-    delay = model.parameters.delay
-    return replace(model, parameters=Parameters(omega, np.array([zeta]), np.zeros(0), delay))
 
 
 def _shared_modes(models: Sequence[Modal]) -> tuple[Structure, Parameters]:

@@ -14,7 +14,7 @@ from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.errors import HframeError
 from hframe_post.identification.recordings.excitation import alignment_mark
-from hframe_post.identification.recordings.sweep import Run, room
+from hframe_post.identification.recordings.sweep import Run, room, within_limits
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples, frozen
 
@@ -99,9 +99,8 @@ def _between_stops(command: Array, ends: Sequence[int]) -> slice:
 
 
 def _framed(motion: Array, printer: Printer) -> Array:
-    limits = printer.limits
     left = min(room(printer, X, (float(p[X]), float(p[Y]))) for p in motion[[0, -1]])
-    mark = alignment_mark(printer.sweep, limits.velocity, left)
+    mark = alignment_mark(*within_limits(printer), left)
     parts = []
     for at in motion[[0, -1]]:
         marked = np.tile(at, (len(mark), 1))
