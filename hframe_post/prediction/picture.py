@@ -17,9 +17,9 @@ from hframe_post.prediction.statistics import Labels
 
 PIECE = 4  # samples of a piece at first; ringing at 50 Hz takes 20
 FINEST = 2.0  # mm of a piece at most, as long as there are few; twice as much with each step
-NEAR = 0.01  # mm that path and nozzle may be off the lines drawn for them; likewise
+NEAR = 0.01  # mm that the path may be off the line drawn for it; likewise
 FINER = 2.5  # times as exact is the way from the path to the nozzle, which is drawn magnified
-PASSES = 3  # of joining pairs; one more with each step
+PASSES = 4  # of joining pairs, as long as they join an eighth
 SHAPED = 11  # steps that keep shape and feature; after them any neighbours are joined
 MOST = 300_000  # pieces of a print
 LINE, LAYER, FEATURE, BEGINS, SPEED, LINES = range(Z, Z + 6)  # rows of a table, after x and y
@@ -104,12 +104,13 @@ class Picture:
         for table in later._tables:
             table[LAYER] = layers[table[LAYER].astype(np.int64)]
             table[FEATURE] = features[table[FEATURE].astype(np.int64)]
-            self._append(table)
+            self._append(table, later.coarser)
 
     def pieces(self) -> Pieces:
         count = len(self.strategies)
         table = np.hstack(self._tables) if self._tables else np.zeros((LINES, 0))
-        table = table[:, np.argsort(table[LAYER], kind="stable")]
+        if (np.diff(table[LAYER]) < 0.0).any():  # objects are printed one at a time
+            table = table[:, np.argsort(table[LAYER], kind="stable")]
         line, layer, feature, begins = table[LINE:SPEED].astype(np.int64)
         lines = table[LINES : self._errors].reshape(2, count, 2, table.shape[1])
         nozzle, off = lines.transpose(0, 3, 1, 2)
@@ -130,8 +131,9 @@ class Picture:
         for key, here in zip(keys, sums.T, strict=True):
             self.sums[key] = self.sums.get(key, 0.0) + here
 
-    def _append(self, table: Array) -> None:
-        self._tables.append(self._simplified(table))
+    def _append(self, table: Array, coarser: int = -1) -> None:
+        """Add a table, which is already as coarse as after some steps."""
+        self._tables.append(self._simplified(table) if coarser < self.coarser else table)
         self._count += self._tables[-1].shape[1]
         while self._count > MOST:
             self._coarsen()
@@ -146,11 +148,12 @@ class Picture:
         """Join neighbours, pair by pair, as far as the present step allows."""
         if self.coarser > SHAPED:
             return self._joined(table, np.arange(0, table.shape[1], 2))
-        for _ in range(PASSES + self.coarser):
+        for _ in range(PASSES):
             pairs = self._pairs(table)
-            if not len(pairs):
+            if len(pairs):
+                table = self._joined(table, np.delete(np.arange(table.shape[1]), pairs))
+            if 8 * len(pairs) < table.shape[1]:
                 break
-            table = self._joined(table, np.delete(np.arange(table.shape[1]), pairs))
         return table
 
     def _joined(self, table: Array, starts: Integers) -> Array:
@@ -170,9 +173,10 @@ class Picture:
         share = (x[1:-1] - x[:-2]) * dx + (y[1:-1] - y[:-2]) * dy
         share /= np.maximum(square, 1e-12)
         straight = (square <= length * length) & (share >= 0.0) & (share <= 1.0)
-        off = LINES + 2 * len(self.strategies)
-        for row in (x, y, *table[LINES:off], *(FINER * table[off : self._errors])):
-            straight &= np.abs(row[1:-1] - row[:-2] - share * (row[2:] - row[:-2])) <= near
+        ways = table[LINES + 2 * len(self.strategies) : self._errors]
+        for rows, most in ((table[:Z], near), (ways, near / FINER)):
+            for row in rows:
+                straight &= np.abs(row[1:-1] - row[:-2] - share * (row[2:] - row[:-2])) <= most
         for row in table[LAYER if self.coarser else LINE : BEGINS]:
             straight &= row[2:] == row[1:-1]
         begins = table[BEGINS] != 0.0
