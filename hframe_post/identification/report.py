@@ -21,7 +21,6 @@ from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.plant import Plant
-from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page.measured import Card, Chart, Line, Section, page
 from hframe_post.plotting import decibel, degrees
 from hframe_post.printer.settings import Printer
@@ -304,7 +303,6 @@ def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
     several = len(measured.places) > 1
     runs = [(f"x = {at:.0f} mm", run, "") for at, run in measured.places]
     runs += [("mean", mean, "var(--ink)")] if several else []
-    racking, fbs = STRATEGIES["racking"].colour, STRATEGIES["fbs"].colour
 
     def model(hz: Array) -> Complex:
         return found.G.response(2.0 * np.pi * TS * hz)
@@ -320,9 +318,9 @@ def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
     magnitudes = [Line(label, run.hz, decibel(clean(run)), ink or None) for label, run, ink in runs]
     phases = [Line(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
     for lines, of in ((magnitudes, decibel), (phases, degrees)):
-        lines.append(Line("model", hz, of(model(hz)), racking, strong=True, dashed=True))
+        lines.append(Line("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
     coherence = Line("coherence", hz, mean.coherence, "var(--ink)")
-    residual = Line("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), fbs)
+    residual = Line("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
     frequency = "frequency, Hz"
     return [
@@ -351,8 +349,8 @@ def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]])
     )
     charts = [
         Chart(title, "time, s", "µm", [
-            Line("not compensated", verdict.at, errors[0], STRATEGIES["none"].colour),
-            Line("compensated", verdict.at, errors[1], STRATEGIES["racking"].colour),
+            Line("not compensated", verdict.at, errors[0], "var(--none)"),
+            Line("compensated", verdict.at, errors[1], "var(--racking)"),
         ])
         for title, errors in (
             ("Contour error, measured", verdict.errors_measured),

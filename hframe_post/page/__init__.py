@@ -14,9 +14,10 @@ ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", 
 
 
 def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
-    """Return ``frame.html`` filled with ``name.html``, ``page.css``, ``name.js`` and further parts.
+    """Return ``frame.html`` filled with ``name.html``, ``page.css``, the scripts and further parts.
 
-    The name of a part stands in the template between two pairs of @.
+    The name of a part stands in the template between two pairs of @. data: with name, version,
+    warnings, notes, and facts as pairs.
     """
     content = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for character, escape in ESCAPED.items():
@@ -24,7 +25,7 @@ def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
     folder = resources.files(__package__)
     parts = {
         "STYLE": (folder / "page.css").read_text("utf-8"),
-        "SCRIPT": (folder / f"{name}.js").read_text("utf-8"),
+        "SCRIPT": "".join((folder / f"{one}.js").read_text("utf-8") for one in ("frame", name)),
         "DATA": content,
         **more,
     }

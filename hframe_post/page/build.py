@@ -28,11 +28,8 @@ APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
 PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
-SHOWN = {
-    "none": ("no compensation", STRATEGIES["none"].colour),
-    SHAPER: ("best input shaper", "#9a6a00"),
-    **{name: (STRATEGIES[name].label, STRATEGIES[name].colour) for name in ("fbs", "racking")},
-}
+LABELS = {name: each.label for name, each in STRATEGIES.items()}
+SHOWN = {"none": LABELS["none"], SHAPER: "best input shaper"} | LABELS  # in this order
 
 
 def page(
@@ -55,6 +52,7 @@ def page(
         "version": __version__,
         "warnings": report.warnings(),
         "notes": [note for note in notes if not note.startswith("WARNING")],
+        "facts": _facts(printer, options),
         "chosen": options.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
         "seconds": [report.time.before, report.time.after],
@@ -67,7 +65,6 @@ def page(
         "byFeature": _by_feature(picture, columns),
         "worst": _worst(pieces, picture.strategies.index(options.strategy)) if strategies else [],
         "coarse": picture.finest if picture.coarser else None,
-        "printer": _printer(printer, options),
     }
     packed = _packed(pieces, columns)
     return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(_compressed(lines)))
@@ -92,9 +89,8 @@ def _compressed(lines: Iterable[bytes]) -> bytes:
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:
-    label, colour = SHOWN[name]
     um = report.contour[name].micrometres()
-    return {"name": name, "label": label, "colour": colour, "rms": um["rms"], "p95": um["p95"]}
+    return {"name": name, "label": SHOWN[name], "rms": um["rms"], "p95": um["p95"]}
 
 
 def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[str, Any]]:
@@ -145,7 +141,7 @@ def _worst(pieces: Pieces, column: int) -> list[int]:
     return found
 
 
-def _printer(printer: Printer, options: Options) -> list[list[str]]:
+def _facts(printer: Printer, options: Options) -> list[list[str]]:
     limits, window, motors = printer.limits, printer.compensation, printer.motors
     return [
         ["profile", f"{printer.name}: {printer.description}"],

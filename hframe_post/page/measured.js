@@ -1,18 +1,8 @@
-"use strict";
-const $ = (id) => document.getElementById(id);
-const data = JSON.parse($("data").textContent);
-const COLOURS = ["#5b8ff9", "#4cb8a4", "#d6a400", "#b37feb", "#8c98a8", "#e8825d", "#6fa84f"];
+const COLOURS = [1, 2, 3, 4, 5, 6, 7].map((n) => `var(--line-${n})`);
 const HEIGHT = 240, EDGE = { left: 52, right: 12, top: 10, bottom: 34 };
 
 // ------------------------------------------------------------------ small helpers
 
-function make(tag, text, kind) {  // text from a file is never parsed as markup
-  const made = document.createElement(tag);
-  if (text !== undefined) made.textContent = text;
-  if (kind) made.className = kind;
-  return made;
-}
-function add(parent, ...children) { parent.append(...children); return parent; }
 function addSvg(parent, tag, attributes, text) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -116,14 +106,8 @@ function nearest(sorted, value) {
 
 // ------------------------------------------------------------------ the page
 
-document.title = `${data.name} – hframe-post`;
-$("name").textContent = data.name;
-$("version").textContent = data.version;
 $("lead").textContent = data.lead;
-for (const card of data.cards) {
-  add($("cards"), add(make("div", undefined, `card ${card.kind}`), make("p", card.what, "what"),
-    add(make("p", card.value, "value"), make("small", card.unit ? ` ${card.unit}` : "")), make("p", card.more, "more")));
-}
+for (const each of data.cards) card(each.what, each.value, each.unit, each.more, each.kind);
 const figures = [];
 for (const section of data.sections) {
   const charts = make("div", undefined, "charts");
@@ -134,11 +118,6 @@ for (const section of data.sections) {
   }
   add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts));
 }
-for (const note of data.notes) {
-  const [, name, text] = /^(\S.{0,15}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
-  add($("notes"), add(make("li", undefined, name === "WARNING" ? "warning" : ""), make("span", name), make("span", text)));
-}
-for (const [name, value] of data.facts) add($("facts"), make("dt", name), make("dd", value));
 function drawAll() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }
 window.addEventListener("resize", drawAll);
 drawAll();

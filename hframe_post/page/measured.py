@@ -12,6 +12,7 @@ from hframe_post.arrays import Array
 from hframe_post.page import filled
 from hframe_post.version import __version__
 
+WARNING = "WARNING"
 MOST_POINTS = 1500  # of a line; no screen shows more
 
 
@@ -74,10 +75,15 @@ def page(
             {"title": section.title, "charts": [_chart(chart) for chart in section.charts]}
             for section in sections
         ],
-        "notes": list(notes),
+        "warnings": [note.removeprefix(WARNING).lstrip() for note in notes if _warns(note)],
+        "notes": [note for note in notes if not _warns(note)],
         "facts": [list(fact) for fact in facts],
     }
     return filled("measured", data)
+
+
+def _warns(note: str) -> bool:
+    return note.startswith(WARNING)
 
 
 def _chart(chart: Chart) -> dict[str, Any]:

@@ -1,20 +1,10 @@
-"use strict";
-const $ = (id) => document.getElementById(id);
-const data = JSON.parse($("data").textContent);
-const RAMP = [[1, 104, 150, 196], [10, 62, 158, 148], [25, 204, 164, 44], [100, 216, 62, 48], [1000, 158, 40, 132]];  // µm: calm up to 10
+const RAMP = [[1, 88, 138, 190], [10, 46, 146, 136], [25, 178, 132, 20], [100, 216, 62, 48], [1000, 176, 66, 156]];  // µm: calm up to 10
 const LOW = 1, HIGH = 1000, COLOURS = 48;  // µm, and shades between them
 const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), magnified: 20, scale: 1, x: 0, y: 0, picked: -1 };
 let path = null, first = [], rows = null;
 
 // ------------------------------------------------------------------ small helpers
 
-function make(tag, text, kind) {  // what comes from a file is text, never markup
-  const made = document.createElement(tag);
-  if (text !== undefined) made.textContent = text;
-  if (kind) made.className = kind;
-  return made;
-}
-function add(parent, ...children) { parent.append(...children); return parent; }
 const micrometres = (um) => um >= 99.5 ? um.toFixed(0) : um >= 9.95 ? um.toFixed(0) : um.toFixed(1);
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const share = (um) => Math.log(Math.max(um, LOW) / LOW) / Math.log(HIGH / LOW);  // of the logarithmic scale
@@ -247,12 +237,10 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if
 
 function cards() {
   const whole = Object.fromEntries(data.strategies.map((each) => [each.name, each])), before = whole.none, shaper = whole.shaper, chosen = whole[data.chosen];
-  const card = (what, value, unit, more, kind) => add($("cards"), add(make("div", undefined, "card " + (kind || "")), make("p", what, "what"),
-    add(make("p", value, "value"), make("small", unit ? " " + unit : "")), make("p", more, "more")));
   for (const each of data.strategies) card(each.label, micrometres(each.rms), "µm RMS", `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
   const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
-  card("Print time", clock(compensated), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`);
-  card("Belts at most", String(data.belts.speed[0]), `of ${data.belts.speed[1]} mm/s`, `${data.belts.acceleration.join(" of ")} mm/s²`);
+  card("Print time", clock(compensated), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`, "");
+  card("Belts at most", String(data.belts.speed[0]), `of ${data.belts.speed[1]} mm/s`, `${data.belts.acceleration.join(" of ")} mm/s²`, "");
   if (before && chosen && data.chosen !== "none") {
     const strong = (each) => make("strong", `${micrometres(each.rms)}\u00a0µm`);
     $("lead").replaceChildren("Predicted distance of the nozzle from the path, RMS: ", strong(chosen), " with compensation, ",
@@ -260,32 +248,28 @@ function cards() {
   } else $("lead").textContent = "Nothing is compensated in this file.";
 }
 function tables() {
-  const head = (names) => add(make("thead"), add(make("tr"), ...names.map((name) => make("th", name))));
-  const body = make("tbody");
-  data.byFeature.forEach((each) => {
+  const table = (id, names, rows) => {
+    add($(id), add(make("thead"), add(make("tr"), ...names.map((name) => make("th", name)))), add(make("tbody"), ...rows));
+    for (const row of rows) [...row.cells].forEach((cell, k) => { cell.dataset.label = names[k]; });  // shown on phones
+  };
+  const errors = data.strategies.map((s) => `${s.label}, µm`);
+  table("features", ["feature", "of the time", ...errors], data.byFeature.map((each) => {
     const share = make("td"), meter = make("span", undefined, "meter");
     meter.style.width = `${Math.max(60 * each.share, 1)}px`;
     add(share, meter, `${(100 * each.share).toFixed(1)} %`);
-    add(body, add(make("tr"), make("td", each.name, "name"), share, ...each.rms.map((um) => make("td", micrometres(um)))));
-  });
-  add($("features"), head(["feature", "of the time", ...data.strategies.map((s) => `${s.label}, µm`)]), body);
-  const worst = make("tbody");
-  data.worst.forEach((k) => {
+    return add(make("tr"), make("td", each.name, "name"), share, ...each.rms.map((um) => make("td", micrometres(um))));
+  }));
+  table("worst", ["layer", ...errors, "place", "line", "feature", "mm/s"], data.worst.map((k) => {
     const layer = layerOf(k), [x, y] = place(k), row = make("tr", undefined, "go");
+    const go = () => { state.x = x; state.y = y; show(layer); state.scale = Math.max(state.scale, 14); pick(k); canvas.scrollIntoView({ behavior: "smooth", block: "center" }); };
     row.tabIndex = 0;
-    const go = () => { state.x = x; state.y = y; show(layer); state.scale = Math.max(state.scale, 14); pick(k); $("canvas").scrollIntoView({ behavior: "smooth", block: "center" }); };
     row.addEventListener("click", go);
     row.addEventListener("keydown", (event) => { if (event.key === "Enter") go(); });
-    add(worst, add(row, make("td", data.layers[layer].name), ...data.strategies.map((_, s) => make("td", micrometres(um(k, s)))), make("td", `X${x.toFixed(1)} Y${y.toFixed(1)}`), make("td", path.line[k]),
-      make("td", data.features[path.feature[k] & 127] || "", "name"), make("td", `${path.speed[k]}`)));
-  });
-  add($("worst"), head(["layer", ...data.strategies.map((s) => `${s.label}, µm`), "place", "line", "feature", "mm/s"]), worst);
+    const cells = [data.layers[layer].name, ...data.strategies.map((_, s) => micrometres(um(k, s))), `X${x.toFixed(1)} Y${y.toFixed(1)}`, path.line[k]];
+    return add(row, ...cells.map((text) => make("td", text)), make("td", data.features[path.feature[k] & 127] || "", "name"), make("td", path.speed[k]));
+  }));
 }
 function frame() {
-  document.title = `${data.name} – hframe-post`;
-  $("name").textContent = data.name.replace(/[_-]/g, "$&\u200b");  // where it may wrap
-  $("version").textContent = data.version;
-  data.warnings.forEach((text) => add($("warnings"), make("p", text)));
   const ramp = $("ramp").getContext("2d");
   for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
   $("magnified").addEventListener("change", () => { state.magnified = Number($("magnified").value); draw(); });
@@ -295,11 +279,6 @@ function frame() {
     button.addEventListener("click", () => { state.strategy = k; showReadout(); });
     add($("strategies"), button);
   });
-  data.notes.forEach((note) => {
-    const [, name, text] = /^(\S.{0,15}?)\s{2,}(.*)$/.exec(note) || [null, "", note];
-    add($("notes"), add(make("li"), make("span", name), make("span", text)));
-  });
-  data.printer.forEach(([name, value]) => add($("printer"), make("dt", name), make("dd", value)));
   $("layer").max = Math.max(data.layers.length - 1, 0);
   if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with its largest error; places may be off by ${Math.round(1000 * data.coarse[1])} µm.`;
 }
