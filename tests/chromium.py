@@ -119,6 +119,16 @@ class Browser:
         for kind in ("mousePressed", "mouseReleased"):
             self("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def swipe_up(self, x: float, y: float, far: float) -> None:
+        """Move a finger up on a touch screen."""
+        self("Emulation.setTouchEmulationEnabled", enabled=True)
+        self("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        for k in range(1, 11):
+            points = [{"x": x, "y": y - far * k / 10}]
+            self("Input.dispatchTouchEvent", type="touchMove", touchPoints=points)
+        self("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        self("Emulation.setTouchEmulationEnabled", enabled=False)
+
     def shot(self, path: Path, whole: bool = False) -> None:
         """Save a screenshot of the visible part, or of the whole page."""
         answer = self("Page.captureScreenshot", format="png", captureBeyondViewport=whole)

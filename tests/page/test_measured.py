@@ -8,7 +8,7 @@ import numpy as np
 
 from hframe_post.page.measured import MOST_POINTS, Card, Chart, Line, Section, page
 from tests.chromium import Browser
-from tests.page.pages import data_of
+from tests.page.pages import check_readable, data_of
 
 EVIL = "</script><script>window.evil=1</script>"
 HZ = np.geomspace(3.0, 100.0, 5000)
@@ -44,7 +44,10 @@ def test_charts_show_values_at_the_pointer_and_text_is_never_markup(
         browser.screen(width, 844, dark=width < 600)
         browser.open(path)
         assert browser.value("document.querySelectorAll('.plot svg path').length") == 2
-        assert browser.value("document.documentElement.scrollWidth") <= width
+        check_readable(browser, width)
+        browser.screen(width, 844, dark=width >= 600)
+        check_readable(browser, width)
+        assert browser.value("document.getElementById('warnings').textContent") == EVIL
     assert browser.value("window.evil") is None
     gap = "document.querySelectorAll('.plot svg path')[1].getAttribute('d').match(/M/g).length"
     assert browser.value(gap) == 2

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from hframe_post.library import convert
 from hframe_post.printer.settings import Printer
 from tests.chromium import Browser
 from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
-from tests.page.pages import data_of
+from tests.page.pages import RATIOS, check_readable, data_of
 
 PAGES = ROOT / "hframe_post" / "page"
-WARNING = "NOT VERIFIED on a machine"
 EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
 BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
 
@@ -31,7 +34,7 @@ def sliced(feature: str = "WALL-OUTER") -> bytes:
 def built(paper: Printer, text: bytes, path: Path, name: str = "square.gcode") -> bytes:
     """The page of a conversion, also written to the path."""
     lines = text.splitlines(keepends=True)
-    convert(lines, None, paper, page=path, title=name, notes=["profile          p", WARNING])
+    convert(lines, None, paper, page=path, title=name, notes=["profile          p"])
     return path.read_bytes()
 
 
@@ -125,6 +128,37 @@ def test_slider_strategies_click_and_zoom_change_what_they_should(
     assert browser.complaints == []
 
 
+def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_scroll(
+    browser: Browser, paper: Printer, tmp_path: Path
+) -> None:
+    path = tmp_path / "report.html"
+    built(replace(paper, verified=None), sliced(), path)
+    browser.screen(390, 844)
+    browser.open(path)
+    assert browser.value("data.strategies.map(each => each.name)") == ["none", "shaper", "racking"]
+    assert browser.value("data.strategies.every((each, k, all) => !k || each.rms < all[k - 1].rms)")
+    assert "VERIFIED" in browser.value("document.getElementById('warnings').innerText").upper()
+
+    browser.value("state.strategy = 0")
+    corner = browser.value("path.error[0].indexOf(Math.max(...path.error[0]))")
+    beside = []
+    for times in (1, 20):
+        browser.value(f"magnified = $('magnified'); magnified.value = {times}; "
+                      "magnified.dispatchEvent(new Event('change'))")  # fmt: skip
+        x, y = browser.value(f"nozzle({corner})")
+        near_x, near_y = min(max(x, 100.0), 140.0), min(max(y, 100.0), 130.0)
+        beside.append(float(np.hypot(x - near_x, y - near_y)))
+    assert beside[1] == pytest.approx(20.0 * beside[0], abs=0.2)
+    assert beside[1] > 0.5
+
+    top = browser.value("canvas.scrollIntoView({block: 'center'}), scrollY")
+    left, upper, width, height = browser.value(BOX)
+    browser.swipe_up(left + width / 2, upper + height / 2, 200.0)
+    settled = "new Promise(done => setTimeout(() => done(scrollY), 300))"
+    assert browser.value(settled) > top + 100
+    assert browser.complaints == []
+
+
 def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "evil.html"
     built(paper, sliced(EVIL), path, EVIL)
@@ -141,7 +175,7 @@ def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_
 def test_it_fits_phones_and_desks_by_day_and_by_night(
     browser: Browser, paper: Printer, tmp_path: Path, artefacts: Path
 ) -> None:
-    """And pictures of it are kept to be looked at."""
+    """Text and lines stand out, no column is cut, and pictures are kept to be looked at."""
     path = tmp_path / "report.html"
     built(paper, (SAMPLES / "rectangle.gcode").read_bytes(), path, "rectangle.gcode")
     pictures = {}
@@ -149,7 +183,10 @@ def test_it_fits_phones_and_desks_by_day_and_by_night(
         for dark in (False, True):
             browser.screen(width, height, dark)
             browser.open(path)
-            assert browser.value("document.documentElement.scrollWidth") <= width
+            check_readable(browser, width)
+            shades = browser.value(f"({RATIOS})(Array.from({{length: COLOURS}}, (_, k) => "
+                                   "[colour(k), style('--stage')]))")  # fmt: skip
+            assert min(shades) >= 3.0
             picture = artefacts / f"report-{name}-{'dark' if dark else 'light'}.png"
             browser.shot(picture, whole=True)
             pictures[name, dark] = picture.read_bytes()
