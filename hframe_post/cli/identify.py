@@ -46,6 +46,11 @@ def _columns(text: str) -> tuple[str, ...]:
     return names
 
 
+def _offset(text: str) -> tuple[float, ...]:
+    x, y, *z = text.split(",")[:3] if text.count(",") in (1, 2) else (text, "")
+    return (*position(f"{x},{y}"), *(position(f"0,{height}")[1] for height in z))
+
+
 def _reading(text: str) -> tuple[float, float, float]:
     numbers = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
     if len(numbers) < 3:
@@ -107,7 +112,7 @@ def _reading(text: str) -> tuple[float, float, float]:
 @click.option("--x-c", type=float, metavar="MM",
               help="Where racking does not move the nozzle, if no run shows it.")  # fmt: skip
 @click.option(
-    "--sensor-offset", "offset", type=position, default="0,0", show_default=True, metavar="X,Y",
+    "--sensor-offset", "offset", type=_offset, default="0,0", show_default=True, metavar="X,Y[,Z]",
     help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
     "another lever arm.",
 )  # fmt: skip
@@ -130,7 +135,7 @@ def identify(
     nozzle: tuple[tuple[Path, Path], ...], bridge: tuple[tuple[Path, Path, Path], ...],
     L_G: float | None, axes: tuple[str, ...], columns: tuple[str, ...] | None,
     band: tuple[float, float], readings: tuple[tuple[float, float, float], ...],
-    x_c: float | None, offset: tuple[float, float], report_file: Path | None,
+    x_c: float | None, offset: tuple[float, ...], report_file: Path | None,
     json_file: Path | None, output: Path | None, unit: str | None, bridge_axes: str | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from recordings of its accelerometer.
@@ -208,13 +213,14 @@ def _profile_source(
 
 def _settings(
     profile: Printer, config: KlipperConfig | None, band: tuple[float, float],
-    L_G: float | None, offset: tuple[float, float],
+    L_G: float | None, offset: tuple[float, ...],
 ) -> Settings:  # fmt: skip
     from hframe_post.identification.identify import Settings
 
     # Klipper calls an H-bot corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
-    settings = Settings(band, L_G, racks, offset)
+    height = offset[2] if len(offset) > 2 else None
+    settings = Settings(band, L_G, racks, (offset[0], offset[1]), height)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
 
 

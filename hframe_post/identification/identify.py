@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from hframe_post.arrays import Flags
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.diagnosis.coupling import Coupling, find_coupling, pitching
 from hframe_post.identification.diagnosis.nonlinearity import (
     AxisSweeps,
     LinearPrinter,
@@ -20,9 +22,6 @@ from hframe_post.identification.diagnosis.nonlinearity import (
     find_nonlinearity,
 )
 from hframe_post.identification.diagnosis.scatter import (
-    DAY_TO_DAY,
-    MOST,
-    ModeShift,
     Refit,
     Uncertainty,
     find_mode_shift,
@@ -32,7 +31,7 @@ from hframe_post.identification.diagnosis.scatter import (
     refit_calibrated,
     session_uncertainty,
 )
-from hframe_post.identification.fitting.dominant import Excited, refined, share_left
+from hframe_post.identification.fitting.dominant import refined, share_left
 from hframe_post.identification.fitting.fit import (
     Fit,
     fit,
@@ -40,10 +39,10 @@ from hframe_post.identification.fitting.fit import (
     with_common_delay,
     with_gain,
 )
+from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
-    FrequencyResponse,
     average,
     spread,
 )
@@ -59,164 +58,12 @@ from hframe_post.identification.responses.measured import (
     nozzle_responses,
 )
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
-from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
-OTHER_PRINTER = 0.4  # spread of an axis; a printer that was used for ten weeks: 0.3
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 SAME_PLACE = 5.0  # mm
-LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
-AXIS = {"Gxx": "x", "Gyy": "y"}
-RIGID = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
 
 __all__ = ["Identified", "Measured", "Run", "Settings", "identify"]
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A transfer function as measured.
-
-    places: the response at each position (mm of x). mean: their average. spread: RMS difference of
-    the positions from the mean, relative. delay_bounds: of the recording, s. excited_hz: the
-    lowest frequency that is excited. resonance_hz: the lowest strong resonance, if the recordings
-    are not calibrated.
-    """
-
-    places: list[tuple[float, FrequencyResponse]]
-    mean: FrequencyResponse
-    spread: float
-    delay_bounds: tuple[float, float]
-    excited_hz: float = 0.0
-    resonance_hz: float | None = None
-
-    @property
-    def runs(self) -> list[FrequencyResponse]:
-        return [response for _, response in self.places]
-
-    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
-        """Return what was excited within the band; None if the recordings are calibrated."""
-        if self.resonance_hz is None:
-            return None
-        band = max(band_hz[0], self.excited_hz), band_hz[1]
-        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
-
-
-@dataclass(frozen=True, slots=True)
-class Repetition:
-    """What two or more recordings of an axis at one place tell of each other.
-
-    share: of the answer that one does not foresee of another, by the root of 2, so that it is
-    what each has of its own. functions: the transfer function of each.
-    """
-
-    share: float
-    functions: tuple[TransferFunction, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Identified:
-    """What was identified.
-
-    measured, fits, uncertainties: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
-    runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
-    the kinematics can rack. racking_below_noise: racking was looked for and is less than its
-    noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
-    more than once at one place. lever_arm_sd: standard deviations of x_c (mm) and
-    of racking (relative), if racking was found by the lever arm.
-    """
-
-    measured: dict[str, Measured]
-    fits: dict[str, Fit]
-    x_c: float | None
-    warnings: list[str]
-    racks: bool
-    racking_below_noise: bool
-    mode_shift: ModeShift | None
-    nonlinearity: Nonlinearity | None
-    uncertainties: dict[str, Uncertainty]
-    lever_arm_sd: tuple[float, float] | None
-    repetitions: dict[str, Repetition]
-
-    @property
-    def model_error(self) -> float:
-        """Return the uncertainty of the model; what changes from day to day is assumed, unless
-        every axis was recorded more than once."""
-        shares = [one.share for name, one in self.uncertainties.items() if name != "Gxtheta"]
-        if self.lever_arm_sd is not None:
-            shares.append(min(2.0 * self.lever_arm_sd[1], MOST))
-        known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
-        return max(LEAST_CHANGE if known else DAY_TO_DAY, *shares)
-
-    @property
-    def gains(self) -> dict[str, float]:
-        """Return the sensor's reading per mm/s² along each axis."""
-        return {axis: self.fits[name].gain for name, axis in AXIS.items() if name in self.fits}
-
-    @property
-    def refusal(self) -> str | None:
-        """Return why the models are too poor for a profile, or None if they are good enough."""
-        for name in AXIS.keys() & self.fits.keys():
-            measured = self.measured[name]
-            if measured.resonance_hz is not None and measured.spread > OTHER_PRINTER:
-                return (
-                    f"the recordings of {AXIS[name]} differ from each other by "
-                    f"{100 * measured.spread:.0f} %. They are of two printers, or of one that was "
-                    "changed in between: identify each by itself"
-                )
-        for name in AXIS.keys() & self.fits.keys():
-            calibrated = self.measured[name].resonance_hz is None
-            off = abs(self.fits[name].gain - 1.0)
-            if off > (0.075 if calibrated else 0.35):
-                return (
-                    f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
-                    f"than sensors do: {self._cause}"
-                )
-        for name in AXIS.keys() & self.fits.keys():
-            found = self.fits[name]
-            limit = 0.35 if self.measured[name].resonance_hz is None else 0.6
-            if self.nonlinearity is not None:
-                # a distortion that harmonics account for may leave more unexplained
-                limit = 0.25 if found.residual_over_noise > 2.0 else 0.6
-            if found.residual > limit:
-                return (
-                    f"the model of {name} (order {found.order}) leaves {100 * found.residual:.0f} "
-                    f"% of the measurement unexplained: {self._cause}"
-                )
-        return None
-
-    @property
-    def _cause(self) -> str:
-        if self.nonlinearity is not None:
-            return self.nonlinearity.message
-        if self.mode_shift is not None:
-            return f"{self.mode_shift.message}, too far for a single model"
-        return "check that nothing is loose and that all files are of one printer"
-
-    def plant(self, x_c: float) -> Plant:
-        """Return the plant; ``x_c`` (mm) is used if it was not identified.
-
-        An axis that was not measured is taken to follow its command exactly.
-        """
-        found = {name: fit.G for name, fit in self.fits.items()}
-        known = x_c if self.x_c is None else self.x_c
-        Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
-        return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
-
-    def other_plants(self, x_c: float) -> list[Plant]:
-        """Return plants that were measured, too, and must be compensated as well.
-
-        Those at the least and the greatest x of a printer that changes along x, and those of
-        single recordings.
-        """
-        plant = self.plant(x_c)
-        others = [replace(plant, Gxx=G) for G in self.mode_shift.at_ends] if self.mode_shift else []
-        for name, repetition in self.repetitions.items():
-            x = name == "Gxx"
-            others += [
-                replace(plant, Gxx=G) if x else replace(plant, Gyy=G) for G in repetition.functions
-            ]
-        return others
 
 
 @one_blas_thread()
@@ -263,9 +110,14 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     }
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
+    single = {name: group for name, group in groups.items() if not (racking and name == "Gxx")}
+    couplings = [_coupling(name, group, fits, settings) for name, group in single.items()]
+    for name, group in groups.items():
+        warnings += _pitching(AXIS[name], group, settings)
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
         mode_shift, nonlinearity, uncertainties, lever_arm_sd, repetitions,
+        [one for one in couplings if one is not None],
     )  # fmt: skip
 
 
@@ -366,8 +218,7 @@ def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetitio
     excited = measured.excited(settings.band_hz)
     if excited is None:
         return None
-    places = np.array([place for place, _ in measured.places])
-    near = max((np.abs(places - place) < SAME_PLACE for place in places), key=np.count_nonzero)
+    near = _most_repeated([place for place, _ in measured.places])
     if np.count_nonzero(near) < 2:
         return None
     runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
@@ -375,6 +226,39 @@ def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetitio
     refit = _refit(measured, found, settings)
     functions = tuple(model.discrete(0.0, model.gain) for model in map(refit, runs))
     return Repetition(float(np.mean(shares)) / math.sqrt(2.0), functions)
+
+
+def _most_repeated(places: Sequence[float]) -> Flags:
+    """Flag the runs at the place (mm) that has most of them."""
+    at = np.array(places)
+    return max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)
+
+
+def _coupling(
+    name: str, group: RunGroup, fits: Mapping[str, Fit], settings: Settings
+) -> Coupling | None:
+    """Return what a command in an axis does to the other, if its recordings tell."""
+    if group.resonance_hz is None:
+        return None
+    band = max(settings.band_hz[0], group.excited_hz), settings.band_hz[1]
+    near = _most_repeated([run.place for run in group.runs])
+    sessions = [
+        (run.response.within(band), run.across.within(band))
+        for run, chosen in zip(group.runs, near, strict=True)
+        if chosen and run.across is not None
+    ]
+    other = fits.get("Gyy" if name == "Gxx" else "Gxx")
+    models = fits[name].model, other.model if other else None
+    return find_coupling(AXIS[name], sessions, models) if sessions else None
+
+
+def _pitching(axis: str, group: RunGroup, settings: Settings) -> list[str]:
+    found = [
+        pitching(axis, run.response, run.z, settings.height)
+        for run in group.runs
+        if run.z is not None
+    ]
+    return [message for message in found[-1:] if message]
 
 
 def _find_nonlinearity(

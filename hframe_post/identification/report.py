@@ -10,13 +10,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.gather import Gathered
-from hframe_post.identification.identify import (
-    AXIS,
-    Identified,
-    Measured,
-    Settings,
-    identify,
-)
+from hframe_post.identification.identified import AXIS, Identified, Measured
+from hframe_post.identification.identify import Settings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verification.verdict import Verdict
@@ -103,8 +98,8 @@ class IdentificationReport:
                 messages.append(f"x_c was not measured; {self.plant.x_c:g} mm is assumed")
         elif identified.racks and not identified.racking_below_noise and "Gxx" in identified.fits:
             messages.append(
-                "racking was not measured: the profile cancels ringing only. Sweep x at several "
-                "places, or put sensors on both ends of the bridge"
+                "racking was not measured: on an H-bot the profile cancels ringing only. Test x at "
+                "several places, 20 mm apart or more, to measure it; a CoreXY does not rack"
             )
         return messages
 
@@ -161,6 +156,7 @@ class IdentificationReport:
         rows.append(("sensor", self._sensor()))
         rows += [("uncertainty", text) for text in self._uncertainties()]
         rows += [("repeats", text) for text in self._repetitions()]
+        rows += [("coupling", one.as_text()) for one in self.identified.couplings]
         rows += self.compensation.rows() if self.compensation else []
         rows += [("note", text) for text in self.notes()]
         rows += [("WARNING", text) for text in self.warnings()]
@@ -201,6 +197,7 @@ class IdentificationReport:
             "functions": {name: self._function(name) for name in identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": identified.x_c is not None},
             "uncertainty": uncertainty,
+            "coupling": [one.as_json() for one in identified.couplings],
             "repeats": {name: round(one.share, 4) for name, one in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),

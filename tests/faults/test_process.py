@@ -69,7 +69,7 @@ def test_what_cannot_be_done_is_told_and_nothing_is_touched(
     ("command", "cause"),
     [
         ("in.gcode -q -o /dev/full", "No space left"),
-        ("in.gcode -q --json no/summary.json", "no/summary.json: No such file"),
+        ("in.gcode -q --json no/summary.json", "no/summary.json: the folder no does not exist"),
         ("in.gcode -q --json in.gcode", "is already read or written by this command"),
         ("in.gcode -n -q --json ./in.gcode", "is already read or written by this command"),
         ("in.gcode -q -p my.toml -o my.toml", "is already read or written by this command"),

@@ -18,7 +18,7 @@ is a straight line over p: its slope is Gxθ, whatever ψ; its offset gives x_c 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,14 +90,16 @@ class Settings:
     """What `identify` needs to know about the measurement.
 
     L_G: distance of P1 and P2, mm. racks: whether the kinematics can rack. offset: from the
-    nozzle to its sensor in x and y, mm. step: mm of belt for one motor step. sensor: gains of
-    the sensor along x and y if they were measured with gravity.
+    nozzle to its sensor in x and y, mm. height: of the sensor above the nozzle, mm, if known.
+    step: mm of belt for one motor step. sensor: gains of the sensor along x and y if they were
+    measured with gravity.
     """
 
     band_hz: tuple[float, float]
     L_G: float | None = None
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
+    height: float | None = None
     step: float = 0.02
     sensor: tuple[float, float] | None = None
 
@@ -108,7 +110,8 @@ class RunResponse:
 
     response: along the swept axis, or racking. y: across, from the nozzle's sensor. place: x of
     the sensor, mm. late: half-width of the uncertainty of the recording's start, s. command (m,):
-    mm along the swept axis. harmonics: None if the command has no marks.
+    mm along the swept axis. harmonics: None if the command has no marks. across, z: of the other
+    axis and of z, of uncalibrated runs along one axis.
     """
 
     place: float
@@ -117,6 +120,19 @@ class RunResponse:
     late: float
     command: Array
     harmonics: Harmonics | None = None
+    across: FrequencyResponse | None = None
+    z: FrequencyResponse | None = None
+
+    def advanced(self, seconds: float) -> RunResponse:
+        """Return the responses as if the recording had begun ``seconds`` later."""
+        return self._changed(lambda response: advanced(response, seconds))
+
+    def scaled(self, gain: float) -> RunResponse:
+        return self._changed(lambda response: replace(response, H=response.H * gain))
+
+    def _changed(self, change: Callable[[FrequencyResponse], FrequencyResponse]) -> RunResponse:
+        across, z = (one and change(one) for one in (self.across, self.z))
+        return replace(self, response=change(self.response), y=change(self.y), across=across, z=z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,10 +214,7 @@ def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
     Each run's bounds hold for all: the more runs, the closer the bounds.
     """
     late = delays([run.response for run in responses])
-    runs = [
-        replace(run, response=advanced(run.response, by), y=advanced(run.y, by))
-        for run, by in zip(responses, late, strict=True)
-    ]
+    runs = [run.advanced(by) for run, by in zip(responses, late, strict=True)]
     low = max((-run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
     high = min((run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
     middle = (low + high) / 2.0

@@ -20,7 +20,6 @@ from hframe_post.identification.recordings.self_alignment import SelfAligned, se
 from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
-    advanced,
     estimate,
 )
 from hframe_post.identification.responses.measured import (
@@ -79,22 +78,27 @@ def _response(found: SelfAligned, axis: Array, settings: Settings) -> FrequencyR
 def _group(
     axis: int, chosen: Sequence[_Located], located: Sequence[_Located], settings: Settings
 ) -> RunGroup:
-    responses = []
-    for one in chosen:
-        x, y = _axes(one, located)
-        along, across = (
-            advanced(_response(one.aligned, seen, settings), one.seen.delay)
-            for seen in ((x, y)[axis], y)
-        )
-        if axis == X and abs(one.commanded[Y]) > ALONG:
-            across = along  # a diagonal does not show racking alone
-        along = _scaled(along, 1.0 / float(one.commanded[axis]))
-        place = one.run.place + settings.offset[X]
-        responses.append(RunResponse(place, along, across, 0.0, one.run.displacement))
+    responses = [_run_response(axis, one, located, settings) for one in chosen]
     low = max(one.seen.excited_hz for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
     group = with_common_delay(_with_common_gain(responses, low, resonance))
     return replace(group, delay_bounds=(0.0, 0.0), excited_hz=low, resonance_hz=resonance)
+
+
+def _run_response(
+    axis: int, one: _Located, located: Sequence[_Located], settings: Settings
+) -> RunResponse:
+    x, y, z = (
+        _response(one.aligned, seen, settings) for seen in (*_axes(one, located), one.aligned.up)
+    )
+    share = float(one.commanded[axis])
+    alone = share > 1.0 - 1e-6
+    along, across = (x, y) if axis == X else (y, x)
+    found = RunResponse(
+        one.run.place + settings.offset[X], along, y if alone else along, 0.0,
+        one.run.displacement, None, across if alone else None, z if alone else None,
+    )  # fmt: skip
+    return found.scaled(1.0 / share).advanced(one.seen.delay)
 
 
 def _axes(one: _Located, located: Sequence[_Located]) -> Array:
@@ -136,12 +140,4 @@ def _with_common_gain(
     hz = responses[0].response.hz
     below = (hz >= low) & (hz <= max(0.6 * resonance_hz, 1.5 * low))
     sizes = [float(np.abs(one.response.H[below]).mean()) for one in responses]
-    return [
-        replace(one, response=_scaled(one.response, sizes[0] / size),
-                y=_scaled(one.y, sizes[0] / size))
-        for one, size in zip(responses, sizes, strict=True)
-    ]  # fmt: skip
-
-
-def _scaled(response: FrequencyResponse, gain: float) -> FrequencyResponse:
-    return replace(response, H=response.H * gain)
+    return [one.scaled(sizes[0] / size) for one, size in zip(responses, sizes, strict=True)]
