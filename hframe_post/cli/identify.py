@@ -179,7 +179,7 @@ def identify(
                 gathered += from_pair(command, paths, profile.travel, columns, unit)
             second = bridge_axes or (axes[1] if len(axes) > 1 else SAME_AXES)
             gathered = along_printer(gathered, axes[0] if axes else None, second)
-            settings = _settings(profile, config, band, L_G, offset)
+            settings = _settings(profile, config if text else None, band, L_G, offset)
             if readings:
                 gains = accelerometer.gains_at_rest(np.array(readings))
                 along = accelerometer.gains_along_printer(gains, axes[0] if axes else SAME_AXES)
@@ -217,7 +217,7 @@ def _settings(
 ) -> Settings:  # fmt: skip
     from hframe_post.identification.identify import Settings
 
-    # Klipper calls an H-bot corexy, too
+    # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
     height = offset[2] if len(offset) > 2 else None
     settings = Settings(band, L_G, racks, (offset[0], offset[1]), height)
