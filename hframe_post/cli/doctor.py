@@ -12,13 +12,13 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import chosen_printer, old_option, printer_option, quoted
+from hframe_post.cli.options import old_option, quoted
 from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macro_check import check_macros
 from hframe_post.firmware.klipper.macros import FILE
-from hframe_post.printer.choice import VARIABLE, choose
+from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file
 from hframe_post.printer.edit import changed_by_hand
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.klipper_check import Finding, check
@@ -49,7 +49,10 @@ class _Findings:
 
 
 @click.command()
-@printer_option
+@click.option(
+    "-p", "--printer", "requested", metavar="NAME|FILE",
+    help="Printer profile. Default: the one that a command without -p takes.",
+)  # fmt: skip
 @click.option(
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="FILE", help="Check Klipper's printer.cfg, its includes and macros, and this profile.",
@@ -59,7 +62,9 @@ class _Findings:
     type=click.Path(path_type=Path, file_okay=False),
 )  # fmt: skip
 @click.pass_context
-def doctor(context: click.Context, printer: str, config: Path | None, folder: Path) -> None:
+def doctor(
+    context: click.Context, requested: str | None, config: Path | None, folder: Path
+) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
     Exit status: 0 if there are no problems, 1 if there are. Please add the output to bug reports.
@@ -71,7 +76,12 @@ def doctor(context: click.Context, printer: str, config: Path | None, folder: Pa
     findings = _Findings()
     _check_installation(findings)
     _check_folders(findings, folder)
-    _check_profile(findings, printer, config)
+    try:
+        choice = choose(requested, os.environ)
+    except HframeError as error:
+        (findings.note if config is None else findings.problem)(str(error))
+    else:
+        _check_profile(findings, choice, config)
     n = findings.problems
     unchecked = ", but printer.cfg was not checked" if config is None else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
@@ -110,7 +120,8 @@ def _check_folders(findings: _Findings, folder: Path) -> None:
             findings.problem(f"files cannot be written in {place}: {error.strerror or error}")
 
 
-def _check_profile(findings: _Findings, printer: str, config: Path | None) -> None:
+def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> None:
+    printer = choice.profile
     try:
         profile = load(printer)
         prepared(profile)  # raises where the compensation would be unstable
@@ -122,8 +133,7 @@ def _check_profile(findings: _Findings, printer: str, config: Path | None) -> No
                 "profile, install that version; if an older one did, see CHANGELOG.md"
             )
         return
-    why = chosen_printer().why
-    findings.ok(f"profile {printer} ({why}): {profile.description or 'no description'}")
+    findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
             "its plant is not measured, so nothing is compensated until 'hframe-post identify' "
@@ -184,7 +194,9 @@ def _check_hooks(findings: _Findings, printer: str) -> None:
     try:
         default = choose(None, os.environ)
     except HframeError as error:
-        findings.problem(str(error))
+        needed = config_file().exists() or any(not preset.profile for preset in found)
+        tell = findings.problem if needed else findings.note
+        tell(f"a command without -p, such as the one in a slicer, fails: {error}")
         return
     if not named and not _same(default.profile, printer):
         findings.problem(

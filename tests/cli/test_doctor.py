@@ -119,6 +119,16 @@ def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:
     assert b"hframe-post 0" in done.stdout
 
 
+def test_doctor_without_a_profile_checks_the_installation(tmp_path: Path) -> None:
+    done = run("doctor", XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
+    assert done.returncode == 0
+    assert b"note     no printer is chosen: make its profile with 'hframe-post setup" in done.stdout
+    assert b"no problems found, but printer.cfg was not checked" in done.stdout
+    checked = run("doctor", "--printer-cfg", REAL, XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
+    assert checked.returncode == 1
+    assert b"PROBLEM  no printer is chosen" in checked.stdout
+
+
 def test_an_unknown_key_may_be_of_a_newer_version(tmp_path: Path) -> None:
     newer = tmp_path / "newer.toml"
     newer.write_text('extends = "paper"\n[limits]\ncurvature = 3\n')
