@@ -139,7 +139,7 @@ class IdentificationReport:
         if missing:
             return [f"{missing[0]} was not recorded, so the profile compensates nothing in it"]
         if self.identified.racking_below_noise:
-            return ["racking is below its measurement uncertainty; the profile has none"]
+            return ["racking is too small to measure here: the profile cancels ringing only"]
         return []
 
     def as_text(self) -> str:
@@ -175,7 +175,7 @@ class IdentificationReport:
         lines = []
         for name, one in found.uncertainties.items():
             if not any(one.hz):
-                lines.append(f"{name}: a single recording does not tell")
+                lines.append(f"{name}: unknown from a single recording")
                 continue
             large = zip(one.hz, one.importance, strict=True)
             hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd, size in large if size > 0.02)
