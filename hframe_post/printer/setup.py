@@ -21,9 +21,9 @@ KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexz": ("corexz",),
     "cartesian": ("cartesian",),
 }
-# Compensation moves harder than the path: a cube at max_accel, on simulated printers with modes
-# from 18 to 55 Hz, needs 1.1 to 2.5 times as much, the more the lower max_accel is.
-ACCELERATION_HEADROOM = 2.5
+# Compensation moves harder than the path, by what its jerk asks for: a cube at max_accel, on
+# simulated printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel.
+MORE_ACCELERATION = 1.5  # times the acceleration that the jerk reaches in RAMP
 VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 DEFAULT = "Klipper's default"
@@ -118,14 +118,16 @@ def motors(kinematics: str, velocity: Known, acceleration: Known) -> dict[str, K
     """Return the limits of the belts for a path with these limits in any direction."""
     belts = 1.0 / Kinematics(kinematics).min_speed_ratio
     diagonal = "√2 × " if belts > 1.0 else ""
+    path = as_float(acceleration)
+    needed = round(path + MORE_ACCELERATION * min(path, RAMP * HIGHEST_JERK))
     return {
         "belt_velocity": Known(
             round(VELOCITY_HEADROOM * belts * as_float(velocity), 1),
             f"{VELOCITY_HEADROOM:g} × {diagonal}the velocity above",
         ),
         "belt_acceleration": Known(
-            float(round(ACCELERATION_HEADROOM * belts * as_float(acceleration))),
-            f"{ACCELERATION_HEADROOM:g} × {diagonal}the acceleration above; less if motors skip",
+            float(round(belts * needed)),
+            f"{diagonal}{needed}, which compensation may need; less if motors skip",
         ),
     }
 

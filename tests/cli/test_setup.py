@@ -67,7 +67,7 @@ def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Pa
     own = load(str(config.parent / "printer.toml"))
     assert (own.limits.velocity, own.limits.acceleration) == (800.0, 10000.0)
     assert own.motors.belt_velocity > 2**0.5 * 800.0
-    assert own.motors.belt_acceleration == round(2.5 * 2**0.5 * 10000.0)
+    assert own.motors.belt_acceleration == round(2**0.5 * 22000.0)
     assert own.sweep.amplitude == 5000.0
     edited(config, "max_accel: 10000", "max_accel: 3000")
     set_up(config)
@@ -78,7 +78,7 @@ def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: P
     own = config.parent / "printer.toml"
     set_up(config)
     assert "no changes" in set_up(config)
-    edited(own, "belt_acceleration = 35355", "belt_acceleration = 20000")
+    edited(own, "belt_acceleration = 31113", "belt_acceleration = 20000")
     edited(own, "dialect = ", 'harmless = ["BEEP"]\ndialect = ')
     edited(config, "max_accel: 10000", "max_accel: 8000")
     printed = set_up(config)

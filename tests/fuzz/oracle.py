@@ -44,7 +44,9 @@ ELSEWHERE = 6.0  # times as much as in the file, for other firmwares: the nozzle
 ROUND = 0.0075  # mm from a circle: chords, and half of the file's last digit
 BOM = b"\xef\xbb\xbf"
 WRITTEN = re.compile(rb"G1(?: [XYZE]-?\d+(?:\.\d+)?)*(?: F\d+(?:\.\d+)?)?")
-WITHOUT_LINE = ("empty", "not a single move", "binary", "not a text file", "mm of filament")
+WITHOUT_LINE = (
+    "empty", "not a single move", "binary", "not a text file", "UTF-16", "mm of filament",
+)  # fmt: skip
 EXTRUSIONS: tuple[Extrusion, ...] = ("absolute", "relative")
 FIRMWARES = ("klipper", "marlin")
 
