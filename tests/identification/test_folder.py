@@ -197,7 +197,7 @@ def test_what_is_left_aside_has_one_reason_each(tmp_path: Path) -> None:
     assert list(by_name(found)) == ["copy_of_x.csv"]
     for name, words in {
         "raw_data_x_1": "a copy of",
-        "resonances_x": "is a spectrum that Klipper has computed",
+        "resonances_x": "a spectrum that Klipper has computed",
         "raw_data_y_1": "line 801: too few columns",
         "raw_data_y_2": "the compressed file is cut off",
         "raw_data_z": "z moves",
@@ -205,7 +205,7 @@ def test_what_is_left_aside_has_one_reason_each(tmp_path: Path) -> None:
         "vibrations": "constant speeds",
         "staticfreq": "constant frequency",
         "measured": "neither its name nor a command next to it shows which axis moved",
-        "notes": "is not a Klipper accelerometer file",
+        "notes": "not a Klipper accelerometer file",
         "empty": "the file is empty",
     }.items():
         assert words in reason(found, name)

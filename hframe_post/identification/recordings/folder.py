@@ -220,7 +220,7 @@ def _digest(content: bytes) -> str:
 def _reason(path: Path, error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or str(error)
-    return str(error).removeprefix(str(path)).removeprefix(":").strip()
+    return str(error).removeprefix(str(path)).removeprefix(":").strip().removeprefix("is ")
 
 
 # ---------------------------------------------------------------------- motions
