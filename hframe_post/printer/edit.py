@@ -51,6 +51,8 @@ def with_plant(
     before = parse(source[0], name_or_path)
     strategy = {"strategy": "racking"} if before.compensation.strategy == "none" else {}
     tables = {"compensation": {**_settings(windows), **strategy}}
+    if plant.Gxtheta is not None and before.kinematics.type == "corexy":
+        tables["kinematics"] = {"type": "hbot"}  # which Klipper calls corexy, too
     table = _plant(plant, notes, uncertainty)
     return _changed(name_or_path, tables, table, ("plant", "verified"), source)
 

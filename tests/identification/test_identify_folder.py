@@ -2,18 +2,113 @@
 
 from __future__ import annotations
 
+import json
+import lzma
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hframe_post.identification.gather import along_printer, from_folders
 from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.orientation import QUIET
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from tests.identification.bench import AXES, Recorded
+from hframe_post.printer.setup import text_from_klipper
+from tests.identification.bench import AXES, Recorded, check_refused, invoked
 from tests.recordings import write_klipper
+
+REAL = Path(__file__).parent / "data" / "raw_data_y_20250601_120000.csv.xz"
+CONFIG = """
+[printer]
+kinematics: corexy
+max_velocity: 500
+max_accel: 20000
+[stepper_x]
+position_max: 350
+[stepper_y]
+position_max: 360
+[extruder]
+nozzle_diameter: 0.4
+[resonance_tester]
+accel_chip: adxl345
+probe_points: 175, 175, 30
+accel_per_hz: 90
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "printer.cfg"
+    path.write_text(CONFIG)
+    return path
+
+
+def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> None:
+    """A Sovol SV08, its sensor's −z along y, thinned to 333 samples a second."""
+    held, mine = tmp_path / "held", tmp_path / "mine.toml"
+    held.mkdir()
+    shutil.copy(REAL, held)
+    (held / "resonances_y.csv").write_text("freq,psd_x,psd_y,psd_z,psd_xyz\n1,2,3,4,5\n")
+    summary, page = tmp_path / "summary.json", tmp_path / "page.html"
+    more = ("--json", summary, "--report", page)
+    done = invoked(held, "--printer-cfg", config, "-o", mine, *more)
+    assert done.exit_code == 0, done.output
+    shown = re.search(r"min_freq 1, max_freq 100, accel_per_hz (\d+) .printer.cfg: 90", done.output)
+    assert shown is not None, done.output
+    assert float(shown[1]) == pytest.approx(50.0, rel=0.1)
+    assert "left aside   resonances_y.csv: a spectrum that Klipper has computed" in done.output
+    assert "x was not recorded, so the profile compensates nothing in it" in done.output
+    found = json.loads(summary.read_text())
+    assert [one["file"] for one in found["recordings"]] == [REAL.name]
+    assert [one["file"] for one in found["left_aside"]] == ["resonances_y.csv"]
+    strongest = found["functions"]["Gyy"]["modes"][0]
+    assert strongest["hz"] == pytest.approx(40.0, rel=0.04)
+    assert strongest["damping"] == pytest.approx(0.08, rel=0.3)
+    profile = load(str(mine))
+    assert not profile.invented
+    assert profile.travel.x == (0.0, 350.0)
+    assert REAL.name in mine.read_text()
+    assert str(tmp_path) not in mine.read_text()
+    assert "left aside" in page.read_text()
+
+
+def test_folders_that_give_nothing_are_refused_in_one_line(tmp_path: Path, config: Path) -> None:
+    lines = lzma.decompress(REAL.read_bytes()).splitlines(keepends=True)
+    rng = np.random.default_rng(0)
+    noise = [
+        b"%.3f,%.0f,%.0f,%.0f\n" % (0.003 * k, *rng.normal(0.0, 800.0, 3)) for k in range(9999)
+    ]
+    for text, words in (
+        (b"".join(lines[:12000]), "cut"),
+        (lines[0] + b"".join(lines[9000:]), "complete"),
+        (b"".join(lines)[:-12], r"too few columns.*cut off"),
+        (lines[0] + b"".join(noise), "shows no resonance test"),
+        (b"freq,psd_x,psd_y,psd_z,psd_xyz\n1,2,3,4,5\n", "a spectrum"),
+    ):
+        (tmp_path / "held").mkdir(exist_ok=True)
+        (tmp_path / "held" / "raw_data_y_1.csv").write_bytes(text)
+        check_refused(tmp_path, rf"raw_data_y_1\.csv: .*{words}", tmp_path / "held",
+                      "--printer-cfg", config)  # fmt: skip
+    (tmp_path / "held" / "raw_data_y_1.csv").unlink()
+    check_refused(tmp_path, "no recordings here", tmp_path / "held", "--printer-cfg", config)
+    check_refused(tmp_path, "give the folder", "--printer-cfg", config, status=2)
+
+
+def test_a_corexy_that_racks_is_an_hbot(paper: Printer, config: Path) -> None:
+    """Klipper calls both corexy."""
+    text = text_from_klipper(KlipperConfig(config))
+    windows = paper.compensation.windows
+    written = with_plant(str(config), paper.plant, windows, [], None, text)
+    assert parse(written, "mine").kinematics.type == "hbot"
+    without = with_plant(str(config), replace(paper.plant, Gxtheta=None), windows, [], None, text)
+    assert parse(without, "mine").kinematics.type == "corexy"
 
 
 def sweeps(taken: Recorded, folder: Path) -> Path:
