@@ -74,8 +74,8 @@ class Prior:
     """What every printer does below its lowest resonance, for recordings that do not show it.
 
     Up to a third of ``resonance_hz`` it follows its command as a single mode there does,
-    1/(1 − (f/f₀)²), and is late by no more than damping explains, 0 to 2ζ/ω. No mode is much
-    larger than the whole.
+    1/(1 − (f/f₀)²), and is late by what the damping of its modes explains: the rest is the
+    recording's start. No mode is much larger than the whole.
     """
 
     resonance_hz: float
@@ -88,9 +88,9 @@ class Prior:
         s = np.asarray(2j * np.pi * self.resonance_hz * r)
         low = columns(s, structure, parameters).real
         follows = (low - at_rest / (1.0 - r * r)[:, None]) / 0.02
-        late = -parameters.zeta / parameters.omega
+        late = np.zeros(n)
         if structure.speed:
-            late = np.concatenate([late, 1.0 / parameters.omega])
+            late = np.append(late, 1.0 / parameters.omega)
         return np.vstack([follows, late / 5e-5, np.eye(len(at_rest)) / 3.0])
 
 

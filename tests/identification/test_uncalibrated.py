@@ -1,0 +1,131 @@
+"""Models from recordings that tell neither start, clock, axes nor gain: TEST_RESONANCES."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.identified import Identified
+from hframe_post.identification.identify import Run, Settings, identify
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.resonance_test import ResonanceTest
+from hframe_post.identification.recordings.self_alignment import self_aligned
+from hframe_post.identification.responses.direction import Direction, direction
+from hframe_post.identification.responses.frequency_response import estimate
+from tests.resonance_recordings import BELTS, START, Recorded, X, Y, drawn_sensor, klipper, recorded
+from tests.simulator import Axis, Machine, Mode
+
+HEAD = Axis((Mode(47.0, 0.06, 0.85), Mode(78.0, 0.05, 0.15)), 4e-4)
+BED = Axis((Mode(33.0, 0.08),), 4e-4)
+MACHINE = Machine(HEAD, BED, kinematics="corexy")
+LOW = np.linspace(3.0, 11.0, 30)  # Hz, below a third of the resonances
+
+
+def short(direction: tuple[float, ...], **changes: float) -> ResonanceTest:
+    """Return a test of a minute instead of two."""
+    return klipper(direction, min_freq=8.0, max_freq=105.0, hz_per_sec=2.0, **changes)
+
+
+def run(taken: Recorded, seed: int, machine: Machine = MACHINE) -> Run:
+    """Return the run as found to 3 ms, and to 0.02 % of its clock."""
+    sensor = drawn_sensor(seed, "adxl345")
+    late = START - taken.recording.t[0] + 3e-3
+    clock = late, sensor.drift + 2e-4
+    return Run("test", taken.test.command(), taken.recording, calibrated=False, rough_clock=clock)
+
+
+def taken(test: ResonanceTest, seed: int, mounting: int, machine: Machine = MACHINE) -> Recorded:
+    return recorded(machine, test, drawn_sensor(seed, "adxl345"), mounting, seed)
+
+
+def found(*tests: ResonanceTest, mounting: int = 3) -> Identified:
+    runs = [run(taken(test, k, mounting), k) for k, test in enumerate(tests, 1)]
+    return identify(runs, Settings((3.0, 100.0), racks=False))
+
+
+def check_modes(result: Identified, name: str, axis: Axis) -> None:
+    modes = result.fits[name].modes
+    assert len(modes) == len(axis.modes)
+    for (hz, damping), true in zip(modes, axis.modes, strict=True):
+        assert hz == pytest.approx(true.hz, rel=0.01)
+        assert damping == pytest.approx(true.damping, rel=0.1)
+
+
+def seen(made: Recorded, seed: int) -> Direction:
+    given = run(made, seed)
+    aligned = self_aligned(acceleration(given.displacement), made.recording, given.rough_clock)
+    assert aligned.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
+    band = (3.0, 100.0)
+    return direction([
+        estimate(aligned.command, aligned.acceleration[:, k]).within(band) for k in range(3)
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_clock_and_axis_are_found_from_the_motion(seed: int) -> None:
+    """Clocks are up to 2 % off; a mirrored sensor sees the axis mirrored."""
+    made = taken(short(Y), seed, 0)
+    one = seen(made, seed)
+    assert np.abs(one.axis).max() > np.cos(np.radians(5.0))
+    assert one.resonance_hz == pytest.approx(33.0, abs=2.0)
+    mirror = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]]) * [1.0, 1.0, -1.0]
+    other = seen(
+        replace(made, recording=replace(made.recording, a=made.recording.a @ mirror.T)), seed
+    )
+    np.testing.assert_allclose(other.axis, mirror @ one.axis, atol=0.01)
+
+
+def test_modes_are_those_of_the_printer_and_below_them_it_follows_its_command() -> None:
+    result = found(short(X), short(Y))
+    check_modes(result, "Gxx", HEAD)
+    check_modes(result, "Gyy", BED)
+    assert result.refusal is None
+    plant, exact = result.plant(0.0), MACHINE.exact()
+    for name in ("Gxx", "Gyy"):
+        model, true = (getattr(one, name).response(2.0 * np.pi * TS * LOW)
+                       for one in (plant, exact))  # fmt: skip
+        late = np.exp(-2j * np.pi * LOW * 4e-4)  # which the recordings cannot tell
+        assert np.abs(model * late - true).max() < 0.02
+        # 0.2 ms between x and y
+        delay = -np.angle(model * late / true) / (2.0 * np.pi * LOW)
+        assert np.abs(delay).max() < 2e-4
+
+
+@pytest.mark.slow
+def test_belts_tell_both_axes() -> None:
+    """Neither test of belts moves one axis alone."""
+    result = found(*(short(each) for each in BELTS))
+    check_modes(result, "Gxx", HEAD)
+    check_modes(result, "Gyy", BED)
+
+
+def test_one_axis_alone_leaves_the_other_exact() -> None:
+    result = found(short(X, sweeping_accel=0.0, sweeping_period=0.0))
+    check_modes(result, "Gxx", HEAD)
+    Gyy = result.plant(0.0).Gyy
+    assert (Gyy.order, Gyy.gain) == (0, 1.0)
+
+
+@pytest.mark.slow
+def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> None:
+    other = replace(MACHINE, x=replace(HEAD, modes=(Mode(45.0, 0.06, 0.85), HEAD.modes[1])))
+    runs = [run(taken(short(X), 1, 3), 1), run(taken(short(X), 2, 3, other), 2)]
+    result = identify(runs, Settings((3.0, 100.0), racks=False))
+    assert 0.1 < result.repetitions["Gxx"].share < 0.4
+    assert result.model_error == pytest.approx(2.0 / 46.0, rel=0.5)
+    same = [run(taken(short(X), seed, 3), seed) for seed in (1, 2)]
+    result = identify(same, Settings((3.0, 100.0), racks=False))
+    assert result.repetitions["Gxx"].share < 0.05
+    assert result.model_error == pytest.approx(0.02)
+
+
+def test_a_recording_of_something_else_is_refused() -> None:
+    made = taken(short(X), 1, 3)
+    noise = np.random.default_rng(0).normal(0.0, 2000.0, made.recording.a.shape)
+    given = run(replace(made, recording=replace(made.recording, a=noise)), 1)
+    with pytest.raises(IdentificationError, match=r"^test: the recording does not follow"):
+        identify([given], Settings((3.0, 100.0), racks=False))
