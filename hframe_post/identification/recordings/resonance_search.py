@@ -64,7 +64,7 @@ class _Fit:
     """A test compared with a recording.
 
     start: s on the command's clock; like: share explained; pulses, sweeping: answers to
-    accelerations of 1 in the sensor's axes, (3,).
+    accelerations of 1, (1,), along the direction in which the recording is strongest.
     """
 
     test: ResonanceTest
@@ -184,7 +184,7 @@ def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: floa
     if not starts:
         raise _cut_at_start(line)
     seconds = high / known.hz_per_sec + origin
-    low = low[: max(int(seconds / (STEP * TS)), 1)]
+    low = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
     hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
     kinds = [False] if known.sweeping_period else [False, True]
     fits = [
@@ -195,6 +195,16 @@ def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: floa
     most = max(fit.like for fit in fits)
     good = [fit for fit in fits if fit.like >= most - ALIKE]
     return max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
+
+
+def _strongest(a: Array) -> Array:
+    """Return the component (n, 1) of a signal (n, 3) along the direction in which it is strongest.
+
+    The motion has one direction, noise has three.
+    """
+    centred = a - a.mean(axis=0)
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1:]
+    return np.asarray(centred @ axis)
 
 
 def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _Fit:
@@ -222,7 +232,7 @@ def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _
         before, after = like[k - 1], like[k + 1]
         by = 0.5 * float((before - after) / (before - 2.0 * top + after))
         late, top = late + by, top - 0.25 * float(before - after) * by
-    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(3)
+    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
     return _Fit(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping)
 
 
