@@ -42,6 +42,7 @@ LEAST_SWEEPING = 30.0  # mm/s²
 SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
 LEAD = 11  # steps of rest before a motion
 END = 0.15  # s over which the end of the pulses is looked for
+SOON = 1.0  # s from the motion's end to that of a recording
 REST = 0.05  # s before the motion that a whole recording has
 
 
@@ -277,14 +278,18 @@ def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceT
     near = before | (hz >= line.last - line.slope) & (hz < line.last + 2.0 * line.slope)
     strong = size > 0.5 * np.median(size[before])
     last = float(hz[near & strong][-1]) * (1.0 + drift)
-    ended = hz[-1] * (1.0 + drift) - last > END * line.slope
-    tolerance = 0.4 * max(1.0, line.slope)
+    end = float(hz[-1]) * (1.0 + drift)
+    ended = end - last > END * line.slope
     usual = [expected.max_freq, *(default["max_freq"] for default in DEFAULTS.values())]
+    # the firmware stops recording soon after the motion, which noise may hide before
+    recorded = [f for f in [*usual, 5.0 * (end // 5.0)] if last < f <= end < f + SOON * line.slope]
     if ended:
         usual.append(5.0 * round(last / 5.0))
     found = min(usual, key=lambda f: abs(f - last))
-    if abs(found - last) < tolerance:
+    if abs(found - last) < 0.4 * max(1.0, line.slope):
         return found
+    if ended and recorded:
+        return recorded[0]
     if not ended:
         raise IdentificationError(
             f"the recording ends in the middle of the resonance test, at {last:.0f} Hz of "
