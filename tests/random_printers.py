@@ -11,6 +11,7 @@ from hframe_post.arrays import Array, Z
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.identification.identify import Identified, Run, Settings, identify
 from hframe_post.identification.recordings.accelerometer import oriented
+from hframe_post.identification.recordings.sweep import positions
 from hframe_post.identification.recordings.sweep import runs as planned
 from hframe_post.identification.verification.motion import motion_of
 from hframe_post.model.kinematics import Kinematics
@@ -59,6 +60,13 @@ def swept(
             recording = chip.record(machine, run.command, 1000 * seed + 10 * axis + k, step)
             runs.append(Run(run.name, run.command, oriented(recording, quiet=0.5)))
     return runs
+
+
+def places(machine: Machine) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the x (mm) of the runs in x and in y, as `sweep` chooses them."""
+    profile = printer(machine)
+    x, y = (tuple(place for place, _ in positions(profile, axis)) for axis in (0, 1))
+    return x, y
 
 
 def identified(machine: Machine, runs: list[Run]) -> Identified:

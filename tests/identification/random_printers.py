@@ -21,9 +21,8 @@ import numpy as np
 
 from hframe_post.errors import HframeError
 from hframe_post.identification.identify import Identified
-from tests.random_printers import CLASSES, drawn, identified, judged, printer, swept
+from tests.random_printers import CLASSES, drawn, identified, judged, places, printer, swept
 
-PLACES = (80.0, 140.0, 200.0)  # mm of x, where `sweep` measures by default; y in the middle
 STEP = 0.0206  # mm of belt
 PATHS = ("rectangle", "cube")
 
@@ -53,7 +52,7 @@ def judge(seed: int) -> dict[str, Any]:
     machine, chip, fault = drawn(seed)
     row: dict[str, Any] = {"seed": seed, "class": fault, "kinematics": machine.kinematics}
     try:
-        found = identified(machine, swept(machine, chip, PLACES, PLACES[1:2], seed, step=STEP))
+        found = identified(machine, swept(machine, chip, *places(machine), seed, step=STEP))
         refused = found.refusal
     except HframeError as error:
         found, refused = None, str(error)
