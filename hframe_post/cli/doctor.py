@@ -199,10 +199,13 @@ def _check_hooks(findings: _Findings, printer: str) -> None:
         tell(f"a command without -p, such as the one in a slicer, fails: {error}")
         return
     if not named and not _same(default.profile, printer):
+        command = f"hframe-post use {quoted(printer)}"
+        if os.environ.get(VARIABLE):  # counts more than the default
+            command = f"unset {VARIABLE}"
         findings.problem(
             f"a command without -p, such as the one in a slicer, takes {default.profile} "
-            f"({default.why}), not {printer}: run 'hframe-post use {quoted(printer)}', or write "
-            f"{line} into the notes of the slicer's printer"
+            f"({default.why}), not {printer}: run '{command}', or write {line} into the notes of "
+            "the slicer's printer"
         )
 
 

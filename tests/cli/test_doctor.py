@@ -119,6 +119,13 @@ def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:
     assert b"hframe-post 0" in done.stdout
 
 
+def test_doctor_names_the_variable_that_chooses_another_profile(machine: Path) -> None:
+    done = run("doctor", "-p", machine / "printer.toml", HFRAME_PRINTER="paper")
+    assert done.returncode == 1
+    assert b"takes paper (environment variable HFRAME_PRINTER), not " in done.stdout
+    assert b"run 'unset HFRAME_PRINTER'" in done.stdout
+
+
 def test_doctor_without_a_profile_checks_the_installation(tmp_path: Path) -> None:
     done = run("doctor", XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
     assert done.returncode == 0
