@@ -195,6 +195,10 @@ def identify(
             windows, error = report.compensation.windows, round(report.identified.model_error, 4)
             written = with_plant(source, report.plant, windows, report.origin(), error, text)
             file.write(written.encode())
+            if report.plant.Gxtheta is not None and profile.kinematics.type == "corexy":
+                click.echo(
+                    "note         it racks, so the profile's kinematics.type is hbot", err=True
+                )
 
 
 def _profile_source(

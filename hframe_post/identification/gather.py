@@ -99,12 +99,17 @@ def from_folders(
     IdentificationError if no recording can be used.
     """
     held = contents(paths, columns, _chips(config))
-    runs, used, aside = [], [], list(held.aside)
+    made, aside = [], list(held.aside)
     for one in held.measurements:
         try:
-            run, record = _run(one, config, travel)
+            made.append((one, *_run(one, config, travel)))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
+    swept = {one.direction for one, run, _ in made if run.calibrated}
+    runs, used = [], []
+    for one, run, record in made:
+        if one.direction in swept and not run.calibrated:
+            aside.append(Aside(one.label, "our own sweep along the same axis tells more"))
         else:
             runs.append(run)
             used.append(record)

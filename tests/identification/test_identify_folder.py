@@ -128,8 +128,10 @@ def test_our_sweeps_need_neither_names_nor_axes(
 ) -> None:
     """Not even where the owner has mirrored an axis in printer.cfg."""
     held = sweeps(taken, tmp_path / "held")
+    shutil.copy(REAL, held)
     gathered = along_printer(from_folders([held], None, paper.travel))
-    assert gathered.aside == []
+    ((label, reason),) = ((one.label, one.reason) for one in gathered.aside)
+    assert (label, reason) == (REAL.name, "our own sweep along the same axis tells more")
     assert len(gathered.runs) == 4
     runs = sorted(gathered.runs, key=lambda run: (run.axis, run.place))
     for run, (played, path) in zip(runs, (*taken.x, taken.y), strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,6 +148,9 @@ def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path)
     assert "the two recordings were exchanged" in done.output
     assert "VERDICT     good" in done.output
     assert load(str(tmp_path / "marked.toml")).verified is not None
+    shutil.copy(files[0], held / "another.csv")
+    assert "VERDICT     good" in invoked("-p", mine, held).output
+    (held / "another.csv").unlink()
     files[1].unlink()
     done = invoked("-p", mine, held)
     assert done.exit_code == 1

@@ -39,6 +39,8 @@ def from_files(paths: Sequence[Path]) -> tuple[list[Run], list[Path]]:
     motions.sort(key=lambda command: command.run, reverse=True)  # plain, compensated
     found = [one for one in read if isinstance(one, Measurement)
              and any(c.lasts_as_long_as(one.recording) for c in motions)]  # fmt: skip
+    named = [one for one in found if one.path.stem.endswith(tuple(c.run for c in motions))]
+    found = named if len(named) == 2 else found
     if len(motions) != 2 or len(found) != 2:
         aside = "".join(f"; {one.label}: {one.reason}" for one in read if isinstance(one, Aside))
         raise IdentificationError(
