@@ -199,7 +199,7 @@ class Speed:
     model_error: share by which the printer may differ from its model. filament_acceleration:
     largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
     moves that accelerate harder than in the file; 0: no limit. acceleration: largest mm/s² of the
-    path; 0: half of what the motors can do.
+    path, with corners no faster than limits.square_corner_velocity; 0: what the motors allow.
     """
 
     max_error: dict[str, float] = field(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,9 +20,17 @@ from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.report import speed_as_text
 from hframe_post.studies.speed.search import Bound, Fastest, search
-from hframe_post.studies.speed.trial import FIRST_LAYERS, JUDGED_EVERY, UNCHANGED, Freedom
+from hframe_post.studies.speed.trial import (
+    ADJUSTED,
+    FIRST_LAYERS,
+    JUDGED_EVERY,
+    UNCHANGED,
+    Freedom,
+    SpeedSettings,
+)
 from tests.command_line import run
 from tests.conftest import SAMPLES
 
@@ -205,3 +214,21 @@ def test_wrong_usage(arguments: tuple[str, ...], cause: str) -> None:
     done = run(SAMPLES / "cube.gcode", "-n", *arguments)
     assert done.returncode == 2
     assert cause in done.stderr.decode()
+
+
+def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -> None:
+    """As `setup` writes it from max_accel; without it the motors alone bound them."""
+
+    def fastest(most: float) -> tuple[float, float]:
+        mine = replace(paper, speed=replace(paper.speed, acceleration=most))
+        drive = Drive(lambda: [], mine, Options("racking"), "p95", Freedom())
+        asked = SpeedSettings(dict.fromkeys(ADJUSTED, 2e4), dict.fromkeys(ADJUSTED, 1.0))
+        paces = drive.configured(asked)[1].paces
+        assert paces is not None
+        kinds = paces.kinds.values()
+        return max(pace.acceleration for pace in kinds), max(pace.corner for pace in kinds)
+
+    owners = paper.limits.square_corner_velocity
+    assert fastest(4000.0) <= (4000.0, owners)
+    assert fastest(20.0 * 1e3)[1] == owners
+    assert fastest(0.0) > (2e4 - 1.0, owners)

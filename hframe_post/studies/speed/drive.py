@@ -72,7 +72,9 @@ class Drive:
         self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
         # The path may use half of the belts' acceleration; compensation needs the rest.
         belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
-        self.max_acceleration = min(0.5 * belts, printer.speed.acceleration or math.inf)
+        most = printer.speed.acceleration
+        self.max_acceleration = min(0.5 * belts, most or math.inf)
+        self._max_corner = printer.limits.square_corner_velocity if most else math.inf
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
         """Return a printer and options that print with these settings."""
@@ -96,7 +98,7 @@ class Drive:
     def _pace(self, settings: SpeedSettings, acceleration: float, feed: float) -> Pace:
         """Return a pace; corner speed grows with the acceleration, so corners keep their shape."""
         acceleration = min(acceleration, self.max_acceleration)
-        return Pace(acceleration, CORNER * acceleration, feed)
+        return Pace(acceleration, min(CORNER * acceleration, self._max_corner), feed)
 
     # ------------------------------------------------------------------ trials
 
