@@ -15,8 +15,9 @@ from hframe_post.arrays import Array, Complex, Flags
 from hframe_post.identification.recordings.clock_sync import not_found
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 
-COHERENT = 0.8  # coherence from which a frequency counts as excited
+COHERENT = 0.6  # coherence from which a frequency counts as excited
 LATEST = 0.08  # s by which the rough start may be off
+SLOW_HZ = 25.0  # below it a printer moves more than it racks
 ACROSS = 0.5  # of the answer at low frequencies that may be out of phase
 
 
@@ -43,7 +44,8 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     hz = responses[0].hz
     H = np.array([one.H for one in responses])
     size = np.sqrt((np.abs(H) ** 2).sum(axis=0))
-    strongest = int(np.argmax((np.abs(H) ** 2 * responses[0].power).sum(axis=1)))
+    slow = hz <= SLOW_HZ  # in the fast part the nozzle may rack more than it moves
+    strongest = int(np.argmax((np.abs(H) ** 2 * responses[0].power)[:, slow].sum(axis=1)))
     excited = _excited(responses[strongest])
     resonance = _first_resonance(hz, size, excited)
     low, low_end = hz[excited][0], max(0.7 * resonance, 2.5 * hz[excited][0])
