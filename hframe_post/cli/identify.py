@@ -70,7 +70,8 @@ def _reading(text: str) -> tuple[float, float, float]:
     "-p",
     "--printer",
     metavar="NAME|FILE",
-    help="Profile to complete. Default: a new one from --printer-cfg, or the default profile.",
+    help="Profile to complete. Default: that of -o if it exists, a new one from --printer-cfg, or "
+    "the default profile.",
 )
 @click.option(
     "--printer-cfg", "config_file", type=FILE, metavar="FILE",

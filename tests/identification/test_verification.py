@@ -52,6 +52,15 @@ def test_the_reduction_is_measured(changed: dict[str, float]) -> None:
     assert found.reduction == pytest.approx(true, rel=0.2)
 
 
+def test_a_delay_of_both_axes_does_no_harm() -> None:
+    """A profile from TEST_RESONANCES has none, since nothing tells when its motion began."""
+    x, y = (replace(axis, delay=0.0) for axis in (STRANGER.x, STRANGER.y))
+    plant = replace(STRANGER, x=x, y=y).exact()
+    found, true = verdict(STRANGER, replace(printer(STRANGER), plant=plant))
+    assert found.fault is None
+    assert found.reduction == pytest.approx(true, rel=0.05)
+
+
 @pytest.mark.parametrize("scale", [0.8, 0.9, 1.1, 1.25])
 def test_a_wrong_profile_fails(scale: float) -> None:
     def off(axis: Axis) -> Axis:

@@ -28,6 +28,7 @@ from hframe_post.printer.settings import Printer
 
 LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on
 GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
+HARMLESS_DELAY = 5e-3  # s of both axes alike: the nozzle is on the path, only later
 RACKING_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
 
 LEAST_REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
@@ -189,9 +190,11 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     predicted = Response(printer.plant, command[0]).run(command)
     without = Response(replace(printer.plant, Gxtheta=None), command[0]).run(command)
     a_predicted = np.column_stack([acceleration(predicted[:, k]) for k in (X, Y)])
-    a = found.acceleration[:, :Z] @ _correction(found.acceleration[:, :Z], a_predicted)
-    late = _lag(a, a_predicted)
-    a = _shifted(a, -float(np.clip(late, -found.uncertainty, found.uncertainty)))
+    late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
+    for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
+        a = _shifted(found.acceleration[:, :Z], -late)
+        a = a @ _correction(a, a_predicted)
+        late = float(np.clip(late + _lag(a, a_predicted), -most, most))
     off = _integrated_twice(a - a_predicted)
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
