@@ -82,7 +82,7 @@ def linear_printer(seed: int) -> Machine:
     return drawn(2 * seed)[0]
 
 
-def tested(
+def runs_of_tests(
     machine: Machine, chip: Chip, motion: str, seed: int, x: Sequence[float], y: Sequence[float]
 ) -> list[Run]:
     """Return runs of TEST_RESONANCES at places (mm of x), found in their recordings.

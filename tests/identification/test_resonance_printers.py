@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.identification.identify import Settings, identify
 from tests.random_printers import judged, printer
-from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_printer, tested
+from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_printer, runs_of_tests
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
 
@@ -21,7 +21,7 @@ def test_modes_and_rectangle(seed: int) -> None:
     chip = drawn_sensor(seed, tuple(SENSORS)[seed % 3])
     racks = machine.kinematics == "hbot"
     motion = tuple(MOTIONS)[seed // 3 % 3]
-    runs = tested(machine, chip, motion, seed, PLACES if racks else (140.0,), (140.0,))
+    runs = runs_of_tests(machine, chip, motion, seed, PLACES if racks else (140.0,), (140.0,))
     found = identify(runs, Settings((3.0, 100.0), racks=racks))
     assert found.refusal is None
     for name, axis in (("Gxx", machine.x), ("Gyy", machine.y)):
