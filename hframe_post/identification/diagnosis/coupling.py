@@ -82,7 +82,7 @@ class Coupling:
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
-        if round(self.size, 2) == 0.0:
+        if self.size == 0.0 or (self.unexplained is None and round(self.size, 2) == 0.0):
             return f"a command in {self.axis} does not move {self.other}"
         text = (
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
