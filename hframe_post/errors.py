@@ -15,9 +15,13 @@ def one_line(text: str) -> str:
 
 def install_advice(package: str) -> str:
     """Return the command that adds a package to this installation of hframe-post."""
-    if "pipx" in Path(sys.prefix).parts:
+    folders = Path(sys.prefix).parts
+    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
+    if getattr(sys, "frozen", False) or "pipx" in folders:
         return f"pipx inject hframe-post {package}"
-    return f'"{sys.executable}" -m pip install {package}'
+    if "uv" in folders:  # which puts no pip into its environments
+        return f"uv pip install --python {python} {package}"
+    return f"{python} -m pip install {package}"
 
 
 def _place(line: int | None) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import hframe_post
+from hframe_post.errors import install_advice
 from tests.conftest import ROOT, SAMPLES
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -110,3 +111,18 @@ def test_every_import_is_a_dependency_or_an_extra() -> None:
 def test_version_is_that_of_the_package() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", hframe_post.__version__)
     assert PROJECT["tool"]["setuptools"]["dynamic"]["version"]["attr"].startswith("hframe_post.")
+
+
+@pytest.mark.parametrize(
+    ("prefix", "command"),
+    [
+        ("/home/rosa/.local/share/pipx/venvs/hframe-post", "pipx inject hframe-post matplotlib"),
+        ("/home/rosa/.local/share/uv/tools/hframe-post", "uv pip install --python "),
+        ("/home/rosa/hframe-post/.venv", f"{sys.executable} -m pip install matplotlib"),
+    ],
+)
+def test_a_missing_package_is_named_with_the_command_for_this_environment(
+    prefix: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "prefix", prefix)
+    assert install_advice("matplotlib").startswith(command)
