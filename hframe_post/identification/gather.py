@@ -56,6 +56,9 @@ class Used:
         return "; ".join([f"{self.label}: {self.motion}{repeated}", *self.notes])
 
 
+SECOND = "of a second sensor, {}: compared only, to tell a printer that rocks on its table"
+
+
 @dataclass(frozen=True, slots=True)
 class Gathered:
     """Runs, the recordings that they are made of, and what was left aside."""
@@ -100,9 +103,11 @@ def from_folders(
     """
     held = contents(paths, columns, _chips(config))
     made, aside = [], list(held.aside)
+    aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:
         try:
-            made.append((one, *_run(one, config, travel)))
+            run, record = _run(one, config, travel)
+            made.append((one, replace(run, second=_at_once(one, held.second)), record))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
     swept = {one.direction for one, run, _ in made if run.calibrated}
@@ -118,6 +123,16 @@ def from_folders(
         more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
         raise IdentificationError(f"no recording can be used. {reasons}{more}")
     return Gathered(runs, used, aside)
+
+
+def _at_once(one: Measurement, second: Sequence[Measurement]) -> accelerometer.Recording | None:
+    """Return what a second sensor recorded at the same time."""
+    first, last = one.recording.t[[0, -1]]
+    for other in second:
+        t = other.recording.t
+        if other.direction == one.direction and t[0] < last and t[-1] > first:
+            return other.recording
+    return None
 
 
 def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tuple[Run, Used]:

@@ -76,6 +76,7 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     bridge = bridge_responses([run for run in runs if run.bridge], settings)
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits, nonlinearity = _fit_axes(groups, measured, settings)
+    fits = {name: _compared(found, groups[name]) for name, found in fits.items()}
     mode_shift, arm = None, None
     x_runs = groups["Gxx"].runs if "Gxx" in groups else []
     if x_runs:
@@ -208,6 +209,14 @@ def _uncertainty(measured: Measured, found: Fit, settings: Settings) -> Uncertai
         return model_uncertainty(found, measured.runs, settings.band_hz)
     refit = _refit(measured, found, settings)
     return session_uncertainty(found.model, [refit(run) for run in measured.runs])
+
+
+def _compared(found: Fit, group: RunGroup) -> Fit:
+    """Return the fit, with what a second sensor tells of a frame that rocks."""
+    for run in group.runs:
+        if found.rocking is not None and run.second is not None:
+            return replace(found, rocking=found.rocking.compared(run.response.hz, run.second))
+    return found
 
 
 def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetition | None:

@@ -8,7 +8,7 @@ print. A command that cancelled it would.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,24 +18,48 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 
 BELOW = 1.0 / 3.0  # of the strongest mode's frequency
 LIGHT = 0.2  # of the motion at rest, and a greater damping ratio than frames on feet have
+SHARED = 0.4  # of the answer, that the bed has at least if the whole printer rocks
 VISIBLE = 0.15  # of the answer, from which a peak is reported
 
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """A light mode far below the others. share: of the answer at its peak."""
+    """A light mode far below the others.
+
+    share: of the answer at its peak. shared: whether a second sensor, on the bed, moves as well;
+    None without one.
+    """
 
     hz: float
     damping: float
     share: float
+    shared: bool | None = None
 
     def message(self, axis: str) -> str:
-        return (
+        seen = (
             f"{axis}: something answers at {self.hz:.1f} Hz with {100 * self.share:.0f} % of the "
-            "motion, probably the whole printer rocking on its table. Nozzle and bed move "
-            "together then, so the profile does not compensate it. A heavier or stiffer table "
-            "shows whether that is so"
+            "motion"
         )
+        if self.shared is None:
+            return (
+                f"{seen}, probably the whole printer rocking on its table. Nozzle and bed move "
+                "together then, so the profile does not compensate it. A second sensor, on the "
+                "bed, would prove it"
+            )
+        if self.shared:
+            return (
+                f"{seen}, and so does the second sensor: the whole printer rocks on its table. "
+                "Nozzle and bed move together, so the profile does not compensate it"
+            )
+        return (
+            f"{seen}, which the second sensor does not show: it is not the printer rocking on its "
+            "table. The profile does not compensate it; look for what is loose on the head"
+        )
+
+    def compared(self, hz: Array, second: Array) -> Rocking:
+        """Return the same with what a second sensor tells by its answer (k,) at hz (k,)."""
+        near = np.abs(hz / self.hz - 1.0) < 0.1
+        return replace(self, shared=bool(second[near].max(initial=0.0) > SHARED * self.share))
 
 
 def without_rocking(model: Modal) -> Modal:
@@ -81,16 +105,17 @@ def _light_mode(run: FrequencyResponse, model: Modal, highest_hz: float) -> Rock
     if len(part.hz) < 20:
         return None
     left = part.H / model.response(part.hz) - 1.0
+    weight = 1.0 / (0.05 + part.noise) ** 2
     left = left - np.median(left.real)
     best, at, size = 0.0, (0.0, 1.0), 0.0
-    for hz in np.linspace(1.1 * part.hz[0], highest_hz / 1.1, 40):
+    for hz in np.geomspace(1.1 * part.hz[0], highest_hz / 1.1, 120):
         for damping in (0.01, 0.02, 0.04, 0.08, 0.15):
             mode = _mode(part.hz, hz, damping)
-            share = float(np.vdot(mode, left).real / np.vdot(mode, mode).real)
-            gain = share * float(np.vdot(mode, left).real)
-            if gain > best:
-                best, at, size = gain, (float(hz), damping), share
-    explained = best / float((np.abs(left) ** 2).sum())
+            along = float((weight * mode.conj() * left).sum().real)
+            share = along / float((weight * np.abs(mode) ** 2).sum())
+            if share * along > best:
+                best, at, size = share * along, (float(hz), damping), share
+    explained = best / float((weight * np.abs(left) ** 2).sum())
     peak = size / (2.0 * at[1])
     return Rocking(*at, peak) if explained > 0.5 and peak > VISIBLE else None
 

@@ -99,10 +99,14 @@ class Aside:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a folder holds: measurements of known motions, and what is left aside."""
+    """What a folder holds: measurements of known motions, and what is left aside.
+
+    second: of the same motions, by another sensor.
+    """
 
     measurements: list[Measurement]
     aside: list[Aside]
+    second: list[Measurement]
 
 
 def contents(
@@ -120,12 +124,13 @@ def contents(
     steps: Iterable[Measurement | Aside] = (
         _with_motion(each, commands) if isinstance(each, Measurement) else each for each in read
     )
-    for step in (_without_copies, lambda each: _one_sensor(each, chips), _in_sessions):
-        steps = step(list(steps))
-    done = list(steps)
+    steps = list(_without_copies(list(steps)))
+    second = _of_second_sensors(steps, chips)
+    done = list(_in_sessions([each for each in steps if each not in second]))
     return Contents(
         [each for each in done if isinstance(each, Measurement)],
         [each for each in done if isinstance(each, Aside)],
+        second,
     )
 
 
@@ -264,19 +269,19 @@ def _without_copies(found: list[Measurement | Aside]) -> Iterator[Measurement | 
             yield one
 
 
-def _one_sensor(
-    found: list[Measurement | Aside], chips: Mapping[str, str]
-) -> Iterator[Measurement | Aside]:
-    """Keep one sensor for each direction, where several are named."""
+def _of_second_sensors(
+    found: Sequence[Measurement | Aside], chips: Mapping[str, str]
+) -> list[Measurement]:
+    """Return what other sensors recorded of directions of which several sensors are named."""
     known = [one for one in found if isinstance(one, Measurement)]
-    for one in found:
-        if isinstance(one, Measurement) and one.name.chip:
+    second = []
+    for one in known:
+        if one.name.chip:
             rivals = {each.name.chip for each in known if each.direction == one.direction} - {""}
             wanted = chips.get("x" if one.direction and one.direction[0] else "y", "")
             if one.name.chip != (wanted if wanted in rivals else min(rivals, key=len)):
-                yield Aside(one.label, f"of a second sensor, {one.name.chip}, which is not used")
-                continue
-        yield one
+                second.append(one)
+    return second
 
 
 def _in_sessions(found: list[Measurement | Aside]) -> Iterator[Measurement | Aside]:

@@ -77,12 +77,17 @@ def _excited(response: FrequencyResponse) -> Flags:
 
 
 def _first_resonance(hz: Array, size: Array, excited: Flags) -> float:
-    """Return the lowest frequency at which the answer has a clear peak."""
+    """Return the lowest frequency at which the answer has a clear peak.
+
+    A peak far below the strongest one counts if it is half as high: a frame that rocks is not.
+    """
     smooth = _smoothed(size, hz, 2.0)[excited]
     octave = hz[excited] < 2.0 * hz[excited][0]
     clear = max(0.1 * float(smooth.max()), 0.3 * float(np.median(smooth[octave])))
     peaks, _ = find_peaks(np.append(smooth, 0.0), prominence=clear)
-    return float(hz[excited][peaks[0]])
+    high = smooth[peaks]
+    at = hz[excited][peaks]
+    return float(at[(at > at[np.argmax(high)] / 3.0) | (high > 0.5 * high.max())][0])
 
 
 def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:

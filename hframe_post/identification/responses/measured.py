@@ -45,7 +45,7 @@ class Run:
     bridge: the recordings at P1 (the greater x) and at P2. calibrated: whether command and
     recording are those of our own sweep, which tell start, clock and place; else ``nozzle`` may be
     in the sensor's axes, and all this is found from the motion. rough_clock: start (s) and drift,
-    if they are known to 20 ms.
+    if they are known to 20 ms. second: of another sensor, on the same clock as ``nozzle``.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Run:
     bridge: tuple[Recording, Recording] | None = None
     calibrated: bool = True
     rough_clock: tuple[float, float] | None = None
+    second: Recording | None = None
 
     @property
     def axis(self) -> int:
@@ -111,7 +112,8 @@ class RunResponse:
     response: along the swept axis, or racking. y: across, from the nozzle's sensor. place: x of
     the sensor, mm. late: half-width of the uncertainty of the recording's start, s. command (m,):
     mm along the swept axis. harmonics: None if the command has no marks. across, z: of the other
-    axis and of z, of uncalibrated runs along one axis.
+    axis and of z, of uncalibrated runs along one axis. second (k,): size of the answer of a second
+    sensor, at the frequencies of ``response``.
     """
 
     place: float
@@ -122,6 +124,7 @@ class RunResponse:
     harmonics: Harmonics | None = None
     across: FrequencyResponse | None = None
     z: FrequencyResponse | None = None
+    second: Array | None = None
 
     def advanced(self, seconds: float) -> RunResponse:
         """Return the responses as if the recording had begun ``seconds`` later."""

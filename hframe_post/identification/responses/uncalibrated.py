@@ -16,6 +16,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock_sync import Resampler
 from hframe_post.identification.recordings.self_alignment import SelfAligned, self_aligned
 from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import (
@@ -97,8 +98,21 @@ def _run_response(
     found = RunResponse(
         one.run.place + settings.offset[X], along, y if alone else along, 0.0,
         one.run.displacement, None, across if alone else None, z if alone else None,
+        _second(one, settings),
     )  # fmt: skip
     return found.scaled(1.0 / share).advanced(one.seen.delay)
+
+
+def _second(one: _Located, settings: Settings) -> Array | None:
+    """Return the size (k,) of a second sensor's answer; its clock is that of the first."""
+    first, second, found = one.run.nozzle, one.run.second, one.aligned
+    if first is None or second is None:
+        return None
+    start = found.start + float(first.t[0] - second.t[0])
+    sensor = Resampler(second.t, second.a - second.a.mean(axis=0))
+    answer = replace(found, acceleration=sensor.resampled(start, found.drift, len(found.command)))
+    H = np.array([_response(answer, axis, settings).H for axis in np.eye(3)])
+    return np.asarray(np.linalg.norm(H, axis=0))
 
 
 def _axes(one: _Located, located: Sequence[_Located]) -> Array:
