@@ -44,7 +44,7 @@ def sample(
 ) -> Iterator[Samples]:
     """Yield the samples of the whole stream, in chunks of about ``size`` if it is given.
 
-    A chunk ends where the machine is released.
+    A chunk may hold several plans, and ends where the machine is released.
     """
     size = size or SAMPLES_PER_CHUNK
     sampler = _Sampler(limits, rests, size)
@@ -93,7 +93,7 @@ class _State(Enum):
 
 
 class _Output:
-    """Samples and events that are not yielded yet. size: samples in a chunk of standstill."""
+    """Samples and events that are not yielded yet. size: samples that make a chunk."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -182,7 +182,8 @@ class _Sampler:
                 xyze[:, E] += self._retraction.remaining(n)
                 self._retraction = None if self._retraction.finished else self._retraction
             self.output.add(xyze, plan.line[move])
-            yield from self.output.flush()
+            if self.output.count >= self.output.size:
+                yield from self.output.flush()
         for mark in marks:  # between the last sample of this plan and the first of the next
             self.output.events.append(Mark(self.output.index, mark.text))
             self._filament_at_mark = float(plan.points[mark.index, E])
