@@ -28,8 +28,8 @@ class Measured:
 
     places: the response at each position (mm of x). mean: their average. spread: RMS difference of
     the positions from the mean, relative. delay_bounds: of the recording, s. excited_hz: the
-    lowest frequency that is excited. resonance_hz: the lowest strong resonance, if the recordings
-    are not calibrated.
+    lowest frequency that is excited. resonance_hz, lowest_hz: the lowest strong resonance, of this
+    axis and of all that the same sensor felt, if the recordings are not calibrated.
     """
 
     places: list[tuple[float, FrequencyResponse]]
@@ -38,6 +38,7 @@ class Measured:
     delay_bounds: tuple[float, float]
     excited_hz: float = 0.0
     resonance_hz: float | None = None
+    lowest_hz: float = 0.0
 
     @property
     def runs(self) -> list[FrequencyResponse]:
@@ -48,7 +49,7 @@ class Measured:
         if self.resonance_hz is None:
             return None
         band = max(band_hz[0], self.excited_hz), band_hz[1]
-        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
+        return Excited([run.within(band) for run in self.runs], self.resonance_hz, self.lowest_hz)
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,7 +144,10 @@ def _measured(group: RunGroup, settings: Settings) -> Measured:
     places = [(run.place, run.response) for run in group.runs]
     differ = spread(responses, settings.band_hz)
     low = max(settings.band_hz[0], group.excited_hz)
-    return Measured(places, average(responses), differ, group.delay_bounds, low, group.resonance_hz)
+    return Measured(
+        places, average(responses), differ, group.delay_bounds, low, group.resonance_hz,
+        group.lowest_hz,
+    )  # fmt: skip
 
 
 def _fit_axes(

@@ -11,11 +11,13 @@ from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.identified import Identified
 from hframe_post.identification.identify import Run, Settings, identify
+from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.identification.recordings.self_alignment import self_aligned
 from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import estimate
+from tests.identification.test_coupling import Coupled
 from tests.resonance_recordings import BELTS, START, Recorded, X, Y, drawn_sensor, klipper, recorded
 from tests.simulator import Axis, Machine, Mode
 
@@ -101,6 +103,31 @@ def test_belts_tell_both_axes() -> None:
     result = found(*(short(each) for each in BELTS))
     check_modes(result, "Gxx", HEAD)
     check_modes(result, "Gyy", BED)
+
+
+def test_a_mode_that_x_and_y_share_is_found_where_it_is_no_clear_peak() -> None:
+    """At 42 Hz y answers with an eighth of its motion only; the rest is at 58 Hz."""
+    printer = Coupled((42.0, 58.0), (0.05, 0.05), np.radians(20.0))
+    result = identify(
+        [coupled_run(printer, direction) for direction in (X, Y)],
+        Settings((3.0, 100.0), racks=False),
+    )
+    for name in ("Gxx", "Gyy"):
+        modes = result.fits[name].modes
+        for hz in printer.hz:
+            assert min(abs(one / hz - 1.0) for one, _ in modes) < 0.01
+
+
+def coupled_run(printer: Coupled, direction: tuple[float, float]) -> Run:
+    test = short(direction)
+    command = np.pad(acceleration(test.command() @ direction), 1000)
+    hz = np.asarray(np.fft.rfftfreq(len(command), TS), dtype=np.float64)
+    answer = (printer.response(hz) @ direction).T * np.fft.rfft(command)
+    a = np.column_stack([*np.fft.irfft(answer, len(command)), np.full(len(command), GRAVITY)])
+    a += 10.0 * np.random.default_rng(1).standard_normal(a.shape)
+    t = np.asarray(np.arange(len(a)) * TS, dtype=np.float64)
+    recording = Recording(t, np.asarray(a, dtype=np.float64), False)
+    return Run("test", test.command(), recording, calibrated=False, rough_clock=(1.0, 0.0))
 
 
 def test_one_axis_alone_leaves_the_other_exact() -> None:

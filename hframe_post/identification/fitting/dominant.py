@@ -45,11 +45,13 @@ REACH = 0.02  # s by which the delay may differ from the rough one
 class Excited:
     """Responses of one axis where they were excited, on a common delay of nearly 0.
 
-    resonance_hz: of the lowest clear resonance.
+    resonance_hz: of the lowest clear resonance. lowest_hz: the same of all axes, which may share
+    modes.
     """
 
     runs: Sequence[FrequencyResponse]
     resonance_hz: float
+    lowest_hz: float
 
 
 def dominant_modes(measured: Excited) -> Modal:
@@ -117,7 +119,7 @@ def _data(response: FrequencyResponse, measured: Excited, share: float) -> Data:
     count = len(hz[:: max(1, len(hz) // FREQUENCIES)])
     independent = (hz[-1] - hz[0]) / INDEPENDENT_HZ
     weight = np.sqrt(min(independent / count, 1.0)) / sd
-    modes = max(hz[0], LOWEST * measured.resonance_hz), 1.5 * hz[-1]
+    modes = max(hz[0], LOWEST * measured.lowest_hz), 1.5 * hz[-1]
     prior = Prior(measured.resonance_hz)
     data = Data(hz, H, weight, modes, (-REACH, REACH), GAIN, DAMPING, prior)
     return data.thinned(FREQUENCIES)

@@ -142,13 +142,15 @@ class RunResponse:
 class RunGroup:
     """Runs shifted to one common delay, and the bounds of that delay in s.
 
-    Of uncalibrated runs also the lowest frequency that is excited and the lowest strong resonance.
+    Of uncalibrated runs also the lowest frequency that is excited, the lowest strong resonance, and
+    that of all axes which the same sensor felt.
     """
 
     runs: list[RunResponse]
     delay_bounds: tuple[float, float]
     excited_hz: float = 0.0
     resonance_hz: float | None = None
+    lowest_hz: float = 0.0
 
 
 def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:

@@ -83,7 +83,12 @@ def _group(
     low = max(one.seen.excited_hz for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
     group = with_common_delay(_with_common_gain(responses, low, resonance))
-    return replace(group, delay_bounds=(0.0, 0.0), excited_hz=low, resonance_hz=resonance)
+    # a mode that x and y share may be a clear peak in one of them only
+    felt = (other for other in located if _mounted_alike(chosen[0], other))
+    lowest = min(resonance, *(other.seen.resonance_hz for other in felt))
+    return replace(
+        group, delay_bounds=(0.0, 0.0), excited_hz=low, resonance_hz=resonance, lowest_hz=lowest
+    )
 
 
 def _run_response(
