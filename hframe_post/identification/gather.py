@@ -148,7 +148,8 @@ def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tupl
         rough = (found.start - float(one.recording.t[0]), found.drift)
     calibrated = rough is None and has_marks(motion)
     run = Run(one.label, motion, one.recording, calibrated=calibrated, rough_clock=rough)
-    return run, Used(one.label, shown, one.digest, one.session, one.recording.notes)
+    notes = tuple(accelerometer.diagnose(one.recording, QUIET))
+    return run, Used(one.label, shown, one.digest, one.session, notes)
 
 
 def check_travel(motion: Array, travel: Travel) -> None:
@@ -215,7 +216,12 @@ def from_pair(
     """
     recordings = [accelerometer.read(path, columns, unit) for path in files]
     used = [
-        Used(path.name, f"sweep {command.name}", digest_of(path), notes=recording.notes)
+        Used(
+            path.name,
+            f"sweep {command.name}",
+            digest_of(path),
+            notes=tuple(accelerometer.diagnose(recording, QUIET)),
+        )
         for path, recording in zip(files, recordings, strict=True)
     ]
     name, motion = ", ".join(path.name for path in files), read_command(command)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import Flags
+from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.diagnosis.coupling import Coupling, find_coupling, pitching
 from hframe_post.identification.diagnosis.nonlinearity import (
@@ -43,9 +43,11 @@ from hframe_post.identification.identified import AXIS, Identified, Measured, Re
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
+    FrequencyResponse,
     average,
     spread,
 )
+from hframe_post.identification.responses.full_response import DirectedRun, full_response
 from hframe_post.identification.responses.measured import (
     Line,
     Run,
@@ -254,14 +256,39 @@ def _coupling(
         return None
     band = max(settings.band_hz[0], group.excited_hz), settings.band_hz[1]
     near = _most_repeated([run.place for run in group.runs])
-    sessions = [
-        (run.response.within(band), run.across.within(band))
-        for run, chosen in zip(group.runs, near, strict=True)
-        if chosen and run.across is not None
-    ]
+    runs = [run for run, chosen in zip(group.runs, near, strict=True) if chosen]
+    axis = tuple(AXIS).index(name)
+    alone = [run for run in runs if run.direction and run.direction[1 - axis] == 0.0]
+    if alone:
+        sessions = [(run.response, run.across) for run in alone if run.across is not None]
+    else:
+        sessions = _of_diagonals(axis, runs)
     other = fits.get("Gyy" if name == "Gxx" else "Gxx")
     models = fits[name].model, other.model if other else None
-    return find_coupling(AXIS[name], sessions, models) if sessions else None
+    inside = [(along.within(band), across.within(band)) for along, across in sessions]
+    return find_coupling(AXIS[name], inside, models) if inside else None
+
+
+def _of_diagonals(
+    axis: int, runs: Sequence[RunResponse]
+) -> list[tuple[FrequencyResponse, FrequencyResponse]]:
+    """Return the responses along and across a command in an axis, from runs along diagonals.
+
+    Empty if they all have one direction, which does not tell x from y.
+    """
+    directed = []
+    for run in runs:
+        if run.direction is not None and run.across is not None:
+            moved = run.scaled(run.direction[axis])  # per motion along the diagonal
+            assert moved.across is not None
+            both = [moved.response, moved.across]
+            x, y = both if axis == X else both[::-1]
+            directed.append(DirectedRun(run.direction, (run.place, 0.0), x, y))
+    try:
+        full = full_response(directed)
+    except IdentificationError:
+        return []
+    return [(full.entry(axis, axis), full.entry(1 - axis, axis))]
 
 
 def _pitching(axis: str, group: RunGroup, settings: Settings) -> list[str]:

@@ -290,6 +290,8 @@ def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceT
         return found
     if ended and recorded:
         return recorded[0]
+    if not ended and 0.0 <= end - expected.max_freq < SOON * line.slope:
+        return expected.max_freq  # all of it was recorded; noise hides where it ends
     if not ended:
         raise IdentificationError(
             f"the recording ends in the middle of the resonance test, at {last:.0f} Hz of "

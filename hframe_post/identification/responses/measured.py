@@ -112,8 +112,9 @@ class RunResponse:
     response: along the swept axis, or racking. y: across, from the nozzle's sensor. place: x of
     the sensor, mm. late: half-width of the uncertainty of the recording's start, s. command (m,):
     mm along the swept axis. harmonics: None if the command has no marks. across, z: of the other
-    axis and of z, of uncalibrated runs along one axis. second (k,): size of the answer of a second
-    sensor, at the frequencies of ``response``.
+    axis, and of z in runs along one axis. second (k,): size of the answer of a second sensor, at
+    the frequencies of ``response``. direction: unit vector of the motion; both responses are per
+    motion along the axis. These four: of uncalibrated runs only.
     """
 
     place: float
@@ -125,6 +126,7 @@ class RunResponse:
     across: FrequencyResponse | None = None
     z: FrequencyResponse | None = None
     second: Array | None = None
+    direction: tuple[float, float] | None = None
 
     def advanced(self, seconds: float) -> RunResponse:
         """Return the responses as if the recording had begun ``seconds`` later."""

@@ -94,16 +94,16 @@ def _group(
 def _run_response(
     axis: int, one: _Located, located: Sequence[_Located], settings: Settings
 ) -> RunResponse:
-    x, y, z = (
-        _response(one.aligned, seen, settings) for seen in (*_axes(one, located), one.aligned.up)
-    )
+    x, y = (_response(one.aligned, seen, settings) for seen in _axes(one, located))
+    up = one.aligned.up
+    z = _response(one.aligned, up, settings) if up.any() else None
     share = float(one.commanded[axis])
-    alone = share > 1.0 - 1e-6
+    alone = share > 1.0 - 1e-6  # a diagonal does not show racking alone
     along, across = (x, y) if axis == X else (y, x)
     found = RunResponse(
         one.run.place + settings.offset[X], along, y if alone else along, 0.0,
-        one.run.displacement, None, across if alone else None, z if alone else None,
-        _second(one, settings),
+        one.run.displacement, None, across, z if alone else None, _second(one, settings),
+        (float(one.commanded[X]), float(one.commanded[Y])),
     )  # fmt: skip
     return found.scaled(1.0 / share).advanced(one.seen.delay)
 
