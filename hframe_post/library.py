@@ -2,7 +2,8 @@
 
 This module defines what ``import hframe_post`` offers in addition to the classes of other modules.
 Lengths are in mm, times in s, one sample is 1 ms. x and y are the printer's own coordinates,
-because the lever arm of racking depends on x.
+because the lever arm of racking depends on x. Studies and pages are imported where they are used:
+a slicer waits for a conversion, which needs none of them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from io import IOBase
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,20 +30,16 @@ from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
-from hframe_post.page.build import page as print_page
 from hframe_post.prediction.predict import contour_error as contour_error_at
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers.search import good, paths
-from hframe_post.studies.simulation import simulate as simulation
-from hframe_post.studies.simulation.simulate import SimulationReport
-from hframe_post.studies.simulation.uncertainty import draws as drawn
-from hframe_post.studies.speed.report import speed_as_json, speed_as_text
-from hframe_post.studies.speed.search import find_fastest
 from hframe_post.studies.tuning import tune as tuning
 from hframe_post.studies.tuning.tune import StopsTrial, Trial
 from hframe_post.writers.files import Outputs
+
+if TYPE_CHECKING:
+    from hframe_post.studies.simulation.simulate import SimulationReport
 
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
@@ -184,6 +181,8 @@ def convert(
         options = _pictured(options, source, printer, printer.plant)
     fastest = None
     if options.speed is not None:
+        from hframe_post.studies.speed.search import find_fastest
+
         fastest = find_fastest(_again(source), printer, options)
         printer, options = fastest.printer, fastest.options
     with ExitStack() as opened:
@@ -195,10 +194,14 @@ def convert(
         counted = _counted(lines, progress)
         report = files.convert(counted, written, printer, options, kind, jobs, force)
         if fastest is not None:
+            from hframe_post.studies.speed.report import speed_as_json, speed_as_text
+
             report = replace(
                 report, speed=speed_as_json(fastest), speed_text=speed_as_text(fastest)
             )
         if page_file is not None:
+            from hframe_post.page.build import page as print_page
+
             name = title or (path.name if path else "print")
             summary = report.summary(notes).splitlines()
             page_file.write(print_page(report, _again(source)(), printer, options, name, summary))
@@ -246,6 +249,9 @@ def simulate(
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
     motor steps first. page, title, notes, outputs: as in ``convert``. Raises HframeError, OSError.
     """
+    from hframe_post.studies.simulation import simulate as simulation
+    from hframe_post.studies.simulation.uncertainty import draws as drawn
+
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
     actual = simulated or printer
@@ -261,6 +267,8 @@ def simulate(
     with ExitStack() as opened:
         report = simulation.simulate(_lines_of(source, opened), printer, options, study)
         if page is not None:
+            from hframe_post.page.build import page as print_page
+
             outputs = outputs or opened.enter_context(Outputs([]))
             html = print_page(report, _again(source)(), printer, options, title, [*notes])
             outputs.open(Path(page)).write(html)
@@ -299,6 +307,8 @@ def tune(
     ``model_uncertainty``. Recommended is the gentlest of those that are about as good as the best
     that the motors can follow. Raises HframeError, OSError.
     """
+    from hframe_post.studies.simulation.uncertainty import draws as drawn
+
     grid = tuning.candidates(printer.compensation, knots, tuple(efforts))
     share = model_uncertainty(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
@@ -331,6 +341,8 @@ def _lines_of(source: Source, opened: ExitStack, outputs: Outputs | None = None)
 
 def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
+    from hframe_post.studies.shapers.search import good, paths
+
     predicted = dict.fromkeys(("none", options.strategy, *options.predict))
     pieces = paths(_again(source)(), printer, options)
     shaping = good(plant, pieces, printer.firmware.dialect)

@@ -13,8 +13,8 @@ import click
 from hframe_post.cli.options import number, old_option, share
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import KINDS
-from hframe_post.studies.speed.search import MAX_SPEED_UP
 
+MAX_SPEED_UP = 20.0  # times the file's feed rates
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -30,7 +30,6 @@ from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
 from hframe_post.studies.speed.trial import ADJUSTED, CAUSES, Freedom, Measure, SpeedSettings, Trial
 
-MAX_SPEED_UP = 20.0  # times the file's feed rates
 NEAR, LIMIT = 0.87, 0.95  # share of a bound to use up: other printers may have a greater error
 AIM = math.sqrt(NEAR * LIMIT)
 FEED_STEP = 0.8  # factor from one feed rate that is tried to the next
