@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.fit import fit
 from hframe_post.identification.responses.frequency_response import (
@@ -55,6 +55,32 @@ def test_the_same_response_of_a_linear_printer_is_two_modes(
     found = fit([response], response, False, BAND)
     assert found.order == 4
     assert found.residual < 0.01
+
+
+def hardening(hz: Array, mode: Mode, share: float) -> Complex:
+    """Return the response (k,) of a belt that is ``share`` stiffer per squared stretch."""
+    H, found = 1.0 + 0.0j, []
+    for r in hz / mode.hz:
+        for _ in range(60):  # the answer sets the stiffness, which sets the answer
+            pull = 1.0 + share * abs(H) ** 2 / max(r, 1.0) ** 4 + 2j * mode.damping * r
+            H = 0.5 * H + 0.5 * pull / (pull - r * r)
+        found.append(H)
+    return np.array(found)
+
+
+def test_poles_that_cancel_one_another_do_not_explain_a_hardening_belt() -> None:
+    """Compensation by such a model made prints worse than none."""
+    hz = HZ[::2]
+    H = hardening(hz, Mode(36.0, 0.08), 5e-4) * np.exp(-2j * np.pi * hz * 0.00235)
+    rng, one, noise = np.random.default_rng(5), np.ones(len(hz)), 0.001
+    runs = []
+    for _ in range(2):
+        real, imaginary = rng.normal(size=(2, len(hz))) / np.sqrt(2.0)
+        noisy = H * (1.0 + noise * (real + 1j * imaginary))
+        runs.append(FrequencyResponse(hz, noisy, one / (1.0 + noise**2), one))
+    found = fit(runs, average(runs), False, BAND)
+    assert np.abs(found.model.coefficients).sum() < 10.0 * found.gain
+    assert found.residual < 0.02
 
 
 @pytest.mark.slow

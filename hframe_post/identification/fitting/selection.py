@@ -43,6 +43,7 @@ from hframe_post.identification.responses.frequency_response import (
 MAX_POLES = 8
 TRIED = 300  # frequencies on which structures are compared; the chosen one is refined on all
 EXPLAINED = 1.0  # score of a distorted measurement that a better model cannot improve on
+CANCELLED = 10.0  # sum of all contributions over the gain above which they only cancel
 UNEXPLAINED = 2.0  # RMS residual over noise above which a model misses something
 
 
@@ -130,7 +131,7 @@ def select(case: Case) -> Modal:
     for mode_range_hz, simple in searches:
         found = _simplest(case, _candidates(case, mode_range_hz, simple))
         if found and (best is None or found.score < _worth(case, best) * best.score):
-            best = replace(found, model=_refined(case, found.model))
+            best = found
         if best and _explains(case, best):
             break
     if best is None:
@@ -187,9 +188,10 @@ def _candidates(case: Case, mode_range_hz: tuple[float, float], simple: bool) ->
 
 
 def _simplest(case: Case, candidates: list[Candidate]) -> Candidate | None:
-    """Return the candidate with the fewest unknowns among those about as good as the best.
+    """Return the candidate with the fewest unknowns among those about as good as the best, refined.
 
-    Racking is measured with some per cent of noise, so more counts as good.
+    Racking is measured with some per cent of noise, so more counts as good. What refining makes
+    impossible leaves its place to the next.
     """
     if not candidates:
         return None
@@ -197,8 +199,11 @@ def _simplest(case: Case, candidates: list[Candidate]) -> Candidate | None:
     enough = max((1.1 if case.racking else 1.02) * least, least + 0.01)
     if case.distortion is not None:
         enough = max(enough, EXPLAINED)
-    good = [candidate for candidate in candidates if candidate.score <= enough]
-    return min(good, key=lambda candidate: (candidate.structure.unknowns, candidate.score))
+    ordered = sorted(
+        candidates, key=lambda one: (max(one.score, enough), one.structure.unknowns, one.score)
+    )
+    refined = (replace(one, model=_refined(case, one.model)) for one in ordered)
+    return next((one for one in refined if not _impossible(one.model, case)), None)
 
 
 def _fitted(data: Data, structure: Structure, fitted: dict[Structure, Modal]) -> Modal:
@@ -248,6 +253,8 @@ def _impossible(model: Modal, case: Case) -> bool:
         return False
     if not 0.92 <= model.gain <= 1.08:  # no sensor is that wrong
         return True
+    if np.abs(model.coefficients).sum() > CANCELLED * model.gain:
+        return True  # the small difference of large motions: far from the truth between the points
     if case.distortion is not None and np.abs(model.c).sum() > 4.0 * model.gain:
         return True  # modes that cancel one another
     # at low frequencies the printer follows its command
