@@ -246,6 +246,9 @@ def test_coupling_counts_only_if_a_second_recording_shows_it() -> None:
     assert single.unexplained is None
     assert not single.counts
     assert "record x again" in single.as_text()
+    slight = coupling(Coupled(angle=0.003))
+    assert 0.0 < slight.size < 0.06
+    assert slight.as_text() == "a command in x does not move y"
     other = coupling(printer, Coupled(angle=-0.2))
     assert not other.counts
     assert "does not repeat" in other.as_text()

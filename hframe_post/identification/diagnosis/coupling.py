@@ -21,6 +21,7 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 REPEATS = 0.7  # share of the second recording's coupling that the first may leave unexplained
 SMOOTHED_HZ = 1.0  # over which neighbouring frequencies are averaged; modes are wider
 ABOVE_NOISE = 3.0
+LEAST_SIZE = 0.06  # of the command, below which a single recording shows no coupling
 TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
 LEAST_SHARE = 0.03  # of a mode across, to be listed
 PITCHES = 0.3  # of the answer along, from which that in z is reported
@@ -82,7 +83,7 @@ class Coupling:
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
-        if self.size == 0.0 or (self.unexplained is None and round(self.size, 2) == 0.0):
+        if self.size == 0.0 or (self.unexplained is None and self.size < LEAST_SIZE):
             return f"a command in {self.axis} does not move {self.other}"
         text = (
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
