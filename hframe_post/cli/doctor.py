@@ -6,6 +6,7 @@ import os
 import platform
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -27,7 +28,17 @@ from hframe_post.printer.settings import Printer
 from hframe_post.printer.slicers import presets
 from hframe_post.version import __version__
 
-PACKAGES = ("click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs")
+OLD = 90  # days, from which a model is to be checked
+PACKAGES = (
+    "click",
+    "numpy",
+    "scipy",
+    "ruckig",
+    "tomlkit",
+    "threadpoolctl",
+    "platformdirs",
+    "zstandard",
+)
 EXTRAS = ("matplotlib", "watchfiles", "distributed")
 
 
@@ -146,6 +157,7 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
             f"{quoted(config or 'printer.cfg')}'"
         )
         return
+    _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
     if config is None:
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
@@ -159,6 +171,16 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):
         findings.ok(f"{config} agrees with the profile")
+
+
+def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
+    days = (time.time() - path.stat().st_mtime) / 86400.0
+    if not profile.invented and days > OLD:
+        findings.note(
+            f"{path} was written {days:.0f} days ago, and printers change: a resonance of one "
+            "moved from 52 to 85 Hz within a year. Record and identify again, or measure what "
+            "compensation brings with 'hframe-post verify'"
+        )
 
 
 def _differences(config: KlipperConfig, profile: Printer, name: str) -> Iterator[Finding]:

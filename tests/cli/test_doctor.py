@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -107,6 +110,20 @@ def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, fo
     chosen = "as you chose" in found or "replaces the [" in found
     assert lines[0].startswith("note" if chosen else "PROBLEM")
     assert status == (1 if "PROBLEM" in printed else 0)
+
+
+def test_doctor_notes_an_old_model(machine: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "machine"
+    shutil.copytree(machine, folder)
+    profile = folder / "printer.toml"
+    measured = profile.read_text().replace("invented = true", "invented = false")
+    profile.write_text(measured)
+    assert "days ago" not in findings(folder)[1]
+    long_ago = time.time() - 200.0 * 86400.0
+    os.utime(profile, (long_ago, long_ago))
+    _, printed = findings(folder)
+    assert "note     " in printed
+    assert "was written 200 days ago" in printed
 
 
 def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:
