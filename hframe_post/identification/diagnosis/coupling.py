@@ -92,7 +92,7 @@ class Coupling:
         if self.unexplained is None:
             return f"{text}; record {self.axis} again to see whether that repeats"
         if self.counts:
-            return f"{text}; it repeats within {100 * self.unexplained:.0f} %"
+            return f"{text}; it repeats within {max(100 * self.unexplained, 1.0):.0f} %"
         return f"{text}; it does not repeat ({100 * self.unexplained:.0f} % differ) and is ignored"
 
     def warnings(self) -> list[str]:
