@@ -95,11 +95,14 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         measured["Gxtheta"] = Measured(racking.by_place, racking.slope, racking.off, (delay, delay))
     if "Gxtheta" in measured:
         distortion = nonlinearity.distortions.get("x") if nonlinearity else None
-        band = max(settings.band_hz[0], groups["Gxx"].excited_hz), settings.band_hz[1]
+        low = 0.0 if bridge.runs else groups["Gxx"].excited_hz
+        band = max(settings.band_hz[0], low), settings.band_hz[1]
         found = _fit("Gxtheta", measured["Gxtheta"], replace(settings, band_hz=band), distortion)
-        # an unknown excitation is wrong in x alone, an unknown sensor where it measures
-        across = "Gyy" if "Gyy" in fits and groups["Gxx"].resonance_hz is None else "Gxx"
-        fits["Gxtheta"] = found if bridge.runs else with_gain(found, fits[across].gain)
+        if not bridge.runs:
+            # an unknown excitation is wrong in x alone, an unknown sensor where it measures
+            calibrated = "Gyy" in fits and groups["Gxx"].resonance_hz is None
+            found = with_gain(found, fits["Gyy" if calibrated else "Gxx"].gain)
+        fits["Gxtheta"] = found
     x_c = lever_arm_sd = None
     if racking:
         along = measured["Gxx"].mean

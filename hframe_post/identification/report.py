@@ -121,7 +121,7 @@ class IdentificationReport:
         if not repeated:
             return []
         parts = ", ".join(
-            f"{AXIS[name]} to {100 * one.share:.0f} % of its answer"
+            f"recordings of {AXIS[name]} differ by {100 * one.share:.0f} %"
             for name, one in repeated.items()
         )
         if self.compensation is None:
@@ -130,7 +130,7 @@ class IdentificationReport:
         errors = self.compensation.rms_of_others[-count:]
         none = self.compensation.rms("none")
         return [
-            f"{parts}; as it was in single recordings, the rectangle keeps "
+            f"{parts}; with the printer of a single recording, the rectangle would keep "
             f"{min(errors):.1f} to {max(errors):.1f} of {none:.1f} µm"
         ]
 

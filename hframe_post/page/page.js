@@ -82,7 +82,7 @@ function paint() {
   ink.scale(ratio, ratio);
   grid(ink, box);
   const from = first[state.layer], to = first[state.layer + 1], error = path.error[state.strategy];
-  const strokes = new Array(COLOURS).fill(null), travels = new Path2D(), beside = new Path2D();
+  const strokes = new Array(COLOURS).fill(null), travels = new Path2D(), nozzleLine = new Path2D();
   let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0], printing = false;
   for (let k = from; k < to; k++) {
     const [x, y] = toScreen(...place(k), box);
@@ -92,8 +92,8 @@ function paint() {
       const stroke = travel ? travels : (strokes[shown] = strokes[shown] || new Path2D());
       stroke.moveTo(x0, y0); stroke.lineTo(x, y);
       if (!travel && state.magnified) {
-        if (!printing) beside.moveTo(...toScreen(...nozzle(k - 1), box));
-        beside.lineTo(...toScreen(...nozzle(k), box));
+        if (!printing) nozzleLine.moveTo(...toScreen(...nozzle(k - 1), box));
+        nozzleLine.lineTo(...toScreen(...nozzle(k), box));
       }
       printing = !travel;
     } else printing = false;
@@ -103,7 +103,7 @@ function paint() {
   ink.lineWidth = 1; ink.strokeStyle = style("--faint"); ink.setLineDash([2, 4]); ink.stroke(travels); ink.setLineDash([]);
   ink.lineWidth = Math.min(Math.max(0.38 * state.scale, 1.3), 9);
   strokes.forEach((stroke, k) => { if (stroke) { ink.strokeStyle = colour(k); ink.stroke(stroke); } });
-  ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(beside);
+  ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(nozzleLine);
   if (state.picked >= from && state.picked < to) {
     const [x, y] = toScreen(...place(state.picked), box);
     ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 5; ink.strokeStyle = style("--stage"); ink.stroke();

@@ -1,4 +1,4 @@
-"""The path of a print and the nozzle beside it, small enough to look at.
+"""The path of a print and the nozzle's path, small enough to look at.
 
 Judged samples are merged into pieces of some milliseconds, each with the largest error in it and
 where the nozzle is at its end. Pieces that continue straight on are joined. If there are too many,

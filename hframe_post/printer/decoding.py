@@ -10,7 +10,7 @@ UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes 
 
 
 def decoded(content: bytes, source: str) -> str:
-    """Return the text without a byte order mark. Raises PrinterError if it is no text."""
+    """Return the text without a byte order mark. Raises PrinterError if it is not text."""
     try:
         return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
     except UnicodeError:

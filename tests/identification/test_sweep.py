@@ -89,10 +89,10 @@ def test_one_axis_moves_within_travel_and_motors(paper: Printer, axis: int) -> N
 
 def test_the_summary_compares_the_time_with_test_resonances(paper: Printer) -> None:
     both = [run for axis in (0, 1) for run in runs(paper, axis, positions(paper, axis))]
-    told = summary(paper, both)
-    assert "2m 49s in all" in told
-    assert "takes 4m 20s for x and y " in told
-    assert all(f"{run.name}: 40 s, at most ±6.8" in told for run in both)
+    text = summary(paper, both)
+    assert "2m 49s in all" in text
+    assert "takes 4m 20s for x and y " in text
+    assert all(f"{run.name}: 40 s, at most ±6.8" in text for run in both)
     assert "takes 2m 10s for x and" in summary(paper, both[:3])
 
 

@@ -150,6 +150,17 @@ def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> 
     assert result.model_error == pytest.approx(0.02)
 
 
+def test_a_printer_too_stiff_to_ring_is_taken_as_such() -> None:
+    """Its resonance lies above what the test excites."""
+    stiff = Machine(Axis((Mode(240.0, 0.1),)), BED, kinematics="corexy")
+    result = identify([run(taken(short(X), 1, 3, stiff), 1)], Settings((3.0, 100.0), racks=False))
+    hz = np.linspace(3.0, 60.0, 30)
+    model = result.plant(0.0).Gxx.response(2.0 * np.pi * TS * hz)
+    true = stiff.exact().Gxx.response(2.0 * np.pi * TS * hz)
+    assert np.abs(np.abs(model / true) - 1.0).max() < 0.05
+    assert result.fits["Gxx"].modes == []
+
+
 def test_a_recording_of_something_else_is_refused() -> None:
     made = taken(short(X), 1, 3)
     noise = np.random.default_rng(0).normal(0.0, 2000.0, made.recording.a.shape)

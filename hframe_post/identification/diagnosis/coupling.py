@@ -87,7 +87,7 @@ class Coupling:
             return f"a command in {self.axis} does not move {self.other}"
         text = (
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
-            f"{100 * self.size / self.wrong:.0f} % of what {self.axis} itself is off by there"
+            f"{100 * self.size / self.wrong:.0f} % of {self.axis}'s own error there"
         )
         if self.unexplained is None:
             return f"{text}; record {self.axis} again to see whether that repeats"

@@ -35,7 +35,8 @@ Refit = Callable[[FrequencyResponse], Modal]  # refines a model on another respo
 SAMPLES = 12
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
 MOST = 0.2  # a model that scatters by more is wrong in another way
-MODE_SCATTER, COUNTED_AS = 0.002, 4  # of a mode from run to run, relative; worth so many positions
+MODE_SCATTER = 0.002  # of a mode from run to run, relative
+COUNTED_AS = 4  # positions that this usual scatter is worth
 
 
 @dataclass(frozen=True, slots=True)

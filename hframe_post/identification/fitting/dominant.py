@@ -1,8 +1,8 @@
 """The modes that dominate a real printer's response, from recordings whose gain and start are
 unknown.
 
-A real printer is not quite linear and not quite the same on the next day, so a share of what it
-does is no linear model's, and a fit that explains all of a recording makes modes up. So
+A real printer is not quite linear and not quite the same on the next day. No linear model explains
+all that it does, and a fit that tries to makes modes up. So
 
  - only what the command excites is fitted; below it the printer follows its command (Prior),
  - modes lie within reach of the resonances that are seen, and ring,
@@ -36,7 +36,7 @@ DAMPING = (0.01, 0.35)
 LOWEST = 0.85  # of the lowest clear resonance, above which modes are sought
 INDEPENDENT_HZ = 3.0  # frequencies nearer to each other are wrong alike
 UNKNOWN = (0.05, 0.005)  # share of the response that is taken as unexplained, at first and at least
-AS_GOOD = 1.05
+AS_GOOD = 1.05  # times the least that is left unexplained, from which a model is good enough
 FREQUENCIES = 250  # enough to fit at
 REACH = 0.02  # s by which the delay may differ from the rough one
 
@@ -77,9 +77,8 @@ def unexplained(model: Modal, response: FrequencyResponse) -> float:
     """Return what a model leaves of a response: RMS of the shares by power and by frequency."""
     H = model.response(response.hz)
     by_power = share_left(H, response, response.power)
-    return (
-        float(np.hypot(by_power, share_left(H, response, 1.0 / np.abs(response.H) ** 2))) / 2**0.5
-    )
+    by_frequency = share_left(H, response, 1.0 / np.abs(response.H) ** 2)
+    return float(np.sqrt((by_power**2 + by_frequency**2) / 2.0))
 
 
 def share_left(H: Complex, response: FrequencyResponse, weight: Array) -> float:
@@ -119,7 +118,8 @@ def _data(response: FrequencyResponse, measured: Excited, share: float) -> Data:
     count = len(hz[:: max(1, len(hz) // FREQUENCIES)])
     independent = (hz[-1] - hz[0]) / INDEPENDENT_HZ
     weight = np.sqrt(min(independent / count, 1.0)) / sd
-    modes = max(hz[0], LOWEST * measured.lowest_hz), 1.5 * hz[-1]
+    highest = 1.2 * max(1.25 * hz[-1], measured.resonance_hz)
+    modes = min(max(hz[0], LOWEST * measured.lowest_hz), hz[-1]), highest
     prior = Prior(measured.resonance_hz)
     data = Data(hz, H, weight, modes, (-REACH, REACH), GAIN, DAMPING, prior)
     return data.thinned(FREQUENCIES)

@@ -85,6 +85,8 @@ def _first_resonance(hz: Array, size: Array, excited: Flags) -> float:
     octave = hz[excited] < 2.0 * hz[excited][0]
     clear = max(0.1 * float(smooth.max()), 0.3 * float(np.median(smooth[octave])))
     peaks, _ = find_peaks(np.append(smooth, 0.0), prominence=clear)
+    if not peaks.size:  # a stiff printer: what rings lies far above what was excited
+        return 3.0 * float(hz[-1])
     high = smooth[peaks]
     at = hz[excited][peaks]
     return float(at[(at > at[np.argmax(high)] / 3.0) | (high > 0.5 * high.max())][0])

@@ -113,7 +113,7 @@ def _columns(directions: Array, away: Array) -> tuple[list[tuple[int, int | None
     if np.linalg.matrix_rank(A, 0.1) < len(moved):
         raise IdentificationError(
             "runs along one diagonal alone do not tell x from y. Add a run along the other "
-            "diagonal (TEST_RESONANCES AXIS=1,-1 beside AXIS=1,1), or one along x or y"
+            "diagonal (TEST_RESONANCES AXIS=1,-1 as well as AXIS=1,1), or one along x or y"
         )
     for j in moved:
         for c in (0, 1):

@@ -67,7 +67,7 @@ class Run:
 
     @property
     def direction(self) -> Array:
-        """Return the unit vector (2,) of the motion. Raise IdentificationError if it is no line."""
+        """Return the unit vector (2,) of the motion; raise IdentificationError if that bends."""
         moved = self.command - self.command[0]
         _, sizes, axes = np.linalg.svd(moved - moved.mean(axis=0), full_matrices=False)
         if not sizes[0] > 0.0 or sizes[1] > 1e-3 * sizes[0]:
