@@ -1,15 +1,19 @@
 """The compiled loops: optional, since numpy does the same where there is no compiler."""
 
+import sys
 from glob import glob
 
 from setuptools import Extension, setup
 
+EXACT = ["-O3", "-ffp-contract=off"]  # no fused multiply-add: the same bits
 KERNELS = Extension(
     "hframe_post.native._kernels",
     sorted(glob("hframe_post/native/*.c")),
-    depends=["hframe_post/native/kernels.h"],
-    extra_compile_args=["-O3", "-ffp-contract=off"],  # no fused multiply-add: the same bits
+    depends=glob("hframe_post/native/*.h"),
+    define_macros=[("Py_LIMITED_API", "0x030B0000")],  # one build for all Pythons from 3.11 on
+    py_limited_api=True,
+    extra_compile_args=["/O2", "/fp:precise"] if sys.platform == "win32" else EXACT,
     optional=True,
 )
 
-setup(ext_modules=[KERNELS])
+setup(ext_modules=[KERNELS], options={"bdist_wheel": {"py_limited_api": "cp311"}})

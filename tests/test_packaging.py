@@ -44,6 +44,7 @@ def test_the_wheel_converts_the_sample_in_an_empty_environment(wheel: Path, tmp_
     built = {name for name in names | source if "/_kernels." in name}
     assert names - built == source - built
     assert (names & built) or shutil.which("cc") is None
+    assert "-cp311-abi3-" in wheel.name
     venv.create(tmp_path / "venv", with_pip=True)
     programs = tmp_path / "venv" / "bin"
     environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

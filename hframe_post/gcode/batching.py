@@ -47,8 +47,6 @@ class PlainMoves:
         self._run = kernel("plain_moves")
         self._values, self._rules = np.empty(10), np.empty(16)
         self._rows, self._taken = np.empty((MOVES_PER_ITEM, 8)), np.empty(2, dtype=np.int64)
-        arrays = (self._values, self._rules, self._rows, self._taken)
-        self._addresses = [array.ctypes.data for array in arrays]
 
     def take(self, most: int) -> Array | None:
         """Read moves and change the state; return a row for each of at most ``most`` moves (k, 8).
@@ -68,10 +66,10 @@ class PlainMoves:
             not state.absolute_e, state.acceleration, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
             MIN_PATH,
         )  # fmt: skip
-        values, rules, rows, taken = self._addresses
         count = self._run(
-            text, len(text), offset, source.number + 1, most, values, rules, rows, taken
-        )
+            text, len(text), offset, source.number + 1, most,
+            self._values, self._rules, self._rows, self._taken,
+        )  # fmt: skip
         lines, size = self._taken.tolist()
         source.skip(lines, size)
         x, y, z, e, *_, state.feed, _ = self._values.tolist()

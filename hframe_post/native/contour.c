@@ -57,7 +57,7 @@ static int64_t nearest(const double *px, const double *py, int64_t n, double ax,
 
 /* px, py (n): the path; ax, ay (count): points, at (count): the sample of each; off (count, 2).
  * turns (n + 1): room. */
-EXPORTED int64_t deviation(const double *px, const double *py, int64_t n, const double *ax,
+static int64_t deviation(const double *px, const double *py, int64_t n, const double *ax,
                            const double *ay, const int64_t *at, int64_t count, int64_t reach,
                            int64_t coarse, double straight, struct vector *off, int64_t *turns)
 {
@@ -77,3 +77,7 @@ EXPORTED int64_t deviation(const double *px, const double *py, int64_t n, const 
     }
     return count;
 }
+
+LOOP(deviation, FLOATS(0, WHOLE(2)), FLOATS(1, WHOLE(2)), WHOLE(2), FLOATS(3, WHOLE(6)),
+     FLOATS(4, WHOLE(6)), INTEGERS(5, WHOLE(6)), WHOLE(6), WHOLE(7), WHOLE(8), REAL(9),
+     (struct vector *)OUT_FLOATS(10, 2 * WHOLE(6)), OUT_INTEGERS(11, WHOLE(2) + 1))

@@ -2,8 +2,6 @@
 
 #include "kernels.h"
 
-EXPORTED int64_t built_for(void) { return BUILT_FOR; }
-
 /* Bound the distance of samples from the chord that replaces both segments at vertex v. */
 static double merged(const double *points, const int64_t *kept, const double *off, int64_t v,
                      double e_weight2)
@@ -34,7 +32,7 @@ static void cheapest(const double *cost, int64_t n, uint8_t *flags)
 
 /* points (n, 4), forced (n); n vertices to begin with. Returns how many of ``kept`` (n) are.
  * room (3, n), flags (n): to work in. */
-EXPORTED int64_t breakpoints(const double *points, const uint8_t *forced, int64_t n,
+static int64_t breakpoints(const double *points, const uint8_t *forced, int64_t n,
                              double tolerance, double shorts, double e_weight2, double alike,
                              int64_t *kept, double *room, uint8_t *flags)
 {
@@ -74,8 +72,11 @@ EXPORTED int64_t breakpoints(const double *points, const uint8_t *forced, int64_
     return n;
 }
 
+LOOP(breakpoints, FLOATS(0, COLUMNS * WHOLE(2)), BYTES(1, WHOLE(2)), WHOLE(2), REAL(3), REAL(4), REAL(5),
+     REAL(6), OUT_INTEGERS(7, WHOLE(2)), OUT_FLOATS(8, 3 * WHOLE(2)), OUT_BYTES(9, WHOLE(2)))
+
 /* vertices (k, 4) at ``ends`` (k), of points (n, 4). room (6, k): to work in. */
-EXPORTED int64_t fitted(const double *points, int64_t n, const int64_t *ends, int64_t k, int64_t rounds,
+static int64_t fitted(const double *points, int64_t n, const int64_t *ends, int64_t k, int64_t rounds,
                      double *vertices, double *room)
 {
     double *diagonal = room, *both = room + k, *wanted = room + 2 * k; /* x of all, then y of all */
@@ -132,3 +133,6 @@ EXPORTED int64_t fitted(const double *points, int64_t n, const int64_t *ends, in
             vertices[COLUMNS * i + a] = points[COLUMNS * ends[i] + a];
     return k;
 }
+
+LOOP(fitted, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), INTEGERS(2, WHOLE(3)), WHOLE(3), WHOLE(4),
+     OUT_FLOATS(5, COLUMNS * WHOLE(3)), OUT_FLOATS(6, 6 * WHOLE(3)))

@@ -27,7 +27,7 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
 /* Write n lines of a command with w words: values (w, n) in units of 10^-decimals (w) after their
  * letters; shown (w, n): the words to write. ends (n): the end of each line. Returns the length of
  * the text. */
-EXPORTED int64_t command_lines(const char *command, const char *letters, int64_t w, int64_t n,
+static int64_t command_lines(const char *command, const char *letters, int64_t w, int64_t n,
                                const int64_t *values, const int64_t *decimals,
                                const uint8_t *shown, uint8_t *text, int64_t *ends)
 {
@@ -47,3 +47,7 @@ EXPORTED int64_t command_lines(const char *command, const char *letters, int64_t
     }
     return c - text;
 }
+
+LOOP(command_lines, TEXT(0), TEXT(1), WHOLE(2), WHOLE(3), INTEGERS(4, WHOLE(2) * WHOLE(3)),
+     INTEGERS(5, WHOLE(2)), BYTES(6, WHOLE(2) * WHOLE(3)), OUT_BYTES(7, WHOLE(3)),
+     OUT_INTEGERS(8, WHOLE(3)))

@@ -1,6 +1,7 @@
 /* Definitions that the compiled loops share. Each loop does what a numpy function of the package
  * does, by the same operations in the same order, so both give the same bits: no fused
- * multiply-add, no -ffast-math. The caller allocates all arrays. */
+ * multiply-add, no -ffast-math. The caller allocates all arrays. module.c makes them functions of
+ * Python. */
 
 #ifndef HFRAME_KERNELS_H
 #define HFRAME_KERNELS_H
@@ -8,13 +9,9 @@
 #include <math.h>
 #include <stdint.h>
 
-#ifdef _WIN32
-#define EXPORTED __declspec(dllexport)
-#else
-#define EXPORTED __attribute__((visibility("default")))
-#endif
+#include "arguments.h"
 
-#define BUILT_FOR 4 /* as in kernels.py: raised whenever a signature changes */
+#define BUILT_FOR 5 /* as in __init__.py: raised whenever a signature changes */
 
 enum { X, Y, Z, E, COLUMNS }; /* of a position */
 

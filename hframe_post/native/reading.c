@@ -73,7 +73,7 @@ static const char *words(const char *c, const char *last, double *value, int *gi
  * velocity, greatest filament per mm of path, least path.
  * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move in which x or
  * y changes. taken: lines, bytes. Returns the number of rows. */
-EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64_t first_line,
+static int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64_t first_line,
                              int64_t most, double *state, const double *rules, double *rows, int64_t *taken)
 {
     const char *c = text + offset, *last = text + size, *next;
@@ -118,3 +118,6 @@ EXPORTED int64_t plain_moves(const char *text, int64_t size, int64_t offset, int
     taken[0] = lines, taken[1] = c - text - offset;
     return count;
 }
+
+LOOP(plain_moves, TEXT(0), WHOLE(1), WHOLE(2), WHOLE(3), WHOLE(4), OUT_FLOATS(5, 10), FLOATS(6, 16),
+     OUT_FLOATS(7, ROW * WHOLE(4)), OUT_INTEGERS(8, 2))

@@ -4,7 +4,7 @@
 
 /* phases (6, p): start time, duration, path length, speed, acceleration, jerk. Path lengths s (n)
  * at samples first, first + 1, … of ``interval`` s, within 0 … end. */
-EXPORTED int64_t path_lengths(const double *phases, int64_t p, int64_t first, int64_t n,
+static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int64_t n,
                               double interval, double end, double *s)
 {
     const double *time = phases, *duration = phases + p, *s0 = phases + 2 * p,
@@ -21,9 +21,12 @@ EXPORTED int64_t path_lengths(const double *phases, int64_t p, int64_t first, in
     return n;
 }
 
+LOOP(path_lengths, FLOATS(0, 6 * WHOLE(1)), WHOLE(1), WHOLE(2), WHOLE(3), REAL(4), REAL(5),
+     OUT_FLOATS(6, WHOLE(3)))
+
 /* lengths (m + 1): path length at the vertices, points (m + 1, 4). Places xyze (n, 4) at s (n) and
  * the move (n) that each lies on. */
-EXPORTED int64_t follow(const double *lengths, const double *points, int64_t m, const double *s,
+static int64_t follow(const double *lengths, const double *points, int64_t m, const double *s,
                         int64_t n, double *xyze, int64_t *move)
 {
     int64_t k = 0;
@@ -40,3 +43,6 @@ EXPORTED int64_t follow(const double *lengths, const double *points, int64_t m, 
     }
     return n;
 }
+
+LOOP(follow, FLOATS(0, WHOLE(2) + 1), FLOATS(1, COLUMNS * (WHOLE(2) + 1)), WHOLE(2), FLOATS(3, WHOLE(4)),
+     WHOLE(4), OUT_FLOATS(5, COLUMNS * WHOLE(4)), OUT_INTEGERS(6, WHOLE(4)))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 import subprocess
 import sysconfig
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -16,20 +18,24 @@ SOURCES = Path(hframe_post.__file__).parent / "native"
 
 
 @pytest.fixture(scope="session")
-def library(tmp_path_factory: pytest.TempPathFactory) -> dict[str, native.Kernel]:
+def library(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
     compiler = shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0])
     if compiler is None:
         pytest.skip("no C compiler here")
-    path = tmp_path_factory.mktemp("compiled") / "kernels.so"
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O3", "-ffp-contract=off", "-fPIC"]
+    path = tmp_path_factory.mktemp("compiled") / "_kernels.so"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O3", "-ffp-contract=off", "-fPIC",
+             "-DPy_LIMITED_API=0x030B0000", "-I" + sysconfig.get_path("include")]  # fmt: skip
     sources = sorted(map(str, SOURCES.glob("*.c")))
     subprocess.run([compiler, *flags, "-shared", "-o", path, *sources, "-lm"], check=True)
-    found = native.loaded(path)
-    assert found is not None
-    return found
+    spec = importlib.util.spec_from_file_location("hframe_post.native._kernels", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture
-def compiled(library: dict[str, native.Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+def compiled(library: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """Use the compiled version of every loop."""
     monkeypatch.setattr(native, "built", lambda: library)

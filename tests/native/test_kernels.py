@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
+import sys
+import threading
 from collections.abc import Callable
-from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
-from hframe_post.native import Kernel
 from hframe_post.planner import profiles, sampling
 from hframe_post.prediction.predict import deviation
 from hframe_post.printer.settings import Printer
@@ -98,7 +98,7 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
 
 
 def test_the_whole_tool(
-    paper: Printer, library: dict[str, Kernel], monkeypatch: pytest.MonkeyPatch
+    paper: Printer, library: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Compare text and report for the first layers of a slice."""
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)[:1200]
@@ -112,18 +112,62 @@ def test_the_whole_tool(
     assert results[0] == results[1]
 
 
-def test_another_type_or_layout_is_an_error(library: dict[str, Kernel]) -> None:
-    points, forced = wander(1, 10, -2.0)
-    room = np.empty(11, np.int64), np.empty((3, 11)), np.empty(11, np.uint8)
-    for wrong in (points.astype(np.float32), points.T, points.tolist()):
-        with pytest.raises(ctypes.ArgumentError):
-            library["breakpoints"](wrong, forced.view(np.uint8), 11, 0.1, 8, 16, 1e-6, *room)
+def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: ModuleType) -> None:
+    s, points, room = np.arange(3.0), np.zeros((3, 4)), (np.empty((2, 4)), np.empty(2, np.int64))
+    right = [s, points, 2, s[:2], 2, *room]
+    frozen = room[0].copy()
+    frozen.flags.writeable = False
+    wrong = {
+        0: (s[:2], s[::2], s.astype(np.float32), s.tolist(), 1.0, None, b"0"),
+        2: (2.0, s, 1 << 70),
+        5: (room[0][:1], frozen, room[1]),
+    }
+    assert library.follow(*right) == 2
+    for k, values in wrong.items():
+        for value in values:
+            with pytest.raises(TypeError, match=f"argument {k} of follow"):
+                library.follow(*right[:k], value, *right[k + 1 :])
+    for count in (0, len(right) - 1):
+        with pytest.raises(TypeError, match="must be given"):
+            library.follow(*right[:count])
+    for more in (1, 100):
+        with pytest.raises(TypeError, match="argument"):
+            library.follow(*right, *[1] * more)
 
 
-def test_a_library_of_another_version_is_not_taken(tmp_path: Path) -> None:
-    broken = tmp_path / "broken.so"
-    broken.write_bytes(b"no library")
-    assert native.loaded(broken) is None
+def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
+    """Python itself would not switch threads for an hour."""
+    n, before = 10_000, sys.getswitchinterval()
+    arguments = np.arange(3.0), np.zeros((3, 4)), 2, np.zeros(n), n, np.empty((n, 4))
+    moves, begin, ran = np.empty(n, np.int64), threading.Event(), threading.Event()
+
+    def other() -> None:
+        begin.wait()
+        ran.set()
+
+    thread = threading.Thread(target=other)
+    sys.setswitchinterval(3600.0)
+    try:
+        thread.start()
+        begin.set()
+        for _ in range(10_000):
+            library.follow(*arguments, moves)
+            if ran.is_set():
+                break
+        assert ran.is_set()
+    finally:
+        sys.setswitchinterval(before)
+        thread.join()
+
+
+@pytest.mark.parametrize("name", ["missing", "another version"])
+def test_numpy_is_used_where_the_module_is(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name == "missing":
+        monkeypatch.setitem(sys.modules, "hframe_post.native._kernels", None)
+    else:
+        monkeypatch.setattr(native, "BUILT_FOR", native.BUILT_FOR + 1)
+    monkeypatch.setattr(native, "built", native.built.__wrapped__)
+    assert native.kernel("follow") is None
 
 
 @thorough

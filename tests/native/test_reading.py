@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from hframe_post.errors import HframeError
 from hframe_post.gcode.commands import DIALECTS
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
-from hframe_post.native import Kernel
 from hframe_post.printer.settings import Printer
 from tests.conftest import ROOT, SAMPLES
 
@@ -64,7 +64,7 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
     st.sampled_from(sorted(DIALECTS)), st.sampled_from(["\n", "\r\n", ""]), st.booleans(),
 )  # fmt: skip
 def test_any_lines(
-    paper: Printer, library: dict[str, Kernel], texts: list[str], dialect: str, end: str, bed: bool
+    paper: Printer, library: ModuleType, texts: list[str], dialect: str, end: str, bed: bool
 ) -> None:
     options = ReadOptions(DIALECTS[dialect], travel=paper.travel if bed else None)
     lines = START + [(text + end).encode() for text in texts]
@@ -72,19 +72,19 @@ def test_any_lines(
 
 
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-def test_a_slice(library: dict[str, Kernel], name: str) -> None:
+def test_a_slice(library: ModuleType, name: str) -> None:
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
     same_either_way(lines, ReadOptions(DIALECTS["klipper"]), library)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests" / "quirks").glob("*.gcode")), ids=str)
-def test_quirks(library: dict[str, Kernel], path: Any) -> None:
+def test_quirks(library: ModuleType, path: Any) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     for dialect in DIALECTS.values():
         same_either_way(lines, ReadOptions(dialect), library)
 
 
-def test_an_error_of_the_source_comes_in_its_turn(library: dict[str, Kernel]) -> None:
+def test_an_error_of_the_source_comes_in_its_turn(library: ModuleType) -> None:
     """The lines before it are read, and their errors come first."""
 
     def source(wrong: bytes) -> Any:
@@ -100,7 +100,7 @@ def test_an_error_of_the_source_comes_in_its_turn(library: dict[str, Kernel]) ->
             list(read(source(b"G1 X20 F-3\n"), ReadOptions(DIALECTS["klipper"])))
 
 
-def same_either_way(lines: list[bytes], options: ReadOptions, library: dict[str, Kernel]) -> None:
+def same_either_way(lines: list[bytes], options: ReadOptions, library: ModuleType) -> None:
     found = []
     for loops in (None, library):
         with pytest.MonkeyPatch.context() as patch:

@@ -161,7 +161,7 @@ def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
         return _breakpoints(points, forced, tolerance)
     kept, room, flags = np.empty(n, np.int64), np.empty((3, n)), np.empty(n, np.uint8)
     count = compiled(
-        np.ascontiguousarray(points), forced.view(np.uint8), n, tolerance, SHORT, E_WEIGHT**2,
+        np.ascontiguousarray(points), forced, n, tolerance, SHORT, E_WEIGHT**2,
         ALIKE, kept, room, flags,
     )  # fmt: skip
     return kept[1:count]

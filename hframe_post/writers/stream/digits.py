@@ -38,7 +38,7 @@ def command_lines(
     text, ends = np.empty(n * (len(command) + w * room + 1), np.uint8), np.empty(n, np.int64)
     size = compiled(
         command, letters, w, n, np.ascontiguousarray(values), np.array(decimals, np.int64),
-        np.ascontiguousarray(shown).view(np.uint8), text, ends,
+        np.ascontiguousarray(shown), text, ends,
     )  # fmt: skip
     return text[:size].tobytes(), ends
 

@@ -1,0 +1,147 @@
+/* The loops as functions of the Python module _kernels, through the limited API. Numbers and arrays
+ * are passed without conversion; an argument of the wrong type, layout or length is a TypeError. */
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <string.h>
+
+#include "kernels.h"
+
+/* The name of each function that has a LOOP row. */
+#define LOOPS(EACH)                                                                           \
+    EACH(breakpoints)                                                                         \
+    EACH(command_lines)                                                                       \
+    EACH(deviation)                                                                           \
+    EACH(fitted)                                                                              \
+    EACH(follow)                                                                              \
+    EACH(path_lengths)                                                                        \
+    EACH(plain_moves)
+
+enum { MOST_ARGUMENTS = 32 };
+
+struct call {
+    Py_ssize_t count, used;
+    int wrong;         /* the first wrong argument, or -1 */
+    const char *cause; /* what it should be */
+    struct {
+        enum { REAL_NUMBER, WHOLE_NUMBER, ARRAY, BYTES_OBJECT } kind;
+        double real;
+        int64_t whole;
+        Py_buffer view;
+    } of[MOST_ARGUMENTS];
+};
+
+static int note(struct call *call, int k, int right, const char *cause)
+{
+    if (!right && call->wrong < 0)
+        call->wrong = k, call->cause = cause;
+    return right;
+}
+
+static int given(struct call *call, int k)
+{
+    if (call->used <= k)
+        call->used = k + 1;
+    return note(call, k, k < call->count, "given");
+}
+
+double real_argument(struct call *call, int k)
+{
+    return given(call, k) && note(call, k, call->of[k].kind <= WHOLE_NUMBER, "a number")
+               ? call->of[k].real : 0.0;
+}
+
+int64_t whole_argument(struct call *call, int k)
+{
+    return given(call, k) && note(call, k, call->of[k].kind == WHOLE_NUMBER, "an integer")
+               ? call->of[k].whole : 0;
+}
+
+const char *text_argument(struct call *call, int k)
+{
+    return given(call, k) && note(call, k, call->of[k].kind == BYTES_OBJECT, "bytes")
+               ? call->of[k].view.buf : NULL;
+}
+
+void *array_argument(struct call *call, int k, int64_t items, const char *formats, int written)
+{
+    if (!given(call, k) || !note(call, k, call->of[k].kind >= ARRAY, "an array"))
+        return NULL;
+    const Py_buffer *view = &call->of[k].view;
+    const char *format = view->format ? view->format : "B";
+    note(call, k, strlen(format) == 1 && strchr(formats, *format), "an array of the right type");
+    note(call, k, view->len / view->itemsize >= items, "an array that is long enough");
+    note(call, k, !written || !view->readonly, "an array that can be written to");
+    return view->buf;
+}
+
+/* Take one argument; return whether it is a number or a contiguous array. */
+static int taken(PyObject *value, struct call *call, int k)
+{
+    if (PyFloat_Check(value)) {
+        call->of[k].kind = REAL_NUMBER;
+        call->of[k].real = PyFloat_AsDouble(value);
+    } else if (PyLong_Check(value)) {
+        call->of[k].kind = WHOLE_NUMBER;
+        call->of[k].whole = PyLong_AsLongLong(value);
+        call->of[k].real = (double)call->of[k].whole;
+        return !PyErr_Occurred();
+    } else {
+        call->of[k].kind = PyBytes_Check(value) ? BYTES_OBJECT : ARRAY;
+        return PyObject_GetBuffer(value, &call->of[k].view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) == 0;
+    }
+    return 1;
+}
+
+static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
+                        PyObject *const *arguments, Py_ssize_t given_count)
+{
+    struct call call;
+    int64_t result = 0;
+    call.used = 0, call.wrong = -1, call.cause = "a number or a contiguous array";
+    for (call.count = 0; call.count < given_count; call.count++)
+        if (call.count == MOST_ARGUMENTS || !taken(arguments[call.count], &call, (int)call.count)) {
+            call.wrong = (int)call.count;
+            break;
+        }
+    if (call.wrong < 0) {
+        loop(&call, 0);
+        note(&call, (int)call.used, call.used == call.count, "left out");
+    }
+    if (call.wrong < 0) {
+        Py_BEGIN_ALLOW_THREADS
+        result = loop(&call, 1);
+        Py_END_ALLOW_THREADS
+    }
+    for (Py_ssize_t k = 0; k < call.count; k++)
+        if (call.of[k].kind >= ARRAY)
+            PyBuffer_Release(&call.of[k].view);
+    if (call.wrong < 0)
+        return PyLong_FromLongLong(result);
+    PyErr_Clear();
+    return PyErr_Format(PyExc_TypeError, "argument %d of %s must be %s", call.wrong, name, call.cause);
+}
+
+#define FUNCTION(name)                                                                        \
+    int64_t call_##name(struct call *, int);                                                  \
+    static PyObject *py_##name(PyObject *self, PyObject *const *arguments, Py_ssize_t count)   \
+    {                                                                                         \
+        (void)self;                                                                           \
+        return called(#name, call_##name, arguments, count);                                  \
+    }
+LOOPS(FUNCTION)
+
+#define ROW(name) {#name, (PyCFunction)(void (*)(void))py_##name, METH_FASTCALL, NULL},
+static PyMethodDef methods[] = {LOOPS(ROW){NULL, NULL, 0, NULL}};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "_kernels", NULL, 0, methods, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__kernels(void)
+{
+    PyObject *module = PyModule_Create(&definition);
+    if (module && PyModule_AddIntConstant(module, "BUILT_FOR", BUILT_FOR) < 0)
+        Py_CLEAR(module);
+    return module;
+}
