@@ -1,4 +1,4 @@
-"""The printer.cfg of the virtual Klipper printer, and profiles of printer.cfg files."""
+"""What firmware says of itself: a printer.cfg and answers of Marlin, and profiles of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hframe_post.printer.setup import Known, from_klipper, kinematics_in, profil
 from tests.conftest import ROOT
 
 REAL = ROOT / "tests" / "klipper" / "printer.cfg"  # which Klipper itself runs with in other tests
+M503 = ROOT / "tests" / "printer" / "m503.txt"  # with the answer to M115
 
 
 def profile_of(config: KlipperConfig, kinematics: str = "") -> Printer:

@@ -19,14 +19,14 @@ from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 
 COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
-    "setup": ("setup.setup", "Make a profile and macros from Klipper's printer.cfg."),
+    "setup": ("setup.setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
     "convert": ("convert.convert", "Convert a sliced file. This is the default command."),
     "batch": ("batch.batch", "Convert many files, here or on a cluster."),
     "compare": ("compare.compare", "Compare the motion of two G-code files."),
     "simulate": ("simulate.simulate", "Predict what compensation does for a print."),
     "tune": ("tune.tune", "Recommend a profile's window, weight and acceleration."),
     "use": ("printers.use", "Set or show the default profile."),
-    "printers": ("printers.printers", "List, show and create printer profiles."),
+    "printers": ("printers.printers", "List and show printer profiles."),
     "doctor": ("doctor.doctor", "Check the installation, a profile and printer.cfg."),
     "sweep": ("sweep.sweep", "Write the G-code that measures a printer."),
     "identify": ("identify.identify", "Compute a profile from the measurement."),

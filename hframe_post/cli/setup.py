@@ -1,133 +1,232 @@
-"""``hframe-post setup``: from Klipper's printer.cfg to a profile and macros."""
+"""``hframe-post setup``: from Klipper's printer.cfg or Marlin's M503 to a profile."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import click
 
-from hframe_post.cli.options import files_read
+from hframe_post.cli.options import files_read, number
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE, macros
 from hframe_post.printer.choice import set_default
 from hframe_post.printer.edit import updated
 from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin, is_of_marlin, text_in
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, from_klipper, kinematics_in, profile_text
+from hframe_post.printer.setup import Known, Tables, from_klipper, kinematics_in, profile_text
 from hframe_post.writers.files import Outputs
 
 PROFILE = "printer.toml"
-QUESTION = (
-    "Klipper calls two kinds of printer corexy. Is yours corexy (two belts, which cross) or hbot "
-    "(one long belt in the shape of an H)?"
-)
+KINDS = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
+TWO_BELTS = "corexy (two belts, which cross) or hbot (one long belt in the shape of an H)"
+QUESTION = f"The firmware treats two kinds of printer alike. Is yours {TWO_BELTS}?"
+ANY_KIND = f"How do the motors move the nozzle? cartesian (one motor for each axis), {TWO_BELTS}"
+
+
+def _size(text: str) -> tuple[float, float]:
+    try:
+        x, y = (number(part) for part in text.split(","))
+    except ValueError:
+        x = y = 0.0
+    if not (0.0 < x <= 1e4 and 0.0 < y <= 1e4):
+        raise click.BadParameter(f"{text!r} is not the width and depth of a bed, such as 220,220")
+    return x, y
 
 
 @click.command()
 @click.argument(
-    "config", metavar="PRINTER.CFG", type=click.Path(path_type=Path, exists=True, dir_okay=False)
-)
+    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]...", nargs=-1, required=True,
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+)  # fmt: skip
 @click.option(
     "-o", "--output", "folder", default=".", type=click.Path(path_type=Path, file_okay=False),
     help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
 )  # fmt: skip
 @click.option(
-    "--kinematics", type=click.Choice(["corexy", "hbot"]),
-    help="Which of the two printers that Klipper calls corexy. Default: asked on a terminal, "
-    "otherwise corexy, which does not rack.",
+    "--kinematics", type=click.Choice(KINDS),
+    help="How the motors move the nozzle, where the files leave it open: neither firmware tells an "
+    "H-bot from a CoreXY. Default: asked on a terminal, otherwise the kind that does not rack.",
 )  # fmt: skip
-def setup(config: Path, folder: Path, kinematics: str | None) -> None:
-    """Make this printer's profile and macros from Klipper's printer.cfg.
+@click.option(
+    "--bed", type=_size, metavar="X,Y",
+    help="Width and depth of the bed in mm, where Marlin's answers leave them open.",
+)  # fmt: skip
+def setup(
+    files: tuple[Path, ...], folder: Path, kinematics: str | None, bed: tuple[float, float] | None
+) -> None:
+    """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
-    Writes printer.toml, the profile, and makes it the default; and hframe.cfg, to include in
-    printer.cfg. printer.cfg itself is not changed. Run it again after a change of printer.cfg: what
-    you changed in the profile stays, as does the measured model.
+    Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
+    hframe.cfg, to include in printer.cfg. printer.cfg itself is not changed. For Marlin, save what
+    the printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h
+    may follow. Run setup again after a change: what you changed in the profile stays, as does the
+    measured model.
 
     \b
-    Example:
+    Examples:
       hframe-post setup printer.cfg
+      hframe-post setup m503.txt --bed 220,220
     """
-    klipper, target = KlipperConfig(config), folder / PROFILE
+    source = _Marlin(files, bed) if is_of_marlin(text_in(files[0])) else _Klipper(files, bed)
+    target = folder / PROFILE
     old = text_of(str(target)) if target.exists() else ""
     before = parse(old, "printer", str(target)) if old else None
-    kind = _kinematics(klipper, kinematics, before)
-    tables = {"kinematics": {"type": kind}, **from_klipper(klipper, str(kind.value))}
-    text, changes = profile_text(tables, f"made from {config.name}"), list[str]()
+    kind = _kinematics(source, kinematics, before)
+    tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value))}
+    text, changes = profile_text(tables, f"made from {files[0].name}"), list[str]()
     if old:
         text, changes = updated(old, tables, str(target))
     # raises before anything is written
-    profile = parse(text, target.stem, str(target if old else config))
-    sections = macros(profile, klipper)
+    profile = parse(text, target.stem, str(target if old else files[0]))
+    sections = source.macros(profile)
     folder.mkdir(parents=True, exist_ok=True)
-    with Outputs(files_read(config)) as outputs:
+    with Outputs(files_read(*files)) as outputs:
         outputs.open(target).write(text.encode())
-        outputs.open(folder / FILE).write(sections.encode())
+        if sections:
+            outputs.open(folder / FILE).write(sections.encode())
         set_default(os.path.abspath(target))
     if old:
         click.echo("\n".join([f"{target}: {len(changes) or 'no'} changes", *changes]))
-    click.echo("\n".join(_summary(klipper, profile, target, kind)))
-    click.echo(_next_steps(klipper, profile, target))
+    click.echo("\n".join(_summary(source, profile, target, kind)))
+    click.echo(source.next_steps(profile, target))
 
 
-def _kinematics(config: KlipperConfig, requested: str | None, before: Printer | None) -> Known:
+class _Source(Protocol):
+    """Files that describe a printer. possible: its kinematics, the safest first; decided: why.
+
+    warnings: what the owner must know before a print. sensors: accelerometers that are known.
+    """
+
+    path: Path
+    possible: tuple[str, ...]
+    decided: str
+    warnings: list[str]
+    sensors: str
+
+    def tables(self, kinematics: str) -> Tables: ...
+    def macros(self, profile: Printer) -> str: ...
+    def next_steps(self, profile: Printer, target: Path) -> str: ...
+
+
+class _Klipper:
+    def __init__(self, files: Sequence[Path], bed: tuple[float, float] | None) -> None:
+        if len(files) > 1 or bed is not None:
+            raise click.UsageError("for Klipper give printer.cfg alone: it names all that it needs")
+        self.path, self._config = files[0], KlipperConfig(files[0])
+        self.possible, self.decided = kinematics_in(self._config), "kinematics of [printer]"
+        self.warnings = [self._config.unsaved] if self._config.unsaved else []
+        self.warnings += [
+            f"[include {name}] was not found, so what it sets is not known"
+            for name in self._config.missing
+        ]
+        names = ", ".join(self._config.accelerometers())
+        self.sensors = names or "none in printer.cfg; you need one to measure"
+
+    def tables(self, kinematics: str) -> Tables:
+        return from_klipper(self._config, kinematics)
+
+    def macros(self, profile: Printer) -> str:
+        return macros(profile, self._config)
+
+    def next_steps(self, profile: Printer, target: Path) -> str:
+        sections = target.with_name(FILE)
+        include = f"[include {sections.name}]"
+        if self._config.has(include[1:-1]):
+            first = f"Copy {sections} next to your printer.cfg, which includes it already."
+        else:
+            first = (
+                f"Copy {sections} next to your printer.cfg, and add this line to printer.cfg, at "
+                f"its end but above the SAVE_CONFIG block:\n     {include}"
+            )
+        if not profile.invented:
+            return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
+        places = ", at three places 60 mm apart" if profile.kinematics.racks else ""
+        return f"""
+Next:
+  1. {first}
+  2. Restart Klipper, home, and run on its console TEST_RESONANCES AXIS=X OUTPUT=raw_data{places};
+     then the same with AXIS=Y. docs/start.md has the commands, also for a bed that moves.
+  3. Fetch raw_data_*.csv from /tmp of Klipper's host into a folder recordings, and run
+     hframe-post identify recordings --printer-cfg {self.path} -o {target}"""
+
+
+class _Marlin:
+    def __init__(self, files: Sequence[Path], bed: tuple[float, float] | None) -> None:
+        self.path, self._bed = files[0], bed
+        self._settings = MarlinSettings(files)
+        self.possible, self.decided = self._settings.kinematics()
+        self.warnings = self._settings.warnings()
+        self.sensors = "one that a computer or a telephone records: Marlin reads none"
+
+    def tables(self, kinematics: str) -> Tables:
+        return from_marlin(self._settings, kinematics, self._travel())
+
+    def _travel(self) -> dict[str, Known]:
+        if self._bed is None and (found := self._settings.travel()):
+            return found
+        if self._bed is None and not sys.stdin.isatty():
+            raise HframeError(
+                f"{self.path} does not say how large the bed is: add --bed 220,220 with its width "
+                "and depth in mm, or Configuration.h behind the file"
+            )
+        bed = self._bed or click.prompt("Width and depth of the bed (mm)", value_proc=_size)
+        x, y = bed
+        return {"x": Known((0.0, x), "as you said"), "y": Known((0.0, y), "as you said")}
+
+    def macros(self, profile: Printer) -> str:
+        return ""
+
+    def next_steps(self, profile: Printer, target: Path) -> str:
+        if not profile.invented:
+            return ""
+        return f"""
+Next: measure the printer (docs/start.md#marlin).
+  With an accelerometer: hframe-post sweep -o sweep.gcode, record while the printer plays it, and
+  hframe-post identify recordings -o {target}"""
+
+
+def _kinematics(source: _Source, requested: str | None, before: Printer | None) -> Known:
     """Return the printer's kinematics: asked for only if nothing else decides."""
-    possible = kinematics_in(config)
+    possible = source.possible
     if requested is not None and requested not in possible:
-        raise HframeError(f"--kinematics {requested}: {config.path} says {possible[0]}")
+        raise HframeError(
+            f"--kinematics {requested}: {source.path} says {possible[0]} ({source.decided})"
+        )
     if len(possible) == 1:
-        return Known(possible[0], "kinematics of [printer]")
+        return Known(possible[0], source.decided)
     if requested is not None:
         return Known(requested, "as you said")
     if before is not None and before.kinematics.type in possible:
         return Known(before.kinematics.type, "as before")
     if sys.stdin.isatty():
-        return Known(
-            click.prompt(QUESTION, type=click.Choice(possible), default=possible[0]), "as you said"
-        )
-    return Known(possible[0], f"assumed: for Klipper {' and '.join(possible)} are the same")
+        question = QUESTION if source.decided else ANY_KIND
+        kinds = click.Choice(possible)
+        return Known(click.prompt(question, type=kinds, default=possible[0]), "as you said")
+    if not source.decided:
+        return Known(possible[0], "assumed: the answers do not tell")
+    return Known(possible[0], f"assumed: for the firmware {' and '.join(possible)} are the same")
 
 
-def _summary(config: KlipperConfig, profile: Printer, target: Path, kind: Known) -> Iterator[str]:
+def _summary(source: _Source, profile: Printer, target: Path, kind: Known) -> Iterator[str]:
     limits, motors = profile.limits, profile.motors
-    if config.unsaved:
-        yield f"WARNING          {config.unsaved}"
-    for name in config.missing:
-        yield f"WARNING          [include {name}] was not found, so what it sets is not known"
+    for warning in source.warnings:
+        yield f"WARNING          {warning}"
     yield f"profile          {target}, from now on the default"
     yield f"kinematics       {kind.value} ({kind.origin})"
     if kind.origin.startswith("assumed"):
-        yield f"                 for an H-bot: hframe-post setup {config.path} --kinematics hbot"
+        other = "hbot" if source.decided else "corexy"
+        shown = "an H-bot" if source.decided else "a CoreXY"
+        yield f"                 for {shown}: hframe-post setup {source.path} --kinematics {other}"
     yield f"path             at most {limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
     yield (
         f"belts            at most {motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} "
         "mm/s², because compensation"
     )
     yield "                 moves harder than the path. If motors skip, lower both under [motors]"
-    sensors = ", ".join(config.accelerometers()) or "none in printer.cfg; you need one to measure"
-    yield f"accelerometer    {sensors}"
-
-
-def _next_steps(config: KlipperConfig, profile: Printer, target: Path) -> str:
-    sections = target.with_name(FILE)
-    include = f"[include {sections.name}]"
-    if config.has(include[1:-1]):
-        first = f"Copy {sections} next to your printer.cfg, which includes it already."
-    else:
-        first = (
-            f"Copy {sections} next to your printer.cfg, and add this line to printer.cfg, at its "
-            f"end but above the SAVE_CONFIG block:\n     {include}"
-        )
-    if not profile.invented:
-        return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
-    places = ", at three places 60 mm apart" if profile.kinematics.racks else ""
-    return f"""
-Next:
-  1. {first}
-  2. Restart Klipper, home, and run on its console TEST_RESONANCES AXIS=X OUTPUT=raw_data{places};
-     then the same with AXIS=Y. docs/start.md has the commands, also for a bed that moves.
-  3. Fetch raw_data_*.csv from /tmp of Klipper's host into a folder recordings, and run
-     hframe-post identify recordings --printer-cfg {config.path} -o {target}"""
+    yield f"accelerometer    {source.sensors}"

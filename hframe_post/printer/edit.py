@@ -207,16 +207,17 @@ def _update(table: Any, key: str, known: Known, name: str) -> str:
     line = f"{known.as_toml()} ({known.origin})"
     if key not in table:
         table.add(key, new)
-        table[key].comment(known.comment())
+        table.value.item(key).comment(known.comment())
         return f"{name} = {line}: added"
-    before = table[key].unwrap()
-    found = COMMENT.match(table[key].trivia.comment)
+    item = table.value.item(key)  # table[key] is a plain bool for true and false
+    before = item.unwrap()
+    found = COMMENT.match(item.trivia.comment)
     written = found[1] if found else None
-    table[key].comment(known.comment())
+    item.comment(known.comment())
     if before == new:
         return ""
     if written is None or tomllib.loads(f"value = {written}")["value"] != before:
-        return f"{name} = {table[key].as_string()}: kept, because it was changed by hand; {line}"
+        return f"{name} = {item.as_string()}: kept, because it was changed by hand; {line}"
     table[key] = new
-    table[key].comment(known.comment())
+    table.value.item(key).comment(known.comment())
     return f"{name} = {line}: it was {written}"

@@ -191,7 +191,9 @@ class KlipperConfig:
         return self.number(section, "rotation_distance") / steps if steps else math.nan
 
 
-MARLIN = re.compile(r"^\s*(#define\s|(echo:\s*)?M(92|203|205) |/\*\*|// )", re.MULTILINE)
+MARLIN = re.compile(
+    r"^\s*(#define\s|/\*\*|// )|\bM(92|203|205) +[A-Z]|FIRMWARE_NAME:", re.MULTILINE
+)
 PROFILE = re.compile(r"^\s*(extends\s*=|\[(compensation|plant|travel)\b)", re.MULTILINE)
 
 
@@ -237,7 +239,7 @@ def _advice(path: Path, text: str) -> str:
         return f"{path} is a profile of hframe-post: give Klipper's printer.cfg instead"
     if MARLIN.search(text):
         return (
-            f"{path} is of Marlin, which has no printer.cfg: answer the questions of 'hframe-post "
-            "printers new -o my.toml'"
+            f"{path} is of Marlin, which has no printer.cfg: send M503 to the printer, save its "
+            "answer, and run 'hframe-post setup m503.txt'"
         )
     return ""

@@ -1,4 +1,4 @@
-"""New profiles, from Klipper's printer.cfg or from answers: each number, and where it came from.
+"""New profiles, from what the firmware says of itself: each number, and where it came from.
 
 A line of such a profile is ``acceleration = 8000    # 8000 (max_accel of [printer])``. The comment
 repeats the value: `edit.updated` sees from it what was changed since.
@@ -28,7 +28,7 @@ VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 DEFAULT = "Klipper's default"
 
-Value = float | tuple[float, float] | str
+Value = float | tuple[float, float] | str | bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Known:
     origin: str
 
     def as_toml(self) -> str:
-        if isinstance(self.value, str):
+        if isinstance(self.value, str | bool):
             return json.dumps(self.value, ensure_ascii=False)
         if isinstance(self.value, tuple):
             return f"[{', '.join(f'{number:.9g}' for number in self.value)}]"
@@ -95,7 +95,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "steps": _steps(config),
         "retraction": _retraction(config),
         "speed": {"acceleration": acceleration},
-        "sweep": _sweep(acceleration),
+        "sweep": sweep(acceleration),
         "firmware.klipper": {
             "velocity": velocity,
             "acceleration": acceleration,
@@ -132,10 +132,10 @@ def motors(kinematics: str, velocity: Known, acceleration: Known) -> dict[str, K
     }
 
 
-def _sweep(acceleration: Known) -> dict[str, Known]:
+def sweep(acceleration: Known) -> dict[str, Known]:
     if as_float(acceleration) < SWEEP_AMPLITUDE:
         return {"amplitude": acceleration}
-    return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; max_accel allows it")}
+    return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; the acceleration above allows it")}
 
 
 def _needed(config: KlipperConfig, section: str, key: str) -> Known:

@@ -22,6 +22,8 @@ def commands(group: click.Group, name: str = "") -> dict[str, click.Command]:
     for word in group.list_commands(context):
         command = group.get_command(context, word)
         assert command is not None
+        if command.hidden:
+            continue
         found[f"{name} {word}".strip()] = command
         if isinstance(command, click.Group):
             found |= commands(command, f"{name} {word}".strip())

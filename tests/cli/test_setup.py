@@ -1,4 +1,4 @@
-"""``setup`` from printer.cfg, again after changes, and wrong input; ``printers new`` by answers."""
+"""``setup`` from printer.cfg or M503, again after changes, and wrong input."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
-from tests.printers import REAL
+from tests.printers import M503, REAL
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
     [
         (b"[printer]\nmax_velocity: \xff\n", "cannot be read as text: save it as UTF-8"),
         (b'extends = "paper"\n[travel]\nx = [0, 1]\n', "is a profile of hframe-post"),
-        (b"#define X_BED_SIZE 220\n", "hframe-post printers new"),
+        (b"#define X_BED_SIZE 220\n", "Send M503 to the printer"),
         (b"[extruder]\nnozzle_diameter: 0.4\n", "no section [printer]"),
         (b"[include gone.cfg]\n", "gone.cfg was not found"),
         (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
@@ -147,32 +147,47 @@ def test_a_printer_cfg_as_profile_names_setup(config: Path) -> None:
     assert b"'hframe-post setup printer.cfg'" in done.stderr
 
 
-def test_a_new_profile_from_answers(tmp_path: Path) -> None:
-    answers = b"klipper\ncorexy\n5,1\n0,310\n\n250\n2500\n\n\n\n\n\nBig Blue\n"
-    done = run("printers", "new", "-o", tmp_path / "blue.toml", stdin=answers)
+def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None:
+    answers = tmp_path / "m503.txt"
+    answers.write_text(M503.read_text())
+    printed = set_up(answers)
+    own = tmp_path / "printer.toml"
+    assert load(str(own)).firmware.dialect == "marlin"
+    assert load(str(own)).kinematics.type == "cartesian"
+    assert not (tmp_path / "hframe.cfg").exists()
+    assert "Klipper" not in printed
+    assert "--kinematics corexy" in printed
+    edited(own, 'planner = "2.1"', 'planner = "2.0"')
+    edited(answers, "J0.08", "J0.02")
+    printed = set_up(answers, "--kinematics", "hbot", "--bed", "300,200")
+    assert 'firmware.marlin.planner = "2.0": kept' in printed
+    profile = load(str(own))
+    assert profile.kinematics.racks
+    assert (profile.travel.x, profile.travel.y) == ((0.0, 300.0), (0.0, 200.0))
+    assert profile.firmware.marlin is not None
+    assert (profile.firmware.marlin.junction_deviation, profile.firmware.marlin.planner) == (
+        0.02,
+        "2.0",
+    )
+    done = run(RECTANGLE, "-n", "-p", own)
     assert done.returncode == 0, done.stderr
-    blue = load(str(tmp_path / "blue.toml"))
-    assert blue.description == "Big Blue"
-    assert blue.kinematics.type == "corexy"
-    assert blue.travel.x == (0.0, 310.0)  # the second answer: the first was not a range
-    assert (blue.limits.velocity, blue.limits.acceleration) == (250.0, 2500.0)
-    assert not (tmp_path / "no.toml").exists()
-    assert run("printers", "new", "-o", tmp_path / "no.toml", stdin=b"a\n").returncode == 1
-    assert not (tmp_path / "no.toml").exists()
 
 
-def test_a_new_profile_for_marlin(tmp_path: Path) -> None:
-    own = tmp_path / "ender.toml"
-    done = run("printers", "new", "-o", own, stdin=b"marlin\n\n0,300\n0,300\n" + 20 * b"\n")
-    assert done.returncode == 0, done.stderr
-    printer = load(str(own))
-    assert printer.firmware.dialect == "marlin"
-    assert printer.steps is not None
-    assert printer.steps.belt == pytest.approx(1 / 80)
-    assert run(RECTANGLE, "-n", "-p", own).returncode == 0
-    again = run("printers", "new", "-o", own)
-    assert again.returncode == 1
-    assert b"exists already" in again.stderr
-    old = run("printers", "new", "-o", own, "--printer-cfg", REAL)
-    assert old.returncode == 2
-    assert b"hframe-post setup printer.cfg" in old.stderr
+def test_a_bed_of_unknown_size_is_asked_for(tmp_path: Path) -> None:
+    answers = tmp_path / "m503.txt"
+    answers.write_text(M503.read_text().replace("min:", "low:"))
+    assert "add --bed 220,220" in set_up(answers, status=1)
+    set_up(answers, "--bed", "220,210")
+    assert load(str(tmp_path / "printer.toml")).travel.y == (0.0, 210.0)
+    assert "is not the width and depth" in set_up(answers, "--bed", "220", status=2)
+
+
+def test_for_klipper_printer_cfg_is_enough(config: Path) -> None:
+    assert "give printer.cfg alone" in set_up(config, "--bed", "220,220", status=2)
+    assert "give printer.cfg alone" in set_up(config, config, status=2)
+
+
+def test_the_command_that_asked_is_gone() -> None:
+    done = run("printers", "new", "-o", "my.toml")
+    assert done.returncode == 2
+    assert b"hframe-post setup m503.txt" in done.stderr

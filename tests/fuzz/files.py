@@ -1,4 +1,4 @@
-"""Seeded changes to other input files: binary G-code, recordings, step files, printer.cfg."""
+"""Seeded changes to other input files: binary G-code, recordings, step files, settings."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.klipper_check import check
+from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin
 from hframe_post.printer.profile import load
+from hframe_post.printer.setup import Known, profile_text
 from hframe_post.studies.comparison.compare import compare
 from hframe_post.writers import step_file
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
-from tests.printers import profile_of
+from tests.printers import M503, profile_of
 from tests.slices import SLICES
 from tests.step_tools import write_steps
 
@@ -54,7 +56,7 @@ def case(rng: Random, folder: Path) -> tuple[Path, Reader]:
     """Return a file and the function that reads it."""
     name = rng.choice(list(READERS))
     original = originals()[name]
-    if name in ("cfg", "compare") and rng.random() < 0.7:
+    if name in ("cfg", "m503", "compare") and rng.random() < 0.7:
         lines = original.splitlines()
         for _ in range(1 + min(int(rng.expovariate(0.5)), 8)):
             if lines:
@@ -83,6 +85,13 @@ def _configured(path: Path) -> object:
     ]
 
 
+def _answered(path: Path) -> object:
+    settings = MarlinSettings([path])
+    travel = settings.travel() or {axis: Known((0.0, 220.0), "test") for axis in "xy"}
+    tables = from_marlin(settings, "cartesian", travel)
+    return settings.warnings(), settings.kinematics(), profile_text(tables, "own")
+
+
 def _recorded(path: Path) -> object:
     return accelerometer.oriented(accelerometer.read(path, COLUMNS, "g"))
 
@@ -94,6 +103,7 @@ def _binary(path: Path) -> object:
 
 READERS: dict[str, Reader] = {
     "bgcode": _binary, "npz": _recorded, "mat": _recorded, "cfg": _configured,
+    "m503": _answered,
     "steps": lambda path: [len(block.tick) for block in step_file.read(path)],
     "compare": _compared,
 }  # fmt: skip
@@ -114,7 +124,8 @@ def originals() -> dict[str, bytes]:
     config = ROOT / "tests" / "klipper" / "printer.cfg"
     return {
         "bgcode": binary.getvalue(), "npz": npz.getvalue(), "mat": mat.getvalue(),
-        "cfg": config.read_bytes(), "steps": _steps(), "compare": RECTANGLE,
+        "cfg": config.read_bytes(), "m503": M503.read_bytes(), "steps": _steps(),
+        "compare": RECTANGLE,
     }  # fmt: skip
 
 

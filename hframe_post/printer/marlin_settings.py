@@ -1,0 +1,294 @@
+"""Marlin's settings: saved answers to M503 and M115, and headers of its build.
+
+A log of any program that talks to the printer will do: what stands before the commands is
+skipped, and a later line replaces an earlier one. Headers are Configuration.h and
+Configuration_adv.h; they add what the answers leave out.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from hframe_post.errors import HframeError
+from hframe_post.printer.decoding import decoded
+from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, jerk, motors, sweep
+
+MAX_SIZE = 1 << 22  # bytes of a file
+LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
+WORD = re.compile(r"([A-Z])(-?\d+\.?\d*)?")
+DEFINE = re.compile(r"^\s*#define\s+(\w+)(?:[ \t]+([^\s/]+))?", re.MULTILINE)
+SECTION = re.compile(r"^\[\w", re.MULTILINE)  # of a printer.cfg
+ANSWER = re.compile(r"\bM(92|20[1345]) +[A-Z]-?\d|FIRMWARE_NAME:")
+VERSION = re.compile(
+    r"FIRMWARE_NAME:(Marlin (?:bugfix-)?(\d+)\.(\d+)\.(\d+|x)\S*)(?: \((\w+ +\d+ \d+))?"
+)
+CORNER = r"\{x:(-?\d+\.?\d*),y:(-?\d+\.?\d*)[^}]*\}"
+BY_TOOL = ("M92", "M201", "M203")  # T in these is an extruder
+MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
+NEW_RAMPS = (2024, 10)  # year and month since which the development branch plans as "2.1-dev"
+KINEMATICS = {  # ours, the safest first, by the name of the build's option
+    "COREXY": ("corexy", "hbot"),
+    "MARKFORGED_XY": ("hybrid-corexy",),
+    "COREXZ": ("corexz",),
+}
+UNUSABLE = ("DELTA", "SCARA", "COREYZ", "COREYX", "MARKFORGED_YX", "POLAR", "MORGAN_SCARA")
+ANY = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
+M115 = "the answer to M115"
+ASSUMED = "2.1"  # planner of a build whose version is not known
+HARMFUL = {  # options of a build, and what they do
+    "SLOWDOWN": "it slows down where the queue is short, so starts and ends are off",
+    "ADAPTIVE_STEP_SMOOTHING": "it rounds speeds four times as coarsely",
+}
+
+
+def text_in(path: Path) -> str:
+    """Return a file's text. Raises HframeError if it is too large or not text."""
+    with path.open("rb") as file:
+        content = file.read(MAX_SIZE + 1)
+    if len(content) > MAX_SIZE:
+        raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: it has no printer's settings")
+    return decoded(content, str(path))
+
+
+def is_of_marlin(text: str) -> bool:
+    """Return whether a text holds answers of Marlin or a header of its build."""
+    return bool(ANSWER.search(text) or DEFINE.search(text)) and not SECTION.search(text)
+
+
+class MarlinSettings:
+    """What the files say. Raises HframeError if they hold no answer to M503.
+
+    name: of the first file. firmware: its name and version; empty without an answer to M115.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.name = paths[0].name
+        text = "\n".join(text_in(path) for path in paths)
+        self._words: dict[str, dict[str, float]] = {}
+        for command, words in LINE.findall(text):
+            self._add(command, WORD.findall(words))
+        self._defines: dict[str, str] = dict(DEFINE.findall(text))
+        self._text = text
+        missing = [c for c in ("M92", "M201", "M203", "M204", "M205") if c not in self._words]
+        if missing:
+            raise HframeError(
+                f"{', '.join(map(str, paths))}: no values of {', '.join(missing)}. Send M503 to "
+                "the printer and save its whole answer"
+            )
+        found = VERSION.search(text)
+        self.firmware = found[1] if found else ""
+        self.planner = _planner(found)
+
+    def _add(self, command: str, words: Sequence[tuple[str, str]]) -> None:
+        values = {letter: float(value) for letter, value in words if value}
+        if command in BY_TOOL and values.pop("T", 0.0) > 0.0:
+            return  # of a second extruder
+        axes = [letter for letter, value in words if not value]  # M593 X F40: of one axis
+        self._words.setdefault(" ".join([command, *axes]), {}).update(values)
+
+    def word(self, command: str, letter: str, default: float | None = None) -> Known:
+        """Return a value of M503. Raises HframeError if it is missing and has no default."""
+        value = self._words.get(command, {}).get(letter, default)
+        if value is None:
+            raise HframeError(f"{self.name}: {command} has no {letter}: send M503 and save again")
+        if not (-10.0 if command == "M208" else 0.0) <= value < 1e9:
+            raise HframeError(f"{self.name}: {command} {letter}{value:g} is not possible")
+        return Known(value, f"{command} {letter}")
+
+    def defined(self, name: str) -> bool:
+        return name in self._defines
+
+    def number(self, name: str) -> float:
+        """Return the number that a header gives for a name, or for what it stands for; else nan."""
+        for _ in range(3):
+            name = self._defines.get(name, name)
+        try:
+            return float(name.strip("()"))
+        except ValueError:
+            return math.nan
+
+    def kinematics(self) -> tuple[tuple[str, ...], str]:
+        """Return the kinematics that the printer may have, the safest first, and what says so.
+
+        Raises HframeError for a kind that cannot be compensated.
+        """
+        for name in UNUSABLE:
+            if self.defined(name):
+                raise HframeError(
+                    f"the build is for {name}; hframe-post can only compensate {', '.join(ANY)}"
+                )
+        for name, kinds in KINEMATICS.items():
+            if self.defined(name):
+                return kinds, f"{name} of the build"
+        if self.defined("X_BED_SIZE"):  # Configuration.h was given, and names none of them
+            return ("cartesian",), "the build"
+        return ANY, ""
+
+    def travel(self) -> dict[str, Known]:
+        """Return the ranges of x and y; nothing if no file tells them."""
+        for name in ("work", "full"):
+            if found := re.search(rf"{name}:\{{min:{CORNER},max:{CORNER}", self._text):
+                x_low, y_low, x_high, y_high = (float(text) for text in found.groups())
+                return {"x": Known((x_low, x_high), M115), "y": Known((y_low, y_high), M115)}
+        ranges = {}
+        for axis in "XY":
+            size = self.number(f"{axis}_BED_SIZE")
+            ends = [self.number(f"{axis}_{end}_POS") for end in ("MIN", "MAX")]
+            low, high = (b if math.isnan(a) else a for a, b in zip(ends, (0.0, size), strict=True))
+            if not low < high:
+                return {}
+            ranges[axis.lower()] = Known(
+                (low, high), f"{axis}_MIN_POS and {axis}_MAX_POS of the build"
+            )
+        return ranges
+
+    def warnings(self) -> list[str]:
+        """Return what the owner must know or change before a print."""
+        found = [
+            f"turn {name} off in Marlin's build: {why}"
+            for name, why in HARMFUL.items()
+            if self.defined(name)
+        ]
+        if not self.planner:
+            found.append(
+                f'the firmware\'s version is not known, so planner = "{ASSUMED}" is assumed. Add '
+                "the answer to M115, or find out with 'hframe-post calibrate-marlin'"
+            )
+        return found
+
+
+def _planner(found: re.Match[str] | None) -> Known | None:
+    """Return the generation of the planner, by version and date of the build."""
+    if found is None or int(found[2]) < 2:
+        return None
+    month, _, year = (found[5] or "").split() or ("", "", "0")
+    name, origin = "2.1", found[1]
+    if found[4] == "x":  # a branch: its date decides
+        if not month:
+            return None
+        built = (int(year), MONTHS.find(month) // 3 + 1)
+        name, origin = "2.1-dev" if built >= NEW_RAMPS else "2.1", f"{origin} of {month} {year}"
+    elif (version := tuple(map(int, found.groups()[1:4]))) < (2, 1, 1):
+        name = "2.0"
+    elif version > (2, 1, 2):
+        name = "2.1-dev"
+    return Known(name, origin)
+
+
+# ---------------------------------------------------------------------- as settings of a profile
+
+
+def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Known]) -> Tables:
+    """Return the settings of a new profile. Raises HframeError if a number is missing."""
+    velocity = _least(settings, "M203", "XY")
+    highest = _least(settings, "M201", "XY")
+    printing = settings.word("M204", "P")
+    acceleration = min(printing, highest, key=as_float)
+    tables: Tables = {
+        "travel": travel,
+        "limits": {
+            "velocity": velocity,
+            "acceleration": acceleration,
+            "jerk": jerk(acceleration),
+            "square_corner_velocity": _corner(settings, acceleration),
+            "z_velocity": settings.word("M203", "Z"),
+            "z_acceleration": settings.word("M201", "Z"),
+            "extruder_velocity": settings.word("M203", "E"),
+            "extruder_acceleration": settings.word("M204", "R"),
+        },
+        "motors": motors(kinematics, velocity, acceleration),
+        "steps": _steps(settings),
+        "retraction": _retraction(settings),
+        "speed": {"acceleration": acceleration},
+        "sweep": sweep(acceleration),
+        "firmware.marlin": _table(settings),
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def _least(settings: MarlinSettings, command: str, letters: str) -> Known:
+    return min((settings.word(command, letter) for letter in letters), key=as_float)
+
+
+def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
+    """Return the speed through a square corner, by junction deviation or by jerk."""
+    deviation = as_float(settings.word("M205", "J", 0.0))
+    if not deviation:
+        return _least(settings, "M205", "XY")
+    a = as_float(acceleration)
+    speed = math.sqrt(a * deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5)))
+    return Known(float(f"{speed:.3g}"), f"of M205 J{deviation:g} at {a:g} mm/s²")
+
+
+def _steps(settings: MarlinSettings) -> dict[str, Known]:
+    x, y = (as_float(settings.word("M92", letter)) for letter in "XY")
+    if x != y:
+        raise HframeError(
+            f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. Send "
+            f"M92 Y{x:g} and M500, correct the part's size in the slicer, and save M503 again"
+        )
+    sizes = {"belt": "X", "z": "Z", "e": "E"}
+    found = {}
+    for name, letter in sizes.items():
+        steps = settings.word("M92", letter)
+        if not as_float(steps) > 0.0:
+            raise HframeError(f"{settings.name}: M92 {letter} must be above 0")
+        found[name] = Known(1.0 / as_float(steps), f"1 / M92 {letter}")
+    return {**found, "clock_hz": CLOCK}
+
+
+def _retraction(settings: MarlinSettings) -> dict[str, Known]:
+    if not as_float(settings.word("M207", "S", 0.0)) > 0.0:
+        return {}
+
+    def speed(command: str, default: float | None = None) -> Known:
+        a_minute = settings.word(command, "F", default)
+        return Known(as_float(a_minute) / 60.0, f"{a_minute.origin} / 60")
+
+    return {
+        "length": settings.word("M207", "S"),
+        "speed": speed("M207"),
+        "return_speed": speed("M208", 0.0),
+        "extra": settings.word("M208", "S", 0.0),
+    }
+
+
+def _table(settings: MarlinSettings) -> dict[str, Known]:
+    word = settings.word
+
+    def pair(command: str) -> Known:
+        x, y = (as_float(word(command, letter)) for letter in "XY")
+        return Known((x, y), f"{command} X and Y")
+
+    table = {
+        "max_velocity": pair("M203"),
+        "max_acceleration": pair("M201"),
+        "acceleration": word("M204", "P"),
+        "travel_acceleration": word("M204", "T"),
+        "retract_acceleration": word("M204", "R"),
+    }
+    if word("M205", "J", 0.0).value:
+        table["junction_deviation"] = word("M205", "J")
+    else:
+        table |= {"jerk": pair("M205"), "jerk_e": word("M205", "E")}
+    microseconds = word("M205", "B", 20000.0)
+    table["min_segment_time"] = Known(as_float(microseconds) * 1e-6, "M205 B / 1000000")
+    optional = {
+        "min_velocity": word("M205", "S", 0.0),
+        "min_travel_velocity": word("M205", "T", 0.0),
+        "linear_advance": word("M900", "K", 0.0),
+        "shaper_freq_x": word("M593 X", "F", 0.0),
+        "shaper_freq_y": word("M593 Y", "F", 0.0),
+        "fixed_time_motion": word("M493", "S", 0.0),
+    }
+    table |= {key: known for key, known in optional.items() if known.value}
+    steps = settings.number("MIN_STEPS_PER_SEGMENT")
+    if not math.isnan(steps):
+        table["min_steps_per_segment"] = Known(steps, "MIN_STEPS_PER_SEGMENT of the build")
+    table["planner"] = settings.planner or Known(ASSUMED, "assumed: M115 shows the version")
+    if settings.defined("S_CURVE_ACCELERATION"):
+        table["s_curve_acceleration"] = Known(True, "S_CURVE_ACCELERATION of the build")
+    return table

@@ -1,0 +1,156 @@
+"""Marlin's answers and headers, as logs have them, and the profile that they give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hframe_post.errors import HframeError
+from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin, is_of_marlin, text_in
+from hframe_post.printer.profile import parse
+from hframe_post.printer.settings import Printer
+from hframe_post.printer.setup import Known, profile_text
+from tests.printers import M503, REAL
+
+HEADER = """
+#define X_BED_SIZE 310
+#define Y_BED_SIZE (300)
+#define Y_MIN_POS -4 // behind the bed
+#define X_MAX_POS X_BED_SIZE
+//#define COREXZ
+#define MIN_STEPS_PER_SEGMENT 8
+"""
+
+
+@pytest.fixture
+def answers(tmp_path: Path) -> Path:
+    path = tmp_path / "m503.txt"
+    path.write_text(M503.read_text())
+    return path
+
+
+def changed(path: Path, old: str, new: str) -> MarlinSettings:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return MarlinSettings([path])
+
+
+def profile(settings: MarlinSettings, kinematics: str = "cartesian") -> Printer:
+    tables = {
+        "kinematics": {"type": Known(kinematics, "test")},
+        **from_marlin(settings, kinematics, settings.travel()),
+    }
+    return parse(profile_text(tables, "own"), "own")
+
+
+def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
+    own = profile(MarlinSettings([answers]))
+    assert (own.travel.x, own.travel.y) == ((0.0, 235.0), (0.0, 230.0))
+    assert (own.limits.velocity, own.limits.acceleration) == (400.0, 1500.0)
+    assert own.limits.square_corner_velocity == pytest.approx(
+        (2.414 * 0.08 * 1500) ** 0.5, rel=0.01
+    )
+    assert own.steps is not None
+    assert (1 / own.steps.belt, 1 / own.steps.e) == pytest.approx((80.0, 93.0))  # of the first tool
+    assert own.retraction is not None
+    assert (own.retraction.length, own.retraction.speed) == (3.0, 45.0)
+    table = own.firmware.marlin
+    assert table is not None
+    assert own.firmware.dialect == "marlin"
+    assert (table.max_acceleration, table.max_velocity) == ((3000.0, 2500.0), (500.0, 400.0))
+    assert (table.acceleration, table.travel_acceleration) == (1500.0, 2000.0)
+    assert (table.junction_deviation, table.classic_jerk) == (0.08, False)
+    assert (table.shaper_freq_x, table.shaper_freq_y, table.linear_advance) == (37.5, 29.0, 0.05)
+    assert (table.min_segment_time, table.planner) == (0.02, "2.1")
+
+
+def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
+    plain = profile(MarlinSettings([answers]))
+    lines = answers.read_text().splitlines()
+    for before in ("Recv: ", "16:42:55.535 > ", "2023-05-01 12:00:00,123 - Recv: "):
+        answers.write_text("\r\n".join(before + line for line in lines))
+        assert is_of_marlin(text_in(answers))
+        own = profile(MarlinSettings([answers]))
+        assert (own.limits, own.firmware, own.travel) == (
+            plain.limits,
+            plain.firmware,
+            plain.travel,
+        )
+
+
+def test_classic_jerk(answers: Path) -> None:
+    own = profile(changed(answers, "J0.08", "X8.00 Y6.00 Z0.40 E5.00"))
+    assert own.firmware.marlin is not None
+    assert own.firmware.marlin.classic_jerk
+    assert own.firmware.marlin.jerk == (8.0, 6.0)
+    assert own.limits.square_corner_velocity == 6.0
+
+
+@pytest.mark.parametrize(
+    ("version", "planner"),
+    [
+        ("2.0.9.3 (Dec 25 2021 10:00:00)", "2.0"),
+        ("2.1.2 (Dec  2 2022 10:00:00)", "2.1"),
+        ("2.1.2.1 (Github)", "2.1"),
+        ("bugfix-2.1.x (Jul 20 2024 21:12:30)", "2.1"),
+        ("bugfix-2.1.x (Nov 20 2024 21:12:30)", "2.1-dev"),
+        ("2.1.3 (Jan  2 2026 10:00:00)", "2.1-dev"),
+        ("V1.0.4 (Mar  2 2022 10:00:00)", ""),  # a vendor's own number
+        ("1.1.9 (Github)", ""),
+        ("bugfix-2.1.x", ""),
+    ],
+)
+def test_the_version_tells_the_planner(answers: Path, version: str, planner: str) -> None:
+    settings = changed(answers, "2.1.2.1 (May 15 2023 12:00:00)", version)
+    assert profile(settings).firmware.marlin is not None
+    assert (settings.planner.value if settings.planner else "") == planner
+    assert any("calibrate-marlin" in line for line in settings.warnings()) == (not planner)
+
+
+def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) -> None:
+    assert len(MarlinSettings([answers]).kinematics()[0]) > 2
+    header = tmp_path / "Configuration.h"
+    header.write_text(HEADER)
+    answers.write_text(
+        "".join(line for line in answers.read_text().splitlines(True) if "area:" not in line)
+    )
+    settings = MarlinSettings([answers, header])
+    own = profile(settings)
+    assert settings.kinematics()[0] == ("cartesian",)
+    assert (own.travel.x, own.travel.y) == ((0.0, 310.0), (-4.0, 300.0))
+    assert own.firmware.marlin is not None
+    assert own.firmware.marlin.min_steps_per_segment == 8
+    header.write_text(HEADER + "#define COREXY\n#define SLOWDOWN\n#define S_CURVE_ACCELERATION\n")
+    settings = MarlinSettings([answers, header])
+    assert settings.kinematics()[0] == ("corexy", "hbot")
+    assert any("SLOWDOWN" in line for line in settings.warnings())
+    marlin = profile(settings, "hbot").firmware.marlin
+    assert marlin is not None
+    assert marlin.s_curve_acceleration
+    header.write_text("#define DELTA\n")
+    with pytest.raises(HframeError, match="DELTA"):
+        MarlinSettings([answers, header]).kinematics()
+
+
+def test_steps_that_differ_are_an_error(answers: Path) -> None:
+    with pytest.raises(HframeError, match=r"M92 X80 and Y80\.28 differ"):
+        profile(changed(answers, "Y80.00", "Y80.28"))
+
+
+def test_a_missing_value_is_an_error_that_names_it(answers: Path) -> None:
+    with pytest.raises(HframeError, match="no values of M203"):
+        changed(answers, "M203", "M999")
+    answers.write_text(M503.read_text())
+    with pytest.raises(HframeError, match="M201 has no Z"):
+        profile(changed(answers, "Z100.00 E5000.00", ""))
+    answers.write_text(M503.read_text())
+    with pytest.raises(HframeError, match="M204 P-1500 is not possible"):
+        profile(changed(answers, "P1500", "P-1500"))
+
+
+def test_other_files_are_not_taken_for_answers() -> None:
+    assert not is_of_marlin(text_in(REAL))
+    assert not is_of_marlin("[gcode_macro A]\ngcode:\n  M204 S500\n")
+    assert is_of_marlin("#define COREXY\n")
