@@ -48,6 +48,17 @@ class GcodeError(HframeError):
         super().__init__(_place(line) + cause + (f": {shown!r}" if shown else ""))
 
 
+class LeftAloneError(GcodeError):
+    """The input is not to be converted: it says so, or it was converted already.
+
+    stamp: what converted it, as ``conversion.pipeline.stamp`` says it; empty if nothing did.
+    """
+
+    def __init__(self, cause: str, line: int, stamp: str = "") -> None:
+        self.stamp = stamp
+        super().__init__(cause, line)
+
+
 class PrinterError(HframeError):
     """A printer profile is missing, malformed or out of bounds."""
 

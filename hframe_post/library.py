@@ -9,7 +9,7 @@ a slicer waits for a conversion, which needs none of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from io import IOBase
 from pathlib import Path
@@ -23,9 +23,15 @@ from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.pipeline import TOLERANCE, Options, Retract, prepared, stamp
 from hframe_post.conversion.report import Report
-from hframe_post.errors import ArgumentError, HframeError, PrinterError
+from hframe_post.errors import (
+    ArgumentError,
+    GcodeError,
+    HframeError,
+    LeftAloneError,
+    PrinterError,
+)
 from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.lines import lines_of, reread
+from hframe_post.gcode.lines import is_binary, lines_of, reread
 from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import STRATEGIES
@@ -159,8 +165,9 @@ def convert(
     these notes above the report. outputs: files that appear together with the target. progress:
     called with the number of bytes of each line read.
 
-    Raises HframeError (GcodeError, PrinterError and LimitError name the line or the key) and
-    OSError; then no file is changed.
+    Raises HframeError (GcodeError, PrinterError and LimitError name the line or the key;
+    LeftAloneError: the source is not to be converted, or was with these arguments) and OSError;
+    then no file is changed.
     """
     if firmware is not None:
         printer = profile.played_by(printer, firmware)
@@ -177,15 +184,17 @@ def convert(
         tolerance if kind in files.GCODE else None, extrusion, retract,
         printer.asked_speed if speed is None else speed if speed.max_error else None,
     )  # fmt: skip
-    if page is not None:
-        options = _pictured(options, source, printer, printer.plant)
     fastest = None
-    if options.speed is not None:
-        from hframe_post.studies.speed.search import find_fastest
-
-        fastest = find_fastest(_again(source), printer, options)
-        printer, options = fastest.printer, fastest.options
     with ExitStack() as opened:
+        kept = path is not None and kind == ("bgcode" if is_binary(path) else "gcode")
+        opened.enter_context(_comparing_stamps(stamp(printer, options) if kept else "", path))
+        if page is not None:
+            options = _pictured(options, source, printer, printer.plant)
+        if options.speed is not None:
+            from hframe_post.studies.speed.search import find_fastest
+
+            fastest = find_fastest(_again(source), printer, options)
+            printer, options = fastest.printer, fastest.options
         if outputs is None:
             outputs = opened.enter_context(Outputs([path] if path else []))
         page_file = outputs.open(Path(page)) if page is not None else None
@@ -347,6 +356,32 @@ def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) 
     pieces = paths(_again(source)(), printer, options)
     shaping = good(plant, pieces, printer.firmware.dialect)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
+
+
+@contextmanager
+def _comparing_stamps(present: str, source: Path | None) -> Iterator[None]:
+    """Let no LeftAloneError pass if the source was converted with other settings.
+
+    present: the stamp of the present settings; empty if the output has another format.
+    """
+    try:
+        yield
+    except LeftAloneError as found:
+        if found.stamp in ("", present):
+            raise
+        differs = f" with other settings ({found.stamp}; now {present})" if present else ""
+        original = _original(source)
+        advice = f"Convert {original} instead" if original else "Convert the slicer's file instead"
+        cause = f"this file is converted already{differs}. {advice}"
+        raise GcodeError(cause, found.line) from None
+
+
+def _original(source: Path | None) -> Path | None:
+    """Return ``part.gcode`` for ``part.compensated.gcode``, if it exists."""
+    if source is None or len(source.suffixes) < 2:
+        return None
+    original = source.with_name(Path(source.stem).stem + source.suffix)
+    return original if original.is_file() else None
 
 
 def _is_same(source: Path, target: Path) -> bool:

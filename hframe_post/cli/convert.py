@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +36,7 @@ from hframe_post.cli.options import (
 from hframe_post.cli.speed import speed_from_options, speed_options
 from hframe_post.conversion.files import FORMATS, GCODE, chosen_format
 from hframe_post.conversion.pipeline import TOLERANCE, Retract
-from hframe_post.errors import HframeError, one_line
+from hframe_post.errors import HframeError, LeftAloneError, one_line
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.state import Extrusion, LimitSource
@@ -126,7 +128,8 @@ def convert(
 
     The commands are changed so that the nozzle, rather than the motors, follows the slicer's path,
     as the model in the printer's profile predicts. Exit status: 0 for success, 1 for an error in
-    the file or the profile (nothing is written then), 2 for wrong usage.
+    the file or the profile (nothing is written then), 2 for wrong usage. A file that was converted
+    with the same profile and options, or has a line '; hframe-post: off', is left as it is.
 
     \b
     Examples:
@@ -161,6 +164,7 @@ def convert(
     head += slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
     with (
+        _leaving_alone(source, None if dry_run else output, json_file, html, quiet),
         Outputs(files_read(source, printer)) as outputs,
         progress_bar(source, quiet) as advance,
     ):
@@ -202,6 +206,25 @@ def convert(
     log("all files are written")
     if not quiet:
         say(text)
+
+
+@contextmanager
+def _leaving_alone(
+    source: Path, output: Path | None, json_file: Path | None, html: bool, quiet: bool
+) -> Iterator[None]:
+    """Copy a file that is not to be converted to the output, say so, and end the command."""
+    try:
+        yield
+    except LeftAloneError as found:
+        if html or not source.is_file():
+            raise
+        with Outputs(files_read(source)) as outputs, source.open("rb") as file:
+            open_json(outputs, json_file)({"left_alone": str(found)})
+            if output is not None and not (output.exists() and output.samefile(source)):
+                shutil.copyfileobj(file, outputs.open(dashed(output), source))
+        if not quiet:
+            say(f"{source}: {found.cause}; left as it is")
+        raise click.exceptions.Exit(0) from None
 
 
 def _format(source: Path, output: Path | None, name: str | None) -> str:

@@ -15,6 +15,7 @@ from hframe_post.gcode.lexer import Words
 from hframe_post.stream.types import Handling
 
 STAMP = b"; processed by hframe-post"
+OFF = b"; hframe-post: off"  # a file with this line is not to be converted
 
 Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s²
 

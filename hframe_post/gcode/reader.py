@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
-from hframe_post.errors import GcodeError
+from hframe_post.errors import GcodeError, LeftAloneError
 from hframe_post.gcode import commands
 from hframe_post.gcode.batching import (
     MAX_FILAMENT,
@@ -221,7 +221,10 @@ class _Reader:
     def _apply_uncoded(self, line: Line) -> None:
         """Apply a comment, a Klipper macro or anything that is not G, M or T."""
         if line.text.startswith(commands.STAMP):
-            raise line.error("hframe-post has already processed this file; use the slicer's file")
+            stamp = line.text.removeprefix(commands.STAMP).decode("utf-8", "replace").strip()
+            raise LeftAloneError("this file is converted already", line.number, stamp)
+        if line.text.strip() == commands.OFF:
+            raise LeftAloneError("the file says that it is not to be converted", line.number)
         if b"\0" in line.text:
             raise GcodeError("this is not a text file", line.number)
         if uncommented(line.text).strip() in (b"", b"%"):

@@ -38,6 +38,49 @@ def test_converts_in_place_without_output_as_slicers_hooks_do(part: Path) -> Non
     assert [path.name for path in part.parent.iterdir()] == [part.name]
 
 
+def test_a_second_pass_changes_nothing_and_succeeds(part: Path, tmp_path: Path) -> None:
+    run(part)
+    once, before = part.read_bytes(), part.stat()
+    again = run(part)
+    assert again.returncode == 0
+    assert again.stderr.decode() == f"{part}: this file is converted already; left as it is\n"
+    assert part.read_bytes() == once
+    assert part.stat().st_mtime_ns == before.st_mtime_ns
+    copied = run(part, "-o", tmp_path / "copy.gcode", "--json", "-", "-q")
+    assert (tmp_path / "copy.gcode").read_bytes() == once
+    assert "already" in json.loads(copied.stdout)["left_alone"]
+    assert not copied.stderr
+
+
+def test_a_second_pass_with_other_settings_is_an_error_that_names_the_original(
+    tmp_path: Path,
+) -> None:
+    original = Path(shutil.copy(RECTANGLE, tmp_path / "part.gcode"))
+    converted = tmp_path / "part.compensated.gcode"
+    run(original, "-o", converted)
+    once = converted.read_bytes()
+    for options in (["-p", "paper-strong", "--force"], ["--limits", "printer"]):
+        again = run(converted, *options)
+        assert again.returncode == 1
+        assert f"Convert {original} instead" in again.stderr.decode()
+    as_steps = run(converted, "-o", tmp_path / "steps.csv")
+    assert as_steps.returncode == 1
+    assert not (tmp_path / "steps.csv").exists()
+    original.unlink()
+    assert b"Convert the slicer's file instead" in run(converted, "-c", "fbs").stderr
+    assert converted.read_bytes() == once
+
+
+def test_a_file_marked_off_is_left_alone(part: Path) -> None:
+    part.write_bytes(part.read_bytes() + b"\n; hframe-post: off\n")
+    marked = part.read_bytes()
+    done = run(part)
+    assert done.returncode == 0
+    assert b"not to be converted; left as it is" in done.stderr
+    assert part.read_bytes() == marked
+    assert run(part, "--report", part.with_name("page.html")).returncode == 1
+
+
 def test_relative_names_work(part: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "hframe_post", part.name], cwd=part.parent, check=False,
@@ -137,14 +180,6 @@ def test_bad_input_is_one_line_and_status_1(part: Path, text: bytes, cause: byte
     assert done.stderr.count(b"\n") == 1
     assert part.read_bytes() == text
     assert [path.name for path in part.parent.iterdir()] == [part.name]
-
-
-def test_processing_twice_is_refused(part: Path) -> None:
-    run(part)
-    once = part.read_bytes()
-    done = run(part)
-    assert (done.returncode, part.read_bytes()) == (1, once)
-    assert b"already" in done.stderr
 
 
 @pytest.mark.parametrize(

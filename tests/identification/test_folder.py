@@ -30,6 +30,10 @@ A, B = (0.7071, -0.7071, 0.0), (0.7071, 0.7071, 0.0)
         ("raw_data_y_100.000_110.500_20.000_t1.csv", Y, (100.0, 110.5), "", ""),
         ("raw_data_x_adxl345_hotend_20240101_120000.csv", X, None, "adxl345_hotend",
          "20240101120000"),
+        ("raw_data_x_hotend_20240101_120000.csv", X, None, "hotend", "20240101120000"),
+        ("raw_data_x_at_80_150_20240101_120000.csv", X, (80.0, 150.0), "", "20240101120000"),
+        ("raw_data_y_bed_5.000_6.000_7.000_20240101_120000.csv", Y, (5.0, 6.0), "bed",
+         "20240101120000"),
         ("raw_data_y_lis2dw_bed_5.000_6.000_7.000_a.csv", Y, (5.0, 6.0), "lis2dw_bed", ""),
         ("raw_data_x_adxl345_test1.csv", X, None, "adxl345", ""),
         ("raw_data_axis=1.000,-1.000,0.000_a.csv", A, None, "", ""),
@@ -175,6 +179,14 @@ def test_one_sensor_is_used_where_two_recorded(tmp_path: Path) -> None:
     found = contents([held], chips={"x": "adxl345", "y": "adxl345_bed"})
     assert set(by_name(found)) == {names[0], names[3]}
     assert {one.label for one in found.second} == {names[1], names[2]}
+
+
+def test_klipper_names_a_sensor_by_the_last_word_of_its_section(tmp_path: Path) -> None:
+    names = [f"raw_data_{axis}_{chip}_20250101_101010.csv"
+             for axis in "xy" for chip in ("hotend", "bed")]  # fmt: skip
+    held = folder(tmp_path, {name: samples(seed) for seed, name in enumerate(names)})
+    found = contents([held], chips={"x": "adxl345_hotend", "y": "lis2dw_bed"})
+    assert set(by_name(found)) == {names[0], names[3]}
 
 
 def test_what_is_left_aside_has_one_reason_each(tmp_path: Path) -> None:

@@ -278,8 +278,9 @@ def _of_second_sensors(
     for one in known:
         if one.name.chip:
             rivals = {each.name.chip for each in known if each.direction == one.direction} - {""}
-            wanted = chips.get("x" if one.direction and one.direction[0] else "y", "")
-            if one.name.chip != (wanted if wanted in rivals else min(rivals, key=len)):
+            section = chips.get("x" if one.direction and one.direction[0] else "y", "")
+            wanted = {chip for chip in rivals if f"_{section}".endswith(f"_{chip}")}
+            if one.name.chip != max(wanted or {min(rivals, key=len)}, key=len):
                 second.append(one)
     return second
 

@@ -1,6 +1,7 @@
 """What the name of a recording says about its test.
 
     raw_data_x_adxl345_hotend_100.000_110.000_20.000_20250805_220709.csv    Klipper, Kalico
+    raw_data_x_hotend_20250805_220709.csv                                   [adxl345 hotend]
     raw_data_axis=1.000,-1.000,0.000_b.csv
     adxl345-hotend-x-at-110.csv                                             ACCELEROMETER_MEASURE
     resonances_20231016_101500_X.csv, belt_20231016_101500_A.csv            Shake&Tune, 2023
@@ -31,6 +32,7 @@ CHIP = re.compile(
     r"(?:adxl345|lis2dw12|lis2dw|lis3dh|mpu[-_]?\d+|icm\d+|bmi\d+|bma\d+|beacon|cartographer)"
     r"(?:_(?!at_)[a-z]\w*?(?=_20\d{6}))?"
 )
+NAMED_CHIP = re.compile(r"(?!at_\d)[a-z]\w*?(?=_20\d{6}_\d{6}$)")  # by the section's last word
 WORD = re.compile(r"(?<![a-z0-9])([xyz])(?![a-z0-9])")
 NUMBERED = re.compile(r"(?<![a-z0-9])([xyz])(?=\d)")
 BELT = re.compile(r"belts?(?:comparison)?(?:[-_].*?)?[-_]([abxz])(?![a-z0-9])")
@@ -77,7 +79,8 @@ def parsed(name: str) -> RecordingName:
         rest = found["rest"] or ""
         point = POINT.search(rest)
         direction = AXES[found["axis"]] if found["axis"] else _direction(found["dir"])
-        chip = rest[: point.start()] if point else _chip(rest)
+        named = NAMED_CHIP.match(rest)
+        chip = rest[: point.start()] if point else named[0] if named else _chip(rest)
         place = (float(point[1]), float(point[2])) if point else _place(rest)
         return RecordingName(direction, place, chip, date, direction is not None, other)
     shaketune = re.match(r"(shaketune-|inputshaper_|shaper_|resonances_20|axis_)", name) is not None
