@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.model.plant import LiftedFilter, Plant, Response
+from hframe_post.model.plant import Filter, Plant, Response
 from hframe_post.model.transfer_function import TransferFunction
 
 SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
@@ -79,15 +79,15 @@ def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
     """Return the nozzle's motion in x, y, z when ``swept`` (m,) is commanded along an axis."""
     still = np.zeros(len(swept))
     if axis == 1:
-        return spline(still, LiftedFilter(plant.Gyy).run(swept))
+        return spline(still, Filter(plant.Gyy).run(swept))
     assert plant.Gxtheta is not None
-    theta = LiftedFilter(plant.Gxtheta).run(swept)
-    return spline(LiftedFilter(plant.Gxx).run(swept), arm * theta)
+    theta = Filter(plant.Gxtheta).run(swept)
+    return spline(Filter(plant.Gxx).run(swept), arm * theta)
 
 
 def bridge_end(Gxtheta: TransferFunction, swept: Array, arm: float) -> BSpline:
     """Return the motion of an end of the bridge, which cannot move in x, in a run of x."""
-    return spline(np.zeros(len(swept)), arm * LiftedFilter(Gxtheta).run(swept))
+    return spline(np.zeros(len(swept)), arm * Filter(Gxtheta).run(swept))
 
 
 def spline(x: Array, y: Array) -> BSpline:

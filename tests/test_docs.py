@@ -159,7 +159,7 @@ def test_files_and_rooms_named_exist(name: str) -> None:
 
 @HOUSE
 def test_members_and_types_named_exist(name: str) -> None:
-    """``lpfbs.bsplines``, ``Window.n_C``, ``LiftedFilter``."""
+    """``lpfbs.bsplines``, ``Window.n_C``, ``Filter``."""
     text = prose(ROOT / "docs" / name)
     assert not [f"{one}.{two}" for one, two in MEMBER.findall(text) if not defines(one, two)]
     source = "\n".join(SOURCES.values())

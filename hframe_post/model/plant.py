@@ -8,11 +8,13 @@ The printer moves as (eq. 1, 2 and Fig. 2b of the paper)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y, Z
-from hframe_post.model.transfer_function import BLOCK_SAMPLES, TransferFunction
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.native import kernel
 
 
 @dataclass(frozen=True)
@@ -29,31 +31,26 @@ class Plant:
     x_c: float
 
 
-class LiftedFilter:
-    """A transfer function applied to a stream, with its state carried: exact however it is cut.
+NO_RACKING = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
 
-    Cuts at multiples of ``BLOCK_SAMPLES`` also give equal bits.
-    """
 
-    def __init__(self, transfer_function: TransferFunction) -> None:
-        self._G, self._O, self._recursion, self._R = transfer_function.block
-        self._A = transfer_function.state_space[0]
-        self._state = np.zeros(transfer_function.order)
+class Filter:
+    """A transfer function applied to a stream, its state carried: equal bits however it is cut."""
+
+    def __init__(self, G: TransferFunction) -> None:
+        self.sections = G.sections
+        self.state = np.zeros((len(G.sections), 2))
 
     def run(self, u: Array) -> Array:
         """Return the output (n,) at the next samples of the input u (n,)."""
-        blocks, rest = divmod(len(u), BLOCK_SAMPLES)
-        U = np.zeros((blocks + (rest > 0), BLOCK_SAMPLES))
-        U.ravel()[: len(u)] = u
-        forced = U @ self._R.T
-        states, self._state = self._recursion.run(forced[:blocks], self._state)
-        if rest:  # part of a block
-            states = np.vstack([states, self._state])
-            before = np.linalg.matrix_power(self._A, rest) @ self._state
-            self._state = before + self._R[:, BLOCK_SAMPLES - rest :] @ u[-rest:]
-        Y = U @ self._G.T
-        Y += states @ self._O.T
-        return Y.ravel()[: len(u)]
+        if (compiled := kernel("filtered")) is not None:
+            u, y = np.ascontiguousarray(u), np.empty(len(u))
+            compiled(self.sections, len(self.sections), self.state, u, len(u), y)
+            return y
+        from scipy.signal import sosfilt  # takes long to import
+
+        y, self.state = sosfilt(self.sections, u, zi=self.state)
+        return np.asarray(y)
 
 
 class Response:
@@ -61,8 +58,8 @@ class Response:
 
     def __init__(self, plant: Plant, origin: Array) -> None:
         self._origin, self._x_c = origin, plant.x_c
-        self._Gxx, self._Gyy = LiftedFilter(plant.Gxx), LiftedFilter(plant.Gyy)
-        self._Gxtheta = LiftedFilter(plant.Gxtheta) if plant.Gxtheta else None
+        functions = plant.Gxx, plant.Gyy, plant.Gxtheta or NO_RACKING
+        self._filters = tuple(Filter(G) for G in functions)
 
     def run(self, command: Array) -> Array:
         """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
@@ -70,11 +67,15 @@ class Response:
 
     def motion(self, command: Array) -> Array:
         """Return the nozzle's x, y and the gantry's θ, (n, 3), likewise: eq. 1 and 2."""
+        if (compiled := kernel("response")) is not None:
+            command, motion = np.ascontiguousarray(command), np.empty((len(command), 3))
+            filters = ((f.sections, len(f.sections), f.state) for f in self._filters)
+            places = *self._origin.tolist(), self._x_c
+            compiled(*chain(*filters), *places, command, len(command), motion)
+            return motion
+        Gxx, Gyy, Gxtheta = self._filters
         u = command - self._origin
-        x = self._Gxx.run(u[:, X]) + self._origin[X]
-        y = self._Gyy.run(u[:, Y]) + self._origin[Y]
-        theta = np.zeros(len(u))
-        if self._Gxtheta is not None:
-            theta = self._Gxtheta.run(u[:, X])
-            y += (x - self._x_c) * theta
+        x = Gxx.run(u[:, X]) + self._origin[X]
+        theta = Gxtheta.run(u[:, X])
+        y = Gyy.run(u[:, Y]) + self._origin[Y] + (x - self._x_c) * theta
         return np.column_stack([x, y, theta])

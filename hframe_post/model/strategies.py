@@ -25,7 +25,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import LiftedFilter, Plant
+from hframe_post.model.plant import Filter, Plant
 
 
 class Compensator:
@@ -85,7 +85,7 @@ class FilteredSplines:
         plant = compensator.plant
         self._origin, self._x_c = origin, plant.x_c
         self._x, self._y = _Axis(compensator.x), _Axis(compensator.y)
-        self._theta = LiftedFilter(plant.Gxtheta) if racking and plant.Gxtheta else None
+        self._theta = Filter(plant.Gxtheta) if racking and plant.Gxtheta else None
         self._desired = np.zeros((0, 2))  # from the origin; x_dm is not final for these samples
         self._x_dm = np.zeros(0)  # y_dm is not final for these samples
 

@@ -117,10 +117,15 @@ class TransferFunction:
         return G, O, np.linalg.matrix_power(A, n), R
 
     @cached_property
-    def block(self) -> tuple[Array, Array, Recursion, Array]:
-        """Return the lifted form over BLOCK_SAMPLES: (G, O, recursion of the state, R)."""
-        G, O, An, R = self.lifted(BLOCK_SAMPLES)
-        return G, O, Recursion(An), R
+    def sections(self) -> Array:
+        """Return the cascade as second-order sections (k, 6): b₀ b₁ b₂ 1 a₁ a₂ each."""
+        cascade = np.zeros((max(-(-self.order // 2), 1), 6))
+        cascade[0, [0, 3]] = 1.0  # of no poles, the gain alone
+        for row, (num, den) in zip(cascade, _sections(self.zeros, self.poles), strict=False):
+            row[:3] = np.pad(num, (len(den) - len(num), 3 - len(den)))
+            row[3:] = np.pad(den, (0, 3 - len(den)))
+        cascade[0, :3] *= self.gain
+        return cascade
 
 
 def upper_and_real(roots: Complex) -> tuple[Complex, Complex]:
@@ -168,9 +173,19 @@ def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
             chosen = pairs.pop(0)
         else:
             chosen, single = np.array(single[:room], complex), single[room:]
-        num, den = (np.atleast_1d(np.poly(roots).real) for roots in (chosen, group))
-        sections.append((num, den))
+        sections.append((_polynomial(chosen), _polynomial(group)))
     return sections
+
+
+def _polynomial(roots: Complex) -> Array:
+    """Return the monic polynomial with these roots: none, one, a conjugate pair or two real ones.
+
+    ``np.poly`` sums with BLAS, whose rounding depends on the processor.
+    """
+    if len(roots) < 2:
+        return np.array([1.0, *-roots.real])
+    (a, b), (c, d) = roots.real.tolist(), roots.imag.tolist()
+    return np.array([1.0, -(a + b), a * b - c * d])
 
 
 def _pairs_and_real(roots: Complex) -> tuple[list[Complex], Complex]:

@@ -12,10 +12,12 @@
     EACH(breakpoints)                                                                         \
     EACH(command_lines)                                                                       \
     EACH(deviation)                                                                           \
+    EACH(filtered)                                                                            \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
     EACH(path_lengths)                                                                        \
-    EACH(plain_moves)
+    EACH(plain_moves)                                                                         \
+    EACH(response)
 
 enum { MOST_ARGUMENTS = 32 };
 

@@ -25,7 +25,7 @@ from hframe_post.writers.stream import digits
 # Path, command, lift and filament, prediction. s, mm, rad.
 COLUMNS = ("t", "x_d", "y_d", "x_dm", "y_dm", "z", "e", "theta", "x", "y")
 DECIMALS = (3, 6, 6, 6, 6, 6, 6, 9, 6, 6)
-ROWS_AT_ONCE = 1 << 14  # a multiple of plant.BLOCK_SAMPLES: equal bits whatever the chunks
+ROWS_AT_ONCE = 1 << 14
 
 
 def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator[Array]:

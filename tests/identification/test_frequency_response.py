@@ -13,7 +13,7 @@ from hframe_post.identification.responses.frequency_response import (
     estimate,
     spread,
 )
-from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.plant import Filter
 from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import all_of_them, at, resonant, sweep
 
@@ -29,7 +29,7 @@ def flat(H: complex, coherence: float = 1.0, power: float = 1.0) -> FrequencyRes
 @pytest.mark.parametrize("G", all_of_them())
 def test_a_sweep_gives_the_response(G: TransferFunction) -> None:
     u = sweep(4.0)
-    part = estimate(u, LiftedFilter(G).run(u)).within(BAND)
+    part = estimate(u, Filter(G).run(u)).within(BAND)
     true = at(G, part.hz)
     assert np.linalg.norm(part.H - true) < 0.002 * np.linalg.norm(true)
     assert part.coherence.min() > 0.99
@@ -39,7 +39,7 @@ def test_the_bias_at_a_sharp_resonance_is_the_one_documented() -> None:
     hz, damping = 20.0, 0.03
     G = resonant(hz, damping)
     u = sweep()
-    response = estimate(u, LiftedFilter(G).run(u)).within((hz - 0.2, hz + 0.2))
+    response = estimate(u, Filter(G).run(u)).within((hz - 0.2, hz + 0.2))
     expected = 1.0 / (3.0 * (SEGMENT * 1e-3 * damping * hz) ** 2)
     short = 1.0 - np.abs(response.H / at(G, response.hz)).min()
     assert 0.5 * expected < short < 1.5 * expected
@@ -49,7 +49,7 @@ def test_the_coherence_shows_the_noise() -> None:
     G = resonant(40.0, 0.1)
     u = sweep(4.0)
     noise = 60.0 * np.random.default_rng(1).normal(size=len(u))
-    part = estimate(u, LiftedFilter(G).run(u) + noise).within(BAND)
+    part = estimate(u, Filter(G).run(u) + noise).within(BAND)
     error = np.abs(part.H / at(G, part.hz) - 1.0) / part.noise
     assert 0.7 < np.sqrt(np.mean(error**2)) < 1.4
 

@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 
 from hframe_post.arrays import Array
 from hframe_post.model.lpfbs import Lpfbs, Window, bsplines, uniform_basis
-from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.plant import Filter
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 
@@ -82,7 +82,7 @@ def test_command_takes_any_length_and_is_that_of_whole_windows(n: int) -> None:
     assert command.shape == (n,)
     long = np.concatenate([x_d, np.full(solver.window.stride * 30 - n, x_d[-1])])
     np.testing.assert_allclose(command, solver.command(long)[:n], atol=1e-9)
-    nozzle = 100.0 + LiftedFilter(PLANT.Gyy).run(solver.command(long) - 100.0)
+    nozzle = 100.0 + Filter(PLANT.Gyy).run(solver.command(long) - 100.0)
     assert abs(nozzle[-1] - x_d[-1]) < 0.01  # it arrives, from where the axis stood
 
 
@@ -108,7 +108,7 @@ def test_eq_30_minimises_error_and_effort_in_its_window() -> None:
     x_dm, _ = solver.run(x_d, solver.rest)
 
     def cost(command: Array) -> float:
-        error = x_d - LiftedFilter(PLANT.Gxx).run(command)
+        error = x_d - Filter(PLANT.Gxx).run(command)
         bend = np.diff(command, n=2, prepend=[0.0, 0.0])
         return float(error @ error + window.effort * bend @ bend)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -18,6 +19,7 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
+from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import profiles, sampling
 from hframe_post.prediction.predict import deviation
 from hframe_post.printer.settings import Printer
@@ -75,6 +77,21 @@ def test_deviation(compiled: None, seed: int, n: int, every: int, power: float) 
     actual = path[at] + rng.normal(0.0, 10.0**power, (len(at), 2))
     plain = in_numpy(deviation, path, actual, at)
     same(deviation(path, actual, at), plain)
+
+
+@pytest.mark.parametrize("racks", [True, False])
+def test_response(paper: Printer, compiled: None, racks: bool) -> None:
+    """The nozzle, and θ for the compensation, in pieces of any length."""
+    plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
+    command = np.array([200.0, 80.0]) + walk(np.random.default_rng(1), 3000)
+    pieces = np.split(command, [1, 40, 41, 2000])
+
+    def motions() -> list[Array]:
+        response, theta = Response(plant, command[0]), Filter(plant.Gxtheta or plant.Gxx)
+        return [*map(response.motion, pieces), *(theta.run(piece[:, 0]) for piece in pieces)]
+
+    for one, other in zip(motions(), in_numpy(motions), strict=True):
+        same(one, other)
 
 
 @thorough

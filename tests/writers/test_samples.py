@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.model.plant import LiftedFilter
+from hframe_post.model.plant import Filter
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -46,7 +46,7 @@ def test_row_is_path_command_and_prediction(
 def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array) -> None:
     """y = Gyy y_dm + (x − x_c) θ: without θ only Gyy is left."""
     y_dm = column(table, "y_dm")
-    straight = LiftedFilter(paper.plant.Gyy).run(y_dm - y_dm[0]) + y_dm[0]
+    straight = Filter(paper.plant.Gyy).run(y_dm - y_dm[0]) + y_dm[0]
     lever = column(table, "x") - paper.plant.x_c
     assert np.abs(column(table, "theta")).max() > 1e-4
     np.testing.assert_allclose(
