@@ -40,12 +40,11 @@ from hframe_post.prediction.predict import contour_error as contour_error_at
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.tuning import tune as tuning
-from hframe_post.studies.tuning.tune import StopsTrial, Trial
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
+    from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
@@ -301,8 +300,8 @@ def tune(
     source: Source,
     printer: Printer,
     *,
-    knots: Iterable[int] = tuning.KNOTS,
-    efforts: Iterable[float] = tuning.EFFORTS,
+    knots: Iterable[int] | None = None,
+    efforts: Iterable[float] | None = None,
     model_error: float | None = None,
     draws: int = 10,
     seed: int = 0,
@@ -311,14 +310,17 @@ def tune(
 ) -> Tuning:
     """Recommend window and weight for this printer and this kind of print.
 
-    knots: L, samples between knots; efforts: λ of x. Each pair is judged on the model and on
-    ``draws`` random printers that differ from it by up to ``model_error``, by default
-    ``model_uncertainty``. Recommended is the gentlest of those that are about as good as the best
-    that the motors can follow. Raises HframeError, OSError.
+    knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
+    the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
+    default ``model_uncertainty``. Recommended is the gentlest of those that are about as good as
+    the best that the motors can follow. Raises HframeError, OSError.
     """
     from hframe_post.studies.simulation.uncertainty import draws as drawn
+    from hframe_post.studies.tuning import tune as tuning
 
-    grid = tuning.candidates(printer.compensation, knots, tuple(efforts))
+    grid = tuning.candidates(
+        printer.compensation, knots or tuning.KNOTS, tuple(efforts or tuning.EFFORTS)
+    )
     share = model_uncertainty(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
     options = Options("racking", limits=limits, extrusion=extrusion)

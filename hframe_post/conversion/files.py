@@ -9,14 +9,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from hframe_post.conversion.conversions import (
-    Conversion,
-    GcodeConversion,
-    SampleConversion,
-    StepConversion,
-)  # fmt: skip
+from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
@@ -25,9 +20,12 @@ from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files import Outputs, compressing
-from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
-from hframe_post.writers.step_file import EVENTS_HEADER, inlined
 from hframe_post.writers.stream.print_time import write_output
+
+if TYPE_CHECKING:
+    from hframe_post.conversion.tables import SampleConversion, StepConversion
+
+    Conversion = GcodeConversion | StepConversion | SampleConversion
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +127,25 @@ def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
     )
 
 
+# G-code needs none of the modules that the following import.
+
+
+def _convert_steps(*arguments: Any, **kind: Any) -> StepConversion:
+    from hframe_post.conversion.tables import StepConversion
+
+    return StepConversion(*arguments, **kind)
+
+
+def _convert_samples(*arguments: Any) -> SampleConversion:
+    from hframe_post.conversion.tables import SampleConversion
+
+    return SampleConversion(*arguments)
+
+
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     """Write the step file and, next to a regular file, the file of its events."""
+    from hframe_post.writers.step_file import EVENTS_HEADER, inlined
+
     out = target.open()
     if target.path is None:
         out.writelines(inlined(conversion))
@@ -146,6 +161,8 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
 
 
 def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
+    from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
+
     kind, packing = _suffixes(target.path)
     out = target.open()
     if target.path is not None and kind == ".npz":
@@ -162,7 +179,7 @@ TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False, divides=True),
     "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False, divides=True),
-    "steps": Format(partial(StepConversion, kind="steps"), _save_steps, (".csv",)),
-    "step-bits": Format(partial(StepConversion, kind="step-bits"), _save_steps),
-    "samples": Format(SampleConversion, _save_samples, TABLES),
+    "steps": Format(partial(_convert_steps, kind="steps"), _save_steps, (".csv",)),
+    "step-bits": Format(partial(_convert_steps, kind="step-bits"), _save_steps),
+    "samples": Format(_convert_samples, _save_samples, TABLES),
 }

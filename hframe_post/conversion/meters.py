@@ -6,19 +6,22 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, lengths
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.model.plant import Plant
-from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
+
+if TYPE_CHECKING:
+    from hframe_post.prediction.picture import Picture
 
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)

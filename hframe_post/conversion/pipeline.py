@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import (
@@ -27,7 +27,6 @@ from hframe_post.compensation.guard import (
     check_prediction,
     max_deviation,
 )  # fmt: skip
-from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Report
@@ -36,13 +35,11 @@ from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
-from hframe_post.model.shapers import Shaping
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.chunks import shifted
@@ -50,6 +47,10 @@ from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
 from hframe_post.stream.types import Item, Planned, Samples
 from hframe_post.version import __version__
+
+if TYPE_CHECKING:
+    from hframe_post.model.shapers import Shaping
+    from hframe_post.prediction.picture import Picture
 
 TOLERANCE = 0.014  # mm; moves the nozzle by 1 µm RMS, because the printer smooths what it misses
 
@@ -136,7 +137,7 @@ class Stages:
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock = Clock()
-        picture = Picture(Labels(printing or Place())) if options.picture else None
+        picture = _picture(printing or Place()) if options.picture else None
         self._errors = ErrorMeter(printer.plant, picture=picture)
         self.times = StageTimes()
 
@@ -172,6 +173,8 @@ class Stages:
             commands = prefetch(commands)
         if self._options.predict:
             if self._options.shaping is not None:
+                from hframe_post.compensation.shape import SHAPER, shape
+
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self.times.timed("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
@@ -184,6 +187,12 @@ class Stages:
             self._clock.end, self._clock.resting, self._guard.peaks, self._clamp.clamped,
             self._errors.contour, self.times.seconds, self._errors.picture,
         )  # fmt: skip
+
+
+def _picture(printing: Place) -> Picture:
+    from hframe_post.prediction.picture import Picture
+
+    return Picture(Labels(printing))
 
 
 class Source:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hframe_post.compensation.guard import Clamped, Peaks
 from hframe_post.conversion.meters import (
@@ -16,9 +16,11 @@ from hframe_post.conversion.meters import (
     Uncompensated,
 )  # fmt: skip
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.stream.print_time import duration
+
+if TYPE_CHECKING:
+    from hframe_post.prediction.picture import Picture
 
 
 @dataclass(frozen=True, slots=True)

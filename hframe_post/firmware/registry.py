@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.player import Player
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
@@ -30,11 +29,18 @@ class Firmware:
     decimates: bool
 
 
+def _marlin(printer: Printer, tolerance: float | None, retract_moving: bool) -> Player:
+    """Make Marlin's player. Its modules are imported here: most printers run Klipper."""
+    from hframe_post.firmware.marlin.player import Marlin
+
+    return Marlin.from_printer(printer, tolerance, retract_moving)
+
+
 FIRMWARES = {
     each.name: each
     for each in (
         Firmware("klipper", "Klipper", Klipper.from_printer, decimates=True),
-        Firmware("marlin", "Marlin", Marlin.from_printer, decimates=False),
+        Firmware("marlin", "Marlin", _marlin, decimates=False),
     )
 }
 

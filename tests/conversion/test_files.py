@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling

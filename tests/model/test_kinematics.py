@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.conversion.conversions import GcodeConversion, StepConversion
+from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.segments import StreamLimits
 from hframe_post.model.kinematics import ROWS, Differences, Kinematics
