@@ -26,9 +26,10 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
-from hframe_post.model.transfer_function import Recursion, TransferFunction
+from hframe_post.model.linear import product, pseudo_inverse, recursion
+from hframe_post.model.transfer_function import TransferFunction
 
-RANK_TOLERANCE = 1e-11  # least relative singular value of a window that can be solved
+CONDITION = 1e12  # greatest condition number of a window that can be solved
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +106,10 @@ class Lpfbs:
     def __init__(self, G: TransferFunction, window: Window) -> None:
         self.window = window
         self._basis = uniform_basis(window.L, window.degree)
-        self._K_target, self._K_past, self._step_target, step_past = _solve(G, window)
-        self._recursion = Recursion(step_past)
-        self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
-        self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
+        K_target, self._K_past, step_target, self._step_past = _solve(G, window)
+        self._by_target = np.vstack([K_target, step_target])
+        self.rest = np.zeros(len(step_target))  # the past of an axis that stood at zero
+        self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
         if not self.radius < 1.0:
             raise ArgumentError(
                 f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
@@ -146,13 +147,12 @@ class Lpfbs:
                 f"of {w.stride}); command() takes any length"
             )
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
-        X = np.ascontiguousarray(windows)
-        past, s = self._recursion.run(X @ self._step_target.T, s)
-        p = X @ self._K_target.T  # (W, n_up), eq. 39
-        p += past @ self._K_past.T
-        control = np.concatenate([past[0, -w.degree :], p.ravel()])
+        by_target = product(windows, self._by_target.T)
+        past = recursion(self._step_past, by_target[:, w.n_up :], s)
+        p = by_target[:, : w.n_up] + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
+        control = np.concatenate([s[-w.degree :], p.ravel()])
         alive = np.lib.stride_tricks.sliding_window_view(control, w.degree + 1)
-        return (np.ascontiguousarray(alive) @ self._basis.T).ravel(), s
+        return product(alive, self._basis.T).ravel(), past[-1]
 
 
 def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
@@ -165,26 +165,31 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     """
     N_P, N_C, D_P, D_C = window_splines(w)
     lifted, O, _, _ = G.lifted(w.L_C)
-    N_C_filtered, N_P_filtered = lifted @ N_C, lifted @ N_P
+    N_P_filtered, N_C_filtered = product(lifted, N_P), _shifted(product(lifted, N_C[:, :1]), w)
     weight = np.sqrt(w.effort)
-    normal = np.vstack([N_C_filtered, weight * D_C])
-    U, sigma, Vt = np.linalg.svd(normal, full_matrices=False)
-    if not sigma[-1] > RANK_TOLERANCE * sigma[0]:
+    pinv = pseudo_inverse(np.vstack([N_C_filtered, weight * D_C]), CONDITION)
+    if pinv is None:
         raise ArgumentError(
             f"the window is rank deficient: L = {w.L}, n_C = {w.n_C} leave control points "
             "without influence on the window; take smaller n_C or larger effort"
         )
-    pinv = (Vt.T / sigma) @ U.T
+    pinv = pinv[: w.n_up]
     free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_P]])
-    K_target, K_past = pinv[: w.n_up, : w.L_C], (-pinv @ free)[: w.n_up]
+    K_target, K_past = pinv[:, : w.L_C], -product(pinv, free)
 
     past, T = w.degree + 1, w.stride
     _, _, A_T, R = G.lifted(T)
-    reach_C, reach_P = R @ N_C[:T, : w.n_up], R @ N_P[:T]
-    z_target = reach_C @ K_target
-    z_past = reach_C @ K_past + np.hstack([A_T, reach_P])
+    reach_C, reach_P = product(R, N_C[:T, : w.n_up]), product(R, N_P[:T])
+    z_target = product(reach_C, K_target)
+    z_past = product(reach_C, K_past) + np.hstack([A_T, reach_P])
     points_target = np.vstack([np.zeros((past, w.L_C)), K_target])[-past:]
     old = np.hstack([np.zeros((past, G.order)), np.eye(past)])
     points_past = np.vstack([old, K_past])[-past:]
     step_target, step_past = np.vstack([z_target, points_target]), np.vstack([z_past, points_past])
     return K_target, K_past, step_target, step_past
+
+
+def _shifted(first: Array, w: Window) -> Array:
+    """Return the filtered splines of a window, (L_C, n_C): each is the first, L samples later."""
+    padded = np.concatenate([np.zeros(w.L_C), first[:, 0]])
+    return np.column_stack([padded[w.L_C - j * w.L :][: w.L_C] for j in range(w.n_C)])

@@ -24,11 +24,11 @@ import numpy as np
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
+from hframe_post.model.linear import power, product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
 BLOCK_SAMPLES = 64  # in a lifted block: long ones cost in products, short ones in the recursion
-STEPS_AT_ONCE = 8  # of a recursion, in one matrix product
 
 
 @dataclass(frozen=True)
@@ -89,14 +89,8 @@ class TransferFunction:
     def impulse(self, n: int) -> Array:
         """Return the first ``n`` samples of the impulse response."""
         A, B, C, D = self.state_space
-        h = np.empty(n)
-        state = B
-        if n:
-            h[0] = D
-        for k in range(1, n):
-            h[k] = C @ state
-            state = A @ state
-        return h
+        states = recursion(A, np.zeros((n, self.order)), B)[:-1]
+        return np.concatenate([[D], product(states, C[:, None])[:, 0]])[:n]
 
     def lifted(self, n: int) -> tuple[Array, Array, Array, Array]:
         """Return the lifted form over blocks of ``n`` samples: (G, O, An, R).
@@ -106,15 +100,11 @@ class TransferFunction:
         past carried as a state in place of the rows above the block.
         """
         A, B, C, _ = self.state_space
-        d = self.order
-        O, R = np.empty((n, d)), np.empty((d, n))
-        row, column = C.copy(), B.copy()
-        for k in range(n):
-            O[k], R[:, n - 1 - k] = row, column
-            row, column = row @ A, A @ column
-        delay = np.subtract.outer(np.arange(n), np.arange(n))
-        G = np.where(delay >= 0, self.impulse(n)[np.maximum(delay, 0)], 0.0)
-        return G, O, np.linalg.matrix_power(A, n), R
+        nothing = np.zeros((n, self.order))
+        O, R = recursion(A.T, nothing, C)[:-1], recursion(A, nothing, B)[-2::-1].T
+        reversed_h = np.concatenate([self.impulse(n)[::-1], np.zeros(max(n - 1, 0))])
+        G = np.lib.stride_tricks.sliding_window_view(reversed_h, n)[::-1]
+        return G, O, power(A, n), R
 
     @cached_property
     def sections(self) -> Array:
@@ -147,7 +137,12 @@ def _closed(roots: Complex) -> bool:
 
 
 def _distance_to(point: complex) -> Callable[[Complex], float]:
-    return lambda roots: float(np.abs(roots - point).min())
+    return lambda roots: float(np.sqrt(_squared_modulus(roots - point)).min())
+
+
+def _squared_modulus(z: Complex) -> Array:
+    """Return |z|², in which processors agree to the last bit, unlike in |z|."""
+    return np.asarray(np.square(z.real) + np.square(z.imag))
 
 
 def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
@@ -161,7 +156,7 @@ def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
     groups, real = _pairs_and_real(poles)
     real = np.sort(real.real).astype(complex)
     groups += [real[k : k + 2] for k in range(0, len(real), 2)]  # a last one may be alone
-    groups.sort(key=lambda group: -np.abs(group).max())
+    groups.sort(key=lambda group: -float(_squared_modulus(group).max()))
     sections = []
     for number, group in enumerate(groups, 1):
         distance, room = _distance_to(group[0]), len(group)
@@ -202,38 +197,3 @@ def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, f
     B = np.zeros(order)
     B[0] = 1.0
     return A, B, b[1:] - b[0] * den[1:], float(b[0])
-
-
-class Recursion:
-    """The states of s[k+1] = A s[k] + w[k], several steps in one matrix product.
-
-    Within STEPS_AT_ONCE steps the states are a product with the lower block triangle of
-    A^(i−1−k); only these groups are computed one after the other.
-    """
-
-    def __init__(self, A: Array) -> None:
-        n, d = STEPS_AT_ONCE, len(A)
-        self._powers = [np.linalg.matrix_power(A, k) for k in range(n + 1)]
-        self._from_start = np.hstack([power.T for power in self._powers])
-        triangle = np.zeros((n, d, n + 1, d))  # w[k] to s[i]
-        for i in range(1, n + 1):
-            for k in range(i):
-                triangle[k, :, i] = self._powers[i - 1 - k].T
-        self._forced = triangle.reshape(n * d, (n + 1) * d)
-
-    def run(self, W: Array, state: Array) -> tuple[Array, Array]:
-        """Return the states before each of the steps W (n, d), same shape, and after the last."""
-        n, d = W.shape
-        groups = -(-n // STEPS_AT_ONCE)
-        padded = np.zeros((groups, STEPS_AT_ONCE * d))
-        padded.reshape(groups * STEPS_AT_ONCE, d)[:n] = W
-        states = (padded @ self._forced).reshape(groups, STEPS_AT_ONCE + 1, d)
-        starts = np.empty((groups, d))
-        for group, last in enumerate(states[:, -1]):
-            starts[group] = state
-            state = self._powers[-1].dot(state)
-            state += last
-        states += (starts @ self._from_start).reshape(states.shape)
-        full, part = divmod(n, STEPS_AT_ONCE)
-        after = states[full, part] if part else state
-        return states[:, :-1].reshape(groups * STEPS_AT_ONCE, d)[:n], after

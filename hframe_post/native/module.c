@@ -17,6 +17,8 @@
     EACH(follow)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(plain_moves)                                                                         \
+    EACH(product)                                                                             \
+    EACH(recursion)                                                                           \
     EACH(response)
 
 enum { MOST_ARGUMENTS = 32 };

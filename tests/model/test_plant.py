@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.model.plant import Filter
-from hframe_post.model.transfer_function import Recursion, TransferFunction
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 
 
@@ -78,18 +78,6 @@ def test_a_constant_is_a_filter() -> None:
     u = np.arange(5.0)
     nothing = np.zeros(0, complex)
     assert Filter(TransferFunction(nothing, nothing, 2.0)).run(u).tolist() == [0, 2, 4, 6, 8]
-
-
-@settings(deadline=None)
-@given(st.integers(0, 40), st.integers(1, 5), st.integers(0, 2**32 - 1))
-def test_recursion_takes_the_steps_one_by_one(n: int, d: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    A, W, s = rng.normal(size=(d, d)) / (2 * d), rng.normal(size=(n, d)), rng.normal(size=d)
-    states, last = Recursion(A).run(W, s)
-    for k in range(n):
-        np.testing.assert_allclose(states[k], s, atol=1e-12)
-        s = A @ s + W[k]
-    np.testing.assert_allclose(last, s, atol=1e-12)
 
 
 @pytest.mark.parametrize(

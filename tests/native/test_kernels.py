@@ -19,6 +19,7 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper import segments
+from hframe_post.model.linear import product, recursion
 from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import profiles, sampling
 from hframe_post.prediction.predict import deviation
@@ -112,6 +113,16 @@ def test_sampling(compiled: None, seed: int, n: int, first: int) -> None:
     plain_xyze, plain_move = in_numpy(sampling._follow, plan, lengths)
     same(xyze, plain_xyze)
     same(move, plain_move)
+
+
+@thorough
+@given(seeds, st.integers(1, 12), st.integers(0, 30), st.integers(1, 20))
+def test_linear_algebra(compiled: None, seed: int, m: int, k: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B = rng.normal(size=(m, k)), rng.normal(size=(k, n)) * rng.choice([0.0, 1.0], size=n)
+    same(product(A, B), in_numpy(product, A, B))
+    step, W = rng.normal(size=(n, n)) / n, rng.normal(size=(m, n))
+    same(recursion(step, W, W[0]), in_numpy(recursion, step, W, W[0]))
 
 
 def test_the_whole_tool(

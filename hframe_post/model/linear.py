@@ -1,0 +1,90 @@
+"""Linear algebra that gives the same bits on every machine.
+
+BLAS and LAPACK add in an order that depends on the processor. Here every sum starts at zero and
+takes its terms in order, one rounding after each product and each addition.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.native import kernel
+
+
+def product(A: Array, B: Array) -> Array:
+    """Return the matrix product of A (m, k), or a vector (k,), with B (k, n)."""
+    rows, B = np.ascontiguousarray(np.atleast_2d(A)), np.ascontiguousarray(B)
+    (m, k), n = rows.shape, B.shape[1]
+    if compiled := kernel("product"):
+        out = np.empty((m, n))
+        compiled(rows, B, m, k, n, out)
+    else:
+        out = _product(rows, B)
+    return out if A.ndim == 2 else out[0]
+
+
+def _product(A: Array, B: Array) -> Array:
+    out = np.zeros((len(A), B.shape[1]))
+    if len(A) < len(B) and B.shape[1] > 1:  # numpy adds in order along any axis but the last
+        for row, total in zip(A, out, strict=True):
+            np.add.reduce(row[:, None] * B, axis=0, out=total, initial=0.0)
+    else:
+        for column, row in zip(A.T, B, strict=True):
+            out += column[:, None] * row
+    return out
+
+
+def recursion(A: Array, W: Array, s: Array) -> Array:
+    """Return the states (n + 1, d) of s[k+1] = A s[k] + w[k], for W (n, d) from s (d,)."""
+    M, W = np.ascontiguousarray(A.T), np.ascontiguousarray(W)
+    states = np.empty((len(W) + 1, len(A)))
+    states[0] = s
+    if compiled := kernel("recursion"):
+        compiled(M, W, len(W), len(A), states)
+    else:
+        for k, w in enumerate(W):
+            states[k + 1] = _product(states[k : k + 1], M)[0] + w
+    return states
+
+
+def power(A: Array, n: int) -> Array:
+    """Return A to the power of n ≥ 0, by squaring."""
+    result = np.eye(len(A))
+    while n:
+        if n % 2:
+            result = product(result, A)
+        A, n = product(A, A), n // 2
+    return result
+
+
+def pseudo_inverse(A: Array, condition: float) -> Array | None:
+    """Return the inverse (n, m) of A (m, n) in the sense of least squares.
+
+    It is None if the condition number of A, in the Frobenius norm, exceeds a limit. A is made
+    orthogonal by Gram and Schmidt's method, where each column is projected twice: A = QR.
+    """
+    m, n = A.shape
+    Q, R = np.zeros((m, n)), np.zeros((n, n))
+    Qt = np.zeros((n, m))
+    for j, v in enumerate(A.T):
+        for _ in range(2):
+            along = product(v, Q)
+            v = v - product(along[:j], Qt[:j])
+            R[:, j] += along
+        R[j, j] = _norm(v)
+        if not R[j, j] > 0.0:
+            return None
+        Q[:, j] = Qt[j] = v / R[j, j]
+    inverse = np.zeros((n, n))
+    for i in reversed(range(n)):  # R inverse = I, row by row from the last
+        inverse[i] = -product(R[i], inverse)
+        inverse[i, i] += 1.0
+        inverse[i] /= R[i, i]
+    if not _norm(R.ravel()) * _norm(inverse.ravel()) < condition:
+        return None
+    return product(inverse, Qt)
+
+
+def _norm(v: Array) -> float:
+    return float(np.sqrt(np.cumsum(v * v)[-1]))
