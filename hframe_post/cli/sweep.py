@@ -64,10 +64,27 @@ def write_motion(
             file.writelines(command_csv(run.command))
 
 
+def write_for_marlin(
+    target: Path, printer: str, profile: Printer, planned: list[Run], z: float | None
+) -> list[Run]:
+    """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
+    from hframe_post.identification.recordings.excitation import command_csv
+    from hframe_post.identification.recordings.marlin_sweep import played
+
+    done = [played(profile, run, 10.0 if z is None else z) for run in planned]
+    with Outputs(files_read(printer)) as outputs:
+        for run, lines in done:
+            named = target.with_name(f"{target.stem}.{run.name}")
+            outputs.open(Path(f"{named}.gcode")).write("\n".join([*lines, ""]).encode())
+            outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
+    return [run for run, _ in done]
+
+
 @click.command()
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
-    metavar="SWEEP.GCODE", help="G-code file; each run's command is written next to it, as CSV.",
+    metavar="SWEEP.GCODE", help="G-code file; each run's command is written next to it, as CSV. "
+    "For Marlin each run has a file of its own, SWEEP.RUN.gcode.",
 )  # fmt: skip
 @printer_option
 @click.option(
@@ -86,10 +103,11 @@ def sweep(
     output: Path, printer: str, axis: str | None, places: tuple[tuple[float, float], ...],
     chips: tuple[str, ...], z: float | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Write G-code that shakes the printer and records its accelerometers with Klipper.
+    """Write G-code that shakes the printer, and with Klipper also records its accelerometers.
 
-    Each position is one run of 40 s: a sine of rising frequency between two short equal marks. The
-    exact command of a run is written next to the G-code, as SWEEP.RUN.csv; identify needs it. The
+    Each position is one run of 40 s: a sine of rising frequency between two short equal marks, or,
+    for Marlin, moves whose speed pulses ever faster, which any program may record. The exact
+    command of a run is written next to the G-code, as SWEEP.RUN.csv; identify needs it. The
     profile's table [sweep] sets the frequencies and the acceleration, [limits] the most that they
     may be. Home the printer first.
 
@@ -97,6 +115,7 @@ def sweep(
     Example:
       hframe-post sweep -p my.toml -o sweep.gcode
     """
+    from hframe_post.identification.recordings import marlin_sweep
     from hframe_post.identification.recordings.sweep import positions, runs, summary
 
     profile = load(printer)
@@ -105,6 +124,11 @@ def sweep(
         for each in ((X, Y) if axis is None else ("xy".index(axis),))
         for run in runs(profile, each, list(places) or positions(profile, each))
     ]
-    write_motion(output, printer, profile, planned, chips, z)
+    if profile.firmware.dialect == "marlin":
+        planned = write_for_marlin(output, printer, profile, planned, z)
+        text = marlin_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
+    else:
+        write_motion(output, printer, profile, planned, chips, z)
+        text = summary(profile, planned)
     if not quiet:
-        say(summary(profile, planned))
+        say(text)

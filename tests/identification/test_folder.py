@@ -165,7 +165,7 @@ def test_other_programs_recordings_are_paired_by_the_axis(tmp_path: Path) -> Non
     found = by_name(contents([folder(tmp_path, files)]))
     assert [one.session for one in found.values()] == [1, 2]
     assert all(one.command and not one.recording.started for one in found.values())
-    files |= {"again_y.csv": command(1, 2.2), "long_y.csv": samples(5, 60.0)}
+    files |= {"again_y.csv": command(1, 2.2), "long_y.csv": samples(5, 150.0)}
     found_more = contents([folder(tmp_path, files)])
     assert "several commands may be its motion" in reason(found_more, "marlin_y_1")
     assert by_name(found_more)["long_y.csv"].command is None  # it lasts far longer

@@ -125,6 +125,8 @@ def test_m956_files_of_reprapfirmware_are_read(tmp_path: Path, rows: Array) -> N
         (b"Time (s),Acceleration_X (m/s^2),Acceleration_Y (m/s^2),Acceleration_Z (m/s^2)\n", 1e3),
         (b"timestamp,ax_g,ay_g,az_g\n", GRAVITY),
         (b"t,x_acc [g],y_acc [g],z_acc [g]\n", GRAVITY),
+        (b'"Time (s)","Acceleration x (g)","Acceleration y (g)","Acceleration z (g)"\n', GRAVITY),
+        (b"time, x, y, z\n", GRAVITY),  # of adxl345spi and adxl345usb; gravity tells the unit
     ],
 )
 def test_columns_that_say_what_they_are_need_no_option(

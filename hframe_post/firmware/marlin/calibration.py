@@ -110,7 +110,7 @@ def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) ->
         blocks = Blocks(n_, d_, np.floor(printer.limits.acceleration * n_ / d_))
         v = np.ceil(60.0 * v) / 60.0  # F is whole
         joint = np.concatenate([[0.0], np.minimum(v[:-1], v[1:]), [0.0]])
-        total += planner.stroke(blocks, joint, v)
+        total += float(planner.stroke(blocks, joint, v)[2].sum())
     return total * part.strokes / 2.0
 
 

@@ -237,12 +237,15 @@ class SteppedPlanner:
         """
         return self._times(blocks, np.ceil(v * blocks.n / blocks.d), before, v)
 
-    def stroke(self, blocks: Blocks, joint: Array, v: Array) -> float:
-        """Return the seconds of blocks at speeds v (k,), mm/s, between speeds joint (k + 1,)."""
+    def stroke(self, blocks: Blocks, joint: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return at which speeds blocks begin and end, and how long they last, (k,) each.
+
+        v (k,): speeds asked for inside them; joint (k + 1,): at their ends, both in mm/s.
+        """
         n, d, *_ = blocks
         v_s, v_e = _reachable(blocks, joint, v, self._least_entry(blocks))
         rates = v_s * n / d, np.ceil(v * n / d), v_e * n / d
-        return float(self.block_times(blocks, *rates, self.timer, self.s_curve).sum())
+        return v_s, v_e, self.block_times(blocks, *rates, self.timer, self.s_curve)
 
     def _least_entry(self, blocks: Blocks) -> Array:
         """Return the least speeds (k,), mm/s, at which blocks begin."""
@@ -280,12 +283,12 @@ class FixedTimePlanner:
         n, d, a, corners = blocks
         return ramps.durations(d, v, a * d / n, corners, before, _development_entry(blocks))
 
-    def stroke(self, blocks: Blocks, joint: Array, v: Array) -> float:
+    def stroke(self, blocks: Blocks, joint: Array, v: Array) -> tuple[Array, Array, Array]:
         n, d, a, _ = blocks
         a = a * d / n
         v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))
         v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
-        return float(((d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v).sum())
+        return v_s, v_e, (d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v
 
 
 Planner = SteppedPlanner | FixedTimePlanner

@@ -71,7 +71,7 @@ class Marlin:
         return Rests()  # lifts and retractions begin and end at rest
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        motion = FIXED_TIME if self._planner.fixed_time else RAMPED
+        motion = FIXED_TIME if self.planner.fixed_time else RAMPED
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
         a, v = plain(self._acceleration, 0), plain(velocity, 0)
         start = [
@@ -97,7 +97,7 @@ class Marlin:
         for axis, frequency in (("X", table.shaper_freq_x), ("Y", table.shaper_freq_y)):
             if frequency:
                 lines.append(f"M593 {axis} F{plain(frequency, 3)}")
-        if table.fixed_time_motion or self._planner.fixed_time:
+        if table.fixed_time_motion or self.planner.fixed_time:
             lines.append(f"M493 S{table.fixed_time_motion}")
         for axis, shaper in zip("XY", table.fixed_time_shaper, strict=True):
             if shaper:  # the mode is a word of the axis, or of C in later builds
@@ -162,7 +162,7 @@ class Marlin:
         v_s, v_e = self._stroke_ends(corner, v)
         ramped = ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)
         taken = (d + ramped) / v
-        if not self._planner.fixed_time:
+        if not self.planner.fixed_time:
             # what rounding to whole ticks adds, where speed is constant
             cruise = max(d - (2.0 * v * v - v_s * v_s - v_e * v_e) / (2.0 * a), 0.0)
             step = self._timer.step(np.ceil(v * blocks.n / blocks.d))
@@ -179,7 +179,7 @@ class Marlin:
         first segment from rest has 10 to 14 mm/s in the samples.
         """
         begin = min(corner, v)
-        return begin, max(corner, 11.0) if self._planner.fixed_time else begin
+        return begin, max(corner, 11.0) if self.planner.fixed_time else begin
 
     def _stroke_corners(self, users: bool, lifts: bool) -> str:
         # what M205 needs for a retraction or a lift, other than the stream's
@@ -219,20 +219,20 @@ class Marlin:
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """Return times no longer than the slowest steps, no shorter than the first from rest."""
-        return self._planner.possible_times(self._blocks(at), T, before)
+        return self.planner.possible_times(self._blocks(at), T, before)
 
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return self._planner.feed_rates(self._blocks(at), T, before)
+        return self.planner.feed_rates(self._blocks(at), T, before)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return self._planner.durations(self._blocks(at), v, before)
+        return self.planner.durations(self._blocks(at), v, before)
 
     @property
-    def _planner(self) -> Planner:
+    def planner(self) -> Planner:
         t = self.table
         return make_planner(t.planner, self._timer, t.classic_jerk, t.s_curve_acceleration)
 

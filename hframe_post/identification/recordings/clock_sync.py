@@ -208,8 +208,7 @@ class _Windows:
             region = track[first : int(place) + self._length + reach]
             likeness = _envelope(self._command[place : place + self._length], region)
             lags.append((first + int(np.argmax(likeness)) - place) * TS)
-        growth, mean = np.polyfit(self._places * TS, lags, 1)
-        return float(mean), float(growth)
+        return _line(np.asarray(self._places * TS), np.array(lags))
 
     def rough_start(self) -> float:
         """Return when the command starts on the recording's clock, s, by most windows."""
@@ -222,6 +221,13 @@ class _Windows:
             spread = maximum_filter1d(likeness, wide, mode="constant")[place - first :]
             total[: len(spread)] += spread
         return float(np.argmax(total) - first) * TS
+
+
+def _line(t: Array, lags: Array) -> tuple[float, float]:
+    """Return lag at t = 0 and growth by the median of all pairs: single windows may be far off."""
+    i, j = np.triu_indices(len(t), 1)
+    growth = float(np.median((lags[j] - lags[i]) / (t[j] - t[i])))
+    return float(np.median(lags - growth * t)), growth
 
 
 # ---------------------------------------------------------------------- correlation
@@ -264,5 +270,6 @@ def _within(track: Array, band: tuple[float, float]) -> Array:
 def not_found() -> IdentificationError:
     return IdentificationError(
         "the recording does not follow the command. Check that the sweep was played, and that "
-        "this is its recording, complete and from this sensor"
+        "this is its recording, complete and from this sensor. With Marlin also check the planner "
+        "of the profile: 'hframe-post calibrate-marlin'"
     )

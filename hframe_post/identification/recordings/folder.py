@@ -28,7 +28,7 @@ from hframe_post.identification.recordings.packed import unpacked
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 ARRAYS = (".npz", ".mat")  # which are recordings only if the user names their columns
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
-WAITING = 30.0  # s before and after the motion, in a recording that was started by hand
+WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
     "vibrations": "a test at constant speeds, which excites no band of frequencies",
@@ -145,8 +145,9 @@ def read_files(
     if not files:
         raise IdentificationError(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
-            "raw_data_x_….csv, adxl345-….csv or ….stdata. To record, run TEST_RESONANCES AXIS=X "
-            "OUTPUT=raw_data, and AXIS=Y; Klipper writes to /tmp of its host"
+            "raw_data_x_….csv, adxl345-….csv or ….stdata. To record with Klipper, run "
+            "TEST_RESONANCES AXIS=X OUTPUT=raw_data, and AXIS=Y; it writes to /tmp of its host. "
+            "With Marlin, print what 'hframe-post sweep' writes"
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]
     return (

@@ -22,7 +22,9 @@ COMMAND = ("t", "x", "y")  # as sweep and verify write it
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
 M956 = ("Sample", "X", "Y", "Z")
 M956_END = re.compile(rb"\s*Rate (\d+), overflows (\d+)\s*")
-ACCELERATIONS = ("accel_{}", "acceleration_{}", "acc_{}", "a{}", "a_{}", "{}_accel", "{}_acc")
+ACCELERATIONS = (
+    "accel_{}", "acceleration_{}", "acc_{}", "a{}", "a_{}", "{}_accel", "{}_acc", "{}",
+)  # fmt: skip
 UNIT = re.compile(r"[ _]*(?:\((?P<a>[^)]*)\)|\[(?P<b>[^\]]*)\]|_(?P<c>g|mm/s2|m/s2|s))$")
 UNIT_NAMES = {"g": "g", "m/s2": "m/s2", "m/s^2": "m/s2", "m/s²": "m/s2",
               "mm/s2": "mm/s2", "mm/s^2": "mm/s2", "mm/s²": "mm/s2"}  # fmt: skip
@@ -125,7 +127,7 @@ def _m956(path: Path, content: bytes, names: Sequence[str]) -> Table:
 
 def _recognized(path: Path, content: bytes, names: Sequence[str]) -> Table:
     """Read another program's table if its columns say what they are: time, and accelerations."""
-    bare = [UNIT.sub("", name.strip("# ").lower()) for name in names]
+    bare = [UNIT.sub("", name.strip("# ").lower()).replace(" ", "_") for name in names]
     units = [_unit_of(name) for name in names]
     times = [k for k, name in enumerate(bare) if name in ("time", "t", "timestamp")]
     for form in ACCELERATIONS:

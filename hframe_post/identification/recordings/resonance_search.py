@@ -84,7 +84,8 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     line = find_line(a, RATE)
     if line.score < LEAST_SCORE or line.last - line.first < 5.0:
         raise IdentificationError(
-            "the recording shows no resonance test, whose frequency grows steadily"
+            "the recording shows no resonance test, whose frequency grows steadily. If it is of "
+            "a sweep, put the CSV file that 'hframe-post sweep' wrote next to it"
         )
     hz_per_sec, drift = _rate(line.slope, expected.hz_per_sec)
     hz, level = _levels(a, line)

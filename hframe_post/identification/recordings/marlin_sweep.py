@@ -1,0 +1,175 @@
+"""A sweep of plain moves, for Marlin, whose whole steps and short queue can play no sine.
+
+The axis travels to and fro around its place, and while it travels its speed pulses:
+
+    slow, fast, slow, fast, …     each a move; a fast one rises from the slow speed and returns
+
+So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
+turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
+what the firmware makes of the moves, by the rules of ``firmware.marlin.planner``.
+
+Any program may record it: start and clock are found from the motion (``self_alignment``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Integers
+from hframe_post.errors import LimitError
+from hframe_post.firmware.marlin.planner import Blocks
+from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, SPARED, Marlin
+from hframe_post.firmware.marlin.segments import most_steps, motor_steps
+from hframe_post.firmware.player import plain
+from hframe_post.gcode.commands import OFF
+from hframe_post.identification.recordings.sweep import APPROACH, LIFT, Run, room, within_limits
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import ModalState, frozen
+from hframe_post.version import __version__
+
+SLOW, RISE = 20.0, 60.0  # mm/s between pulses, and most that a pulse adds
+REACH, NARROWEST = 25.0, 5.0  # mm to either side of the place, and the least that is enough
+START_HZ = 4.0
+BEFORE, AFTER = 5, 2  # s of rest, in which gravity shows
+PAD = 1000  # samples of rest around the command
+HEAD = """\
+; accelerometer run {name} for printer {printer}, {version}: {seconds:.0f} s
+; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature at
+; which you print, screw the accelerometer to {part}, and start to record all of its axes.
+; The nozzle rises to z {z} mm and moves in {axis}; nothing is extruded.
+; If you cancel it, send M501: it brings back the settings that are saved in the printer.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Moves:
+    """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s."""
+
+    steps: Integers
+    v: Array
+
+    @property
+    def turns(self) -> Array:
+        """Return the most speed (k + 1,) at the ends: none where the axis turns, or rests."""
+        v, sign = np.pad(self.v, 1), np.sign(np.pad(self.steps, 1))
+        return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), 0.0)
+
+
+def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
+    """Return a run as Marlin plays it, and the G-code for it. run: names place and axis; z: mm.
+
+    Raises PrinterError if the profile lacks Marlin's tables, and LimitError without room or speed.
+    """
+    marlin = Marlin.from_printer(printer)
+    x, y = (round(place / marlin.steps.belt) * marlin.steps.belt for place in run.position)
+    reach = min(room(printer, run.axis, run.position), REACH)
+    if reach < NARROWEST:
+        raise LimitError("room to either side (mm)", reach, NARROWEST, None, "choose another place")
+    sweep, velocity = within_limits(printer)
+    if velocity < 2.0 * SLOW:
+        raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
+    a = float(np.floor(sweep.amplitude))
+    end_hz = min(sweep.end_hz, SPARED * marlin.lines_per_second / 2.0)  # two lines a period
+    pulses = _pulses(marlin, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
+    moves = _Moves(*(np.array(column) for column in zip(*pulses, strict=True)))
+    cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
+    cells[1:, run.axis] = np.cumsum(moves.steps)
+    along = _motion(marlin, moves, cells, a)
+    command = np.tile(np.array([x, y]), (len(along), 1))
+    command[:, run.axis] += along
+    done = Run(run.name, run.axis, (x, y), frozen(command))
+    ends = (x, y)[run.axis] + cells[1:, run.axis] * marlin.steps.belt
+    return done, _gcode(printer, marlin, done, np.asarray(ends), moves.v, a, z)
+
+
+def summary(stem: str, played: list[Run], bed_may_move: bool) -> str:
+    """Return what the owner does with the files of the runs, whose names begin with ``stem``."""
+    lines = [f"{stem}.{run.name}.gcode: {run.seconds + BEFORE + AFTER:.0f} s" for run in played]
+    lines.append(
+        "For each file: home, start to record all axes of the accelerometer, print the file from "
+        "SD, stop, and save the recording as recordings/RUN.csv, for example "
+        f"{played[0].name}.csv. Copy the CSV files that were written here into recordings, too"
+    )
+    if bed_may_move and any(run.axis for run in played):
+        lines.append("If the bed moves in y, screw the accelerometer to the bed for y")
+    return "\n".join(lines)
+
+
+def _pulses(
+    marlin: Marlin, a: float, most: float, reach: float, end_hz: float, rate: float
+) -> Iterator[tuple[int, float]]:
+    """Yield steps and speed of each move."""
+    belt, least = marlin.steps.belt, marlin.table.min_steps_per_segment
+    shortest = least * belt / SLOW
+    at, way, hz = 0.0, 1, START_HZ
+    while hz <= end_hz:
+        period = 1.0 / hz
+        hz += rate * period
+        rise = min(a * (period - shortest) / 2.0, most)
+        ramp = rise / a
+        hold = max((period - 2.0 * ramp - shortest) / 2.0, 0.0)  # at full speed, and as long slow
+        slow = max(least, round(SLOW * (period - 2.0 * ramp - hold) / belt))
+        fast = max(least, round((SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / belt))
+        travel = (slow + fast) * belt
+        if travel > reach:
+            continue  # too slow for the room that there is
+        if way * at + travel > reach:
+            way = -way
+        at += way * travel
+        for n, v in ((slow, SLOW), (fast, SLOW + rise)):
+            yield way * n, (round(v / belt) - 0.5) * belt  # Marlin rounds steps a second up
+
+
+def _motion(marlin: Marlin, moves: _Moves, cells: Integers, a: float) -> Array:
+    """Return the displacement (m,) in mm every 1 ms, at rest at both ends."""
+    n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
+    d = np.abs(moves.steps) * marlin.steps.belt
+    blocks = Blocks(n, d, np.floor(a * n / d))
+    v_s, v_e, seconds = marlin.planner.stroke(blocks, moves.turns, moves.v)
+    top = np.minimum(moves.v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
+    up, down = (top - v_s) / a, (top - v_e) / a
+    cruise = np.maximum(d - (v_s + top) / 2.0 * up - (v_e + top) / 2.0 * down, 0.0) / top
+    ends = np.cumsum(seconds)
+    t = np.arange(int(np.ceil(ends[-1] / TS)) + 1) * TS
+    k = np.minimum(np.searchsorted(ends, t, side="right"), len(n) - 1)
+    share = np.clip((t - (ends - seconds)[k]) / seconds[k], 0.0, 1.0)
+    tau = share * (up + cruise + down)[k]  # as if the ramps were exact
+    rising, falling = np.minimum(tau, up[k]), np.maximum(tau - (up + cruise)[k], 0.0)
+    s = v_s[k] * rising + a * rising**2 / 2.0 + top[k] * np.maximum(tau - up[k], 0.0)
+    s -= a * falling**2 / 2.0
+    made = np.cumsum(moves.steps) - moves.steps
+    way = made[k] * marlin.steps.belt + np.sign(moves.steps)[k] * np.minimum(s, d[k])
+    return np.pad(way, PAD, mode="edge")
+
+
+def _gcode(
+    printer: Printer, marlin: Marlin, run: Run, at: Array, v: Array, a: float, z: float
+) -> list[str]:
+    """Return the lines of the file. at (k,): where each move ends along the axis."""
+    axis, height = "XY"[run.axis], plain(z, 3)
+    part = ("the print head", "the bed if it moves in y, otherwise to the print head")[run.axis]
+    head = HEAD.format(
+        name=run.name, printer=printer.name, version=__version__, seconds=run.seconds, part=part,
+        z=height, axis=axis.lower(),
+    )  # fmt: skip
+    x, y = (plain(place, 3) for place in run.position)
+    corners = "X1 Y1 E1" if marlin.table.classic_jerk else "J0.3"  # to turn is to stop with either
+    fastest, most = plain(float(v.max()) + 1.0, 0), plain(a, 0)
+    begin = [
+        "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
+        f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}", "M400", "M593 F0",
+        FIXED_TIME if marlin.planner.fixed_time else RAMPED,
+        f"M201 X{most} Y{most}", f"M203 X{fastest} Y{fastest}", f"M204 P{most} T{most}",
+        f"M205 B0 S0 T0 {corners}", f"G4 P{BEFORE * 1000}",
+    ]  # fmt: skip
+    feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
+    places = (plain(place, 4) for place in at.tolist())
+    moves = [f"G1 {axis}{place} F{feed}" for place, feed in zip(places, feeds, strict=True)]
+    last = np.array([*run.position, z, 0.0])
+    last[run.axis] = at[-1]
+    state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
+    end = [line.decode() for line in marlin.end(state, last)]
+    return [OFF.decode(), *head.splitlines(), *begin, *moves, f"G4 P{AFTER * 1000}", *end]

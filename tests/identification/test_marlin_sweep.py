@@ -1,0 +1,123 @@
+"""Sweeps for Marlin: played by a simulated board, recorded by anything, identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import LimitError
+from hframe_post.identification.recordings.accelerometer import GRAVITY
+from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.marlin_sweep import PAD, played
+from hframe_post.identification.recordings.sweep import Run
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from tests.command_line import run
+from tests.conftest import few
+from tests.marlin.planner import Build, xy
+from tests.marlin.planner import Machine as Board
+from tests.printers import M503
+from tests.resonance_recordings import SENSORS
+from tests.simulator import Axis, Machine, Mode
+
+MACHINE = Machine(Axis((Mode(42.0, 0.06),)), Axis((Mode(27.0, 0.09),)), kinematics="cartesian")
+FINE = 20  # samples of a board a millisecond
+
+
+def ender(planner: str = "2.1", acceleration: float = 1500.0) -> Printer:
+    printer = load("example-ender")
+    assert printer.firmware.marlin is not None
+    return replace(
+        printer,
+        limits=replace(printer.limits, acceleration=acceleration),
+        firmware=replace(
+            printer.firmware, marlin=replace(printer.firmware.marlin, planner=planner)
+        ),
+    )
+
+
+def at(axis: int, *place: float) -> Run:
+    return Run("run", axis, (place[0], place[1]), np.zeros((1, 2)))
+
+
+def motion(text: bytes, planner: str = "2.1") -> Array:
+    """Return x and y (m, 2), mean of each millisecond, as a board of 80 steps/mm plays a file."""
+    board = Board(Build(1 / 80, 1 / 400, 1 / 93, planner=planner, cartesian=True))
+    longest = max(board.read(text), key=lambda one: one.duration)
+    assert not board.merged
+    t = np.arange(round(longest.duration / TS) * FINE) * TS / FINE
+    return np.asarray(xy(longest.cells(t), board.build).reshape(-1, FINE, 2).mean(axis=1))
+
+
+@pytest.mark.parametrize("planner", few(["2.1", "2.0", "2.1-dev", "ft-motion"], 2))
+@pytest.mark.parametrize("acceleration", few([1500.0, 500.0, 5000.0], 1))
+def test_a_board_plays_the_command(planner: str, acceleration: float) -> None:
+    """It ends within 20 ms after half a minute; the sensor's clock differs by more."""
+    one, lines = played(ender(planner, acceleration), at(0, 110.0, 110.0), 10.0)
+    made = motion("\n".join(lines).encode(), planner)
+    command = one.command[PAD:-PAD]
+    assert len(made) == pytest.approx(len(command), abs=20)
+    n = min(len(made), len(command))
+    assert np.abs(made[:n] - command[:n]).max() < 0.6  # mm; 20 ms at 30 mm/s
+    assert np.abs(made[:5000] - command[:5000]).mean() < 0.05
+
+
+def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
+    one, lines = played(ender(), at(1, 110.0, 190.0), 12.0)
+    assert np.ptp(one.command[:, 0]) == 0.0
+    assert 165.0 - 1e-9 <= one.command[:, 1].min() < one.command[:, 1].max() <= 215.0 + 1e-9
+    moves = [line for line in lines if line.startswith("G1 Y")]
+    assert len(moves) / one.seconds < 200.0
+    assert "G1 Z12 F300" in lines
+    assert lines[0] == "; hframe-post: off"  # a slicer's hook must not compensate it
+    assert "M204 P500 T500 R1000" in lines[-6:]
+    assert not any("ACCELEROMETER" in line for line in lines)
+    with pytest.raises(LimitError, match="room to either side"):
+        played(ender(), at(1, 110.0, 218.0), 12.0)
+
+
+def record(folder: Path, name: str, kind: str, seed: int) -> None:
+    """Write what a sensor of a kind records while the machine plays a file, as time, x, y, z in g.
+
+    It was started by hand, its clock is 1.5 % off, and it is turned.
+    """
+    (gcode,) = folder.glob(f"sweep.{name}.gcode")
+    still = np.ones((2000, 1))
+    made = motion(gcode.read_bytes())
+    whole = np.vstack([still * made[0], made, still * made[-1]])
+    chip = replace(SENSORS[kind], lead=3.0, drift=0.015, turned=(90.0, 3.0, 0.0))
+    found = chip.record(MACHINE, whole, seed)
+    rows = np.column_stack([found.t - found.t[0], found.a / GRAVITY])
+    recordings = folder / "recordings"
+    recordings.mkdir(exist_ok=True)
+    np.savetxt(recordings / f"{name}.csv", rows, "%.6f", ",", header="time,x,y,z", comments="")
+
+
+def test_a_marlin_owner_measures_a_bed_slinger(tmp_path: Path) -> None:
+    """With an ADXL345 on the head for x, and for y a telephone (394 samples a second) on a bed."""
+    own = tmp_path / "printer.toml"
+    home = str(tmp_path / "config")
+    for words in (
+        ("setup", M503, "-o", tmp_path),
+        ("sweep", "-p", own, "-o", tmp_path / "sweep.gcode"),
+    ):
+        done = run(*words, XDG_CONFIG_HOME=home)
+        assert done.returncode == 0, done.stderr
+    assert b"the accelerometer to the bed for y" in done.stderr
+    for name, kind, seed in (("x-at-117_5", "adxl345", 1), ("y-at-117_5", "lis2dw-394", 2)):
+        record(tmp_path, name, kind, seed)
+        command = tmp_path / f"sweep.{name}.csv"
+        assert read_command(command).shape[1] == 2
+        command.rename(tmp_path / "recordings" / command.name)
+    done = run("identify", tmp_path / "recordings", "-p", own, "-o", own)
+    assert done.returncode == 0, done.stderr
+    profile = load(str(own))
+    assert not profile.invented
+    assert profile.firmware.dialect == "marlin"
+    for G, axis in ((profile.plant.Gxx, MACHINE.x), (profile.plant.Gyy, MACHINE.y)):
+        hz = np.abs(np.log(G.poles)) / (2.0 * np.pi * TS)
+        assert np.abs(hz / axis.modes[0].hz - 1.0).min() < 0.01
