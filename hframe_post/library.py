@@ -36,7 +36,7 @@ from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
-from hframe_post.prediction.predict import contour_error as contour_error_at
+from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
 from hframe_post.stream.running import one_blas_thread
@@ -110,8 +110,7 @@ def contour_error(nozzle: ArrayLike, path: ArrayLike) -> Array:
             f"{len(actual)} samples of the nozzle do not belong to a path of {len(desired)}: the "
             "path needs as many samples of rest before it as after it"
         )
-    at = np.arange(len(desired))
-    return contour_error_at(desired, actual[r : r + len(desired)], at)
+    return off_path(desired, actual[r : r + len(desired)])
 
 
 # ---------------------------------------------------------------------- files

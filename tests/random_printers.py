@@ -94,8 +94,7 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
     for name in ("none", "racking"):
         command = np.concatenate([chunk.commands[name] for chunk in chunks])
         nozzle = np.vstack([command[:1], machine.played(command)[:, :2]])
-        at = np.arange(len(wanted))
-        errors[name] = float(np.sqrt((contour_error(wanted, nozzle, at)[moving] ** 2).mean()))
+        errors[name] = float(np.sqrt((contour_error(wanted, nozzle)[moving] ** 2).mean()))
     return Errors(1e3 * errors["none"], 1e3 * errors["racking"])
 
 
@@ -105,7 +104,7 @@ def traced(machine: Machine, path: Array, command: Array) -> float:
     part = motion_of(path)
     moving = np.zeros(len(path), dtype=bool)
     moving[part] = (np.diff(path[part], axis=0, append=path[-1:]) != 0.0).any(axis=1)
-    error = contour_error(path, nozzle, np.arange(len(path)))[moving]
+    error = contour_error(path, nozzle)[moving]
     return 1e3 * float(np.sqrt((error**2).mean()))
 
 

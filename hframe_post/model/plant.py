@@ -12,7 +12,7 @@ from itertools import chain
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y, Z
+from hframe_post.arrays import Array, X, Y
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native import kernel
 
@@ -63,19 +63,22 @@ class Response:
 
     def run(self, command: Array) -> Array:
         """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
-        return self.motion(command)[:, :Z]
+        return self._motion(command, 2)
 
     def motion(self, command: Array) -> Array:
         """Return the nozzle's x, y and the gantry's θ, (n, 3), likewise: eq. 1 and 2."""
+        return self._motion(command, 3)
+
+    def _motion(self, command: Array, columns: int) -> Array:
         if (compiled := kernel("response")) is not None:
-            command, motion = np.ascontiguousarray(command), np.empty((len(command), 3))
+            command, motion = np.ascontiguousarray(command), np.empty((len(command), columns))
             filters = ((f.sections, len(f.sections), f.state) for f in self._filters)
             places = *self._origin.tolist(), self._x_c
-            compiled(*chain(*filters), *places, command, len(command), motion)
+            compiled(*chain(*filters), *places, command, len(command), motion, columns)
             return motion
         Gxx, Gyy, Gxtheta = self._filters
         u = command - self._origin
         x = Gxx.run(u[:, X]) + self._origin[X]
         theta = Gxtheta.run(u[:, X])
         y = Gyy.run(u[:, Y]) + self._origin[Y] + (x - self._x_c) * theta
-        return np.column_stack([x, y, theta])
+        return np.column_stack([x, y, theta][:columns])

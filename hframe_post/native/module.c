@@ -11,10 +11,12 @@
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
     EACH(command_lines)                                                                       \
+    EACH(count_turns)                                                                         \
     EACH(deviation)                                                                           \
     EACH(filtered)                                                                            \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(plain_moves)                                                                         \
     EACH(product)                                                                             \

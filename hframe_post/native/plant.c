@@ -36,20 +36,22 @@ static int64_t filtered(const double *sections, int64_t count, double *state, co
 LOOP(filtered, FLOATS(0, COEFFICIENTS * WHOLE(1)), WHOLE(1), OUT_FLOATS(2, STATES * WHOLE(1)),
      FLOATS(3, WHOLE(4)), WHOLE(4), OUT_FLOATS(5, WHOLE(4)))
 
-/* command (n, 2) from a standstill at ox, oy; motion (n, 3): x, y, theta. */
+/* command (n, 2) from a standstill at ox, oy; motion (n, columns): x, y and, in a third, theta. */
 static int64_t response(const double *x_sections, int64_t x_count, double *x_state,
                         const double *y_sections, int64_t y_count, double *y_state,
                         const double *t_sections, int64_t t_count, double *t_state, double ox,
-                        double oy, double x_c, const double *command, int64_t n, double *motion)
+                        double oy, double x_c, const double *command, int64_t n, double *motion,
+                        int64_t columns)
 {
     struct cascade Gxx = {x_sections, x_count, x_state}, Gyy = {y_sections, y_count, y_state},
                    Gxtheta = {t_sections, t_count, t_state};
     for (int64_t i = 0; i < n; i++) {
         double u = command[2 * i] - ox, v = command[2 * i + 1] - oy;
         double x = next(Gxx, u) + ox, theta = next(Gxtheta, u);
-        motion[3 * i] = x;
-        motion[3 * i + 1] = next(Gyy, v) + oy + (x - x_c) * theta;
-        motion[3 * i + 2] = theta;
+        double *row = motion + columns * i;
+        row[0] = x, row[1] = next(Gyy, v) + oy + (x - x_c) * theta;
+        if (columns > 2)
+            row[2] = theta;
     }
     return n;
 }
@@ -57,4 +59,4 @@ static int64_t response(const double *x_sections, int64_t x_count, double *x_sta
 #define CASCADE(k)                                                                            \
     FLOATS(k, COEFFICIENTS * WHOLE(k + 1)), WHOLE(k + 1), OUT_FLOATS(k + 2, STATES * WHOLE(k + 1))
 LOOP(response, CASCADE(0), CASCADE(3), CASCADE(6), REAL(9), REAL(10), REAL(11),
-     FLOATS(12, 2 * WHOLE(13)), WHOLE(13), OUT_FLOATS(14, 3 * WHOLE(13)))
+     FLOATS(12, 2 * WHOLE(13)), WHOLE(13), OUT_FLOATS(14, WHOLE(15) * WHOLE(13)), WHOLE(15))

@@ -104,7 +104,7 @@ def path(printer: Printer) -> Array:
 def contour(plant: Plant, xy: Array, command: Array) -> tuple[Array, Array]:
     """Return the nozzle (k, 2) under a command (k, 2), and its contour error (k,), mm."""
     nozzle = Response(plant, xy[0]).run(command)
-    return nozzle, contour_error(xy, nozzle, np.arange(len(xy)))
+    return nozzle, contour_error(xy, nozzle)
 
 
 def approximations(plant: Plant, xy: Array) -> list[Approximation]:

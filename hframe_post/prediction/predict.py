@@ -18,7 +18,7 @@ from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import NEAREST
 from hframe_post.native import kernel
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.chunks import stretches, with_neighbours
+from hframe_post.stream.chunks import neighbours, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
 
@@ -56,29 +56,38 @@ class Judgement:
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
     """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
     for stretch in stretches(chunks):
-        predicted: deque[tuple[Samples, dict[str, Array]]] = deque()
-        paths = _paths(predict(stretch, plant), predicted)
-        for _, wide, where in with_neighbours(paths, NEAREST, NEAREST + 1):
-            chunk, motion = predicted.popleft()
-            first = -chunk.first % every
-            moving, extruding = (flags[where][first::every] for flags in in_motion(wide.xyze))
-            here, path = np.arange(first, len(chunk), every), wide.xyze[:, :Z]
-            off = {
-                name: deviation(path, xy[first::every], where.start + here)[moving]
-                for name, xy in motion.items()
-            }
+        motions: deque[dict[str, Array]] = deque()
+        for before, chunk, after in neighbours(
+            _noted(predict(stretch, plant), motions), NEAREST, NEAREST + 1
+        ):
+            motion, start = motions.popleft(), sum(map(len, before))
+            xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])
+            first, stop = start + -chunk.first % every, start + len(chunk)
+            at, extruding = _moving(xyze[:stop], first, every)
+            path = Polyline(xyze)
+            off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
             contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
-            yield Judgement(chunk, here[moving], extruding[moving], contour, off, motion)
+            yield Judgement(chunk, at - start, extruding, contour, off, motion)
 
 
-def _paths(
-    predicted: Iterable[tuple[Samples, dict[str, Array]]],
-    taken: deque[tuple[Samples, dict[str, Array]]],
+def _noted(
+    predicted: Iterable[tuple[Samples, dict[str, Array]]], motions: deque[dict[str, Array]]
 ) -> Iterator[Samples]:
-    """Yield the path alone of each chunk; put the chunk with its motion on ``taken``."""
+    """Yield the chunks; put their motions on ``motions``."""
     for chunk, motion in predicted:
-        taken.append((chunk, motion))
-        yield replace(chunk, events=(), commands={})
+        motions.append(motion)
+        yield chunk
+
+
+def _moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
+    """Return which of every n-th sample from ``first`` on are in motion, and which extrude, (k,)."""
+    if (compiled := kernel("moving")) is not None:
+        at, extruding = np.empty(len(xyze), np.int64), np.empty(len(xyze), bool)
+        count = compiled(xyze, len(xyze), first, every, at, extruding)
+        return at[:count], extruding[:count]
+    at = np.arange(first, len(xyze), every)
+    moving, extruding = (flags[at] for flags in in_motion(xyze))
+    return at[moving], extruding[moving]
 
 
 def in_motion(xyze: Array) -> tuple[Flags, Flags]:
@@ -123,53 +132,66 @@ COARSE = 3  # samples from one candidate to the next in the first search
 STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
 
 
-def contour_error(path: Array, actual: Array, at: Integers) -> Array:
-    """Return the distance (n,) of the points ``actual`` (n, 2) to the path: see ``deviation``."""
-    return np.sqrt(_square(deviation(path, actual, at)))
+def contour_error(path: Array, nozzle: Array, at: Integers | None = None) -> Array:
+    """Return the distance (k,) of the nozzle (p, 2) to the path (p, 2) at samples (k,), or all."""
+    at = np.arange(len(path)) if at is None else at
+    return np.sqrt(_square(Polyline(path).deviation(nozzle, at)))
 
 
-def deviation(path: Array, actual: Array, at: Integers) -> Array:
-    """Return the shortest way (n, 2) from the path to each of the points ``actual`` (n, 2).
+class Polyline:
+    """The path through the desired samples (p, ≥2), x and y first."""
 
-    path (p, 2): the desired samples; at (n,): which of them belongs to each point. The path
-    is the polyline through its samples within NEAREST of that. Where this is a straight line,
-    the distance is that to the line; elsewhere the nearest sample is found first, then the
-    nearer of the two segments that meet there.
-    """
-    px, py = np.ascontiguousarray(path[:, X]), np.ascontiguousarray(path[:, Y])
-    ax, ay = np.ascontiguousarray(actual[:, X]), np.ascontiguousarray(actual[:, Y])
-    n, p = len(ax), len(px)
-    if (compiled := kernel("deviation")) is not None:
-        off, room = np.empty((n, 2)), np.empty(p + 1, np.int64)
-        compiled(px, py, p, ax, ay, at, n, NEAREST, COARSE, STRAIGHT, off, room)
+    def __init__(self, path: Array) -> None:
+        self._path = np.ascontiguousarray(path)
+        self._turns = _count_turns(self._path)
+
+    def deviation(self, nozzle: Array, at: Integers, first: int = 0) -> Array:
+        """Return the shortest way (k, 2) from the path to the nozzle at its samples ``at`` (k,).
+
+        nozzle (n, ≥2): at samples first … first + n − 1, x and y first. The path counts within
+        NEAREST of each. Where it is a straight line, the distance is that to the line; elsewhere
+        the nearest sample is found first, then the nearer of the two segments that meet there.
+        """
+        p = len(self._path)
+        if (compiled := kernel("deviation")) is not None:
+            nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
+            of_path = self._path, self._path.shape[1], p, self._turns
+            of_nozzle = nozzle, nozzle.shape[1], len(nozzle), first
+            compiled(*of_path, *of_nozzle, at, len(at), NEAREST, COARSE, off)
+            return off
+        px, py, turns = self._path[:, X], self._path[:, Y], self._turns
+        ax, ay = nozzle[at - first, :Z].T
+        low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
+        off = _from_segment(ax, ay, px[low], py[low], px[high], py[high])
+        bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
+        ax, ay, at = ax[bent], ay[bent], at[bent]
+        coarse = _nearest(px, py, ax, ay, [at + k for k in range(-NEAREST, NEAREST + 1, COARSE)])
+        # next what was left out: around the result, and around the sample of the same time, which
+        # is right at sharp corners if the nozzle follows well
+        k = _nearest(px, py, ax, ay, [coarse - 1, coarse, coarse + 1, at - 1, at, at + 1])
+        k = np.clip(k, 0, p - 1)
+        before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
+        x, y = px[k], py[k]
+        one = _from_segment(ax, ay, x, y, px[before], py[before])
+        other = _from_segment(ax, ay, x, y, px[after], py[after])
+        nearer = _square(one) < _square(other)
+        off[bent] = np.where(nearer[:, None], one, other)
         return off
-    low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
-    turns = np.concatenate([[0], np.cumsum(_turns(px, py))])
-    off = _from_segment(ax, ay, px[low], py[low], px[high], py[high])
-    bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
-    ax, ay, at = ax[bent], ay[bent], at[bent]
-    coarse = _nearest(px, py, ax, ay, [at + k for k in range(-NEAREST, NEAREST + 1, COARSE)])
-    # next what was left out: around the result, and around the sample of the same time, which is
-    # right at sharp corners if the nozzle follows well
-    k = _nearest(px, py, ax, ay, [coarse - 1, coarse, coarse + 1, at - 1, at, at + 1])
-    k = np.clip(k, 0, p - 1)
-    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
-    x, y = px[k], py[k]
-    one = _from_segment(ax, ay, x, y, px[before], py[before])
-    other = _from_segment(ax, ay, x, y, px[after], py[after])
-    nearer = _square(one) < _square(other)
-    off[bent] = np.where(nearer[:, None], one, other)
-    return off
 
 
-def _turns(px: Array, py: Array) -> Flags:
-    """Return at which of its p samples the path changes its direction."""
-    dx, dy = np.diff(px), np.diff(py)
+def _count_turns(path: Array) -> Integers:
+    """Return how many samples before each, (p + 1,), change the path's direction."""
+    turns = np.zeros(len(path) + 1, np.int64)
+    if (compiled := kernel("count_turns")) is not None:
+        compiled(path, path.shape[1], len(path), STRAIGHT, turns)
+        return turns
+    dx, dy = np.diff(path[:, X]), np.diff(path[:, Y])
     cross, dot = dx[:-1] * dy[1:] - dy[:-1] * dx[1:], dx[:-1] * dx[1:] + dy[:-1] * dy[1:]
     still = (dx == 0.0) & (dy == 0.0)
     turning = (np.abs(cross) > STRAIGHT * np.abs(dot)) | (dot < 0.0)
-    turns = np.ones(len(px), dtype=bool)
-    turns[1:-1] = turning | (still[:-1] != still[1:])
+    changes = np.ones(len(path), dtype=bool)
+    changes[1:-1] = turning | (still[:-1] != still[1:])
+    np.cumsum(changes, out=turns[1:])
     return turns
 
 

@@ -1,7 +1,7 @@
 """Running error statistics of a stream: overall, by layer and by feature.
 
 Memory does not grow with the length of the print: each layer and feature has sums, peaks and a
-histogram with fine logarithmic bins.
+histogram with fine bins.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from hframe_post.arrays import Array, E, Flags, Integers
 from hframe_post.stream.features import Place
 from hframe_post.stream.types import Mark, Passthrough, Pause, Samples
 
-BINS_PER_E = 100  # 1 % each, the accuracy of the percentiles
-BINS = 22 * BINS_PER_E  # up to 0.3 m
-SMALLEST = 1e-7  # mm; smaller errors share the first bin
+# Bins of the percentiles: the leading bits of a float64, which grow with its value, so that no
+# logarithm is needed. 128 bins are an octave.
+BIN_BITS = 52 - 7
+SMALLEST = 2.0**-20  # mm; smaller errors share the first bin
+BINS = 28 * 128  # up to 256 mm
+_FIRST = int(np.float64(SMALLEST).view(np.int64)) >> BIN_BITS
 DECIMALS = 4
 BEFORE = "before the first"  # layer or feature that no comment precedes
 TRAVEL = "TRAVEL"  # motion without extrusion, whatever feature the comments name
@@ -90,10 +93,10 @@ class ErrorStatistics:
     def add(self, errors: Array) -> None:
         """Add the next errors, (n,), none negative."""
         if len(errors):
-            bins = BINS_PER_E * np.log(np.maximum(errors, SMALLEST) / SMALLEST)
-            bins = np.minimum(bins.astype(np.int64), BINS - 1)
+            bins = (np.maximum(errors, SMALLEST).view(np.int64) >> BIN_BITS) - _FIRST
+            np.minimum(bins, BINS - 1, out=bins)
             self.count += len(errors)
-            self.squares += float(errors @ errors)
+            self.squares += float(np.square(errors).sum())
             self.peak = max(self.peak, float(errors.max()))
             self.histogram += np.bincount(bins, minlength=BINS).astype(np.int32)
 
@@ -112,7 +115,8 @@ class ErrorStatistics:
         if not self.count:
             return 0.0
         k = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
-        return min(SMALLEST * float(np.exp((k + 1) / BINS_PER_E)), self.peak)
+        end = np.int64((k + 1 + _FIRST) << BIN_BITS).view(np.float64)
+        return min(float(end), self.peak)
 
     def micrometres(self) -> dict[str, float]:
         values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}

@@ -59,6 +59,15 @@ def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
     """Yield each chunk, a wider one with samples before and after it, and its slice there."""
+    for past, chunk, following in neighbours(chunks, before, after):
+        start = sum(map(len, past))
+        yield chunk, join([*past, chunk, *following]), slice(start, start + len(chunk))
+
+
+def neighbours(
+    chunks: Iterable[Samples], before: int, after: int
+) -> Iterator[tuple[list[Samples], Samples, list[Samples]]]:
+    """Yield each chunk between the pieces of others before it and after it."""
     past: list[Samples] = []
     waiting: list[Samples] = []
     for chunk in chain(chunks, [None]):
@@ -66,11 +75,8 @@ def with_neighbours(
             waiting.append(chunk)
         while waiting and (chunk is None or sum(map(len, waiting[1:])) >= after):
             current = waiting.pop(0)
-            wide = join([*past, current, *_first(waiting, after)])
-            start = sum(map(len, past))
-            end = start + len(current)
+            yield past, current, list(_first(waiting, after))
             past = list(_last([*past, current], before))
-            yield current, wide, slice(start, end)
 
 
 def _first(chunks: list[Samples], n: int) -> Iterator[Samples]:

@@ -22,7 +22,7 @@ from hframe_post.firmware.klipper import segments
 from hframe_post.model.linear import product, recursion
 from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import profiles, sampling
-from hframe_post.prediction.predict import deviation
+from hframe_post.prediction.predict import Polyline
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Plan
 from hframe_post.writers.stream import digits
@@ -75,9 +75,12 @@ def test_deviation(compiled: None, seed: int, n: int, every: int, power: float) 
     rng = np.random.default_rng(seed)
     path = walk(rng, n)
     at = np.arange(int(rng.integers(0, n)), n, every)
-    actual = path[at] + rng.normal(0.0, 10.0**power, (len(at), 2))
-    plain = in_numpy(deviation, path, actual, at)
-    same(deviation(path, actual, at), plain)
+    nozzle = path + rng.normal(0.0, 10.0**power, (n, 2))
+
+    def deviation() -> Array:
+        return Polyline(path).deviation(nozzle[at[0] :], at, int(at[0]))
+
+    same(deviation(), in_numpy(deviation))
 
 
 @pytest.mark.parametrize("racks", [True, False])

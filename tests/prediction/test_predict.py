@@ -65,8 +65,7 @@ def test_contour_error_is_the_distance_to_the_path(seed: int, every: int) -> Non
     rng = np.random.default_rng(seed)
     at = np.arange(30, len(path) - 30, every)
     wobble = np.cumsum(rng.normal(size=(len(path), 2)), axis=0) * 2e-4
-    actual = (path + wobble)[at]
-    got = contour_error(path, actual, at)
+    got, actual = contour_error(path, path + wobble, at), (path + wobble)[at]
     widest = brute_force(path, actual, at, NEAREST + 2)
     assert (got >= widest - 1e-12).all()
     assert (got <= np.hypot(*(actual - path[at]).T) + 1e-12).all()
@@ -76,14 +75,15 @@ def test_contour_error_is_the_distance_to_the_path(seed: int, every: int) -> Non
 def test_lag_along_the_path_is_not_a_contour_error() -> None:
     path = np.column_stack([np.arange(400) * 0.06, np.zeros(400)])
     at = np.arange(40, 360)
-    np.testing.assert_allclose(contour_error(path, path[at - 8], at), 0.0, atol=1e-12)
-    np.testing.assert_allclose(contour_error(path, path[at - 8] + [0, 0.01], at), 0.01)
+    late = np.roll(path, 8, axis=0)
+    np.testing.assert_allclose(contour_error(path, late, at), 0.0, atol=1e-12)
+    np.testing.assert_allclose(contour_error(path, late + np.array([0, 0.01]), at), 0.01)
 
 
 def test_overshoot_beyond_the_end_of_a_line_counts() -> None:
     path = np.column_stack([np.minimum(np.arange(200) * 0.05, 5.0), np.zeros(200)])
     at = np.arange(150, 170)
-    actual = np.tile([5.2, 0.0], (20, 1))
+    actual = np.tile([5.2, 0.0], (200, 1))
     np.testing.assert_allclose(contour_error(path, actual, at), 0.2)
 
 

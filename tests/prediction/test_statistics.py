@@ -11,15 +11,14 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import (
-    BINS_PER_E,
     SMALLEST,
     ErrorStatistics,
     Figures,
 )
 
-ERRORS = st.lists(st.floats(0.0, 300.0), min_size=1, max_size=60).map(np.array)
+ERRORS = st.lists(st.floats(0.0, 250.0), min_size=1, max_size=60).map(np.array)
 CUTS = st.lists(st.integers(0, 60), max_size=5)
-BIN = np.exp(1.0 / BINS_PER_E)
+BIN = 1.0 + 1.0 / 128.0
 
 
 def statistics(errors: Array, cuts: list[int] | None = None) -> ErrorStatistics:

@@ -162,12 +162,14 @@ def judge(
     inside[part] = True
     moving = np.zeros(len(wanted), dtype=bool)
     moving[part] = (np.diff(wanted[part], axis=0, append=wanted[-1:]) != 0.0).any(axis=1)
-    at = np.arange(len(wanted))
     a_path = np.column_stack([acceleration(wanted[:, k]) for k in (X, Y)])
     after = after_corners(wanted) & inside
     measured, predicted, ringing = [], [], []
     errors = [
-        [1e3 * contour_error(wanted, place, at)[moving] for place in (run.place, run.predicted)]
+        [
+            1e3 * contour_error(wanted, place, np.flatnonzero(moving))
+            for place in (run.place, run.predicted)
+        ]
         for run in runs
     ]
     for run, (real, model) in zip(runs, errors, strict=True):

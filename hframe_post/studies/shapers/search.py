@@ -63,7 +63,7 @@ def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
     for path, counted in paths:
         command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
         at = np.flatnonzero(counted)
-        off.append(contour_error(path, Response(plant, path[0]).run(command)[at], at))
+        off.append(contour_error(path, Response(plant, path[0]).run(command), at))
     return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
 
 
