@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from hframe_post.arrays import TS, Array, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.plant import Plant
+from hframe_post.native import kernel
 from hframe_post.printer.settings import Limits, Motors, Printer, Travel
 from hframe_post.stream.chunks import stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
@@ -72,16 +74,23 @@ def check_deviation(chunks: Iterable[Samples], strategy: str, most: float) -> It
     for chunk in chunks:
         if len(chunk):
             command = chunk.commands[strategy]
-            dx, dy = (command[:, axis] - chunk.xyze[:, axis] for axis in (X, Y))
-            off2 = dx * dx + dy * dy
-            if not off2.max() <= most * most:
-                k = int(off2.argmax())
+            k = _farthest(chunk.xyze, command)
+            off = float(np.hypot(*(command[k] - chunk.xyze[k, :Z])))
+            if not off <= most:
                 raise HframeError(
                     f"line {int(chunk.line[k])}: the compensation would move the nozzle "
-                    f"{np.sqrt(off2[k]):.1f} mm off its path; the lag of the model explains at "
+                    f"{off:.1f} mm off its path; the lag of the model explains at "
                     f"most {most:.1f} mm. Probably {ADVICE}"
                 )
         yield chunk
+
+
+def _farthest(xyze: Array, command: Array) -> int:
+    """Return the sample whose command is farthest from the path, or one without a number."""
+    if (compiled := kernel("farthest")) is not None:
+        return compiled(xyze, np.ascontiguousarray(command), len(command))
+    dx, dy = (command[:, axis] - xyze[:, axis] for axis in (X, Y))
+    return int((dx * dx + dy * dy).argmax())
 
 
 def check_prediction(rms: float) -> None:
@@ -116,7 +125,16 @@ class Guard:
     ) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
         self._clamped = clamped
-        self.peaks = Peaks()
+        axes = ((low - SLACK, high + SLACK) for low, high in (travel.z, travel.x, travel.y))
+        belts = motors.belt_velocity * LEEWAY, motors.belt_acceleration * LEEWAY
+        self._limits = np.array([*chain(*axes), *belts])
+        self._peaks = np.zeros(4)
+
+    @property
+    def peaks(self) -> Peaks:
+        """Return the greatest rates so far."""
+        velocity, acceleration, x, y = self._peaks.tolist()
+        return Peaks(velocity, acceleration, (x, y))
 
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
         """Yield the chunks. Raise LimitError for an unsafe command, HframeError for a bug."""
@@ -125,22 +143,25 @@ class Guard:
             differences = Differences(self._kinematics)
             for chunk in stretch:
                 command = chunk.commands[strategy]
-                _check_sound(chunk, command, end)
+                _check_order(chunk, end)
                 end = chunk.end
-                if len(chunk):
+                if len(chunk) and not self._safe(chunk, command, differences):
+                    _check_finite(chunk, command)
                     _check_travel(chunk, command, self._travel)
                     rates = differences.rates(command)
                     _check_motors(chunk, rates, self._motors, self._clamped)
-                    self._note(rates)
+                    here = rates.belt_velocity, rates.belt_acceleration, *rates.axis_acceleration
+                    self._peaks = np.maximum(self._peaks, [_greatest(rate) for rate in here])
                 yield chunk
 
-    def _note(self, rates: Rates) -> None:
-        x, y = (_greatest(axis) for axis in rates.axis_acceleration)
-        known = self.peaks
-        self.peaks = Peaks(
-            max(known.belt_velocity, _greatest(rates.belt_velocity)),
-            max(known.belt_acceleration, _greatest(rates.belt_acceleration)),
-            (max(known.axis_acceleration[0], x), max(known.axis_acceleration[1], y)),
+    def _safe(self, chunk: Samples, command: Array, differences: Differences) -> bool:
+        """Return whether the compiled loop finds the command safe; then note its rates."""
+        if (compiled := kernel("safe")) is None:
+            return False
+        command, before = np.ascontiguousarray(command), differences.before(command)
+        limits, belts = self._limits, self._kinematics.matrix
+        return bool(
+            compiled(chunk.xyze, command, len(command), before, limits, belts, TS, self._peaks)
         )
 
 
@@ -148,15 +169,20 @@ def _greatest(values: Array) -> float:
     return max(float(values.max()), -float(values.min()))
 
 
-def _check_sound(chunk: Samples, command: Array, first: int | None) -> None:
-    fault = "line {}: the command computed here {}; nothing was written. Please report this bug"
+FAULT = "line {}: the command computed here {}; nothing was written. Please report this bug"
+
+
+def _check_order(chunk: Samples, first: int | None) -> None:
     places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
     if (first is not None and chunk.first != first) or places != sorted(places):
         line = int(chunk.line[0]) if len(chunk) else 0
-        raise HframeError(fault.format(line, "goes back in time"))
-    if not (np.isfinite(command).all() and np.isfinite(chunk.xyze).all()):
-        finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
-        raise HframeError(fault.format(int(chunk.line[np.argmin(finite)]), "is not a number"))
+        raise HframeError(FAULT.format(line, "goes back in time"))
+
+
+def _check_finite(chunk: Samples, command: Array) -> None:
+    finite = np.isfinite(command).all(axis=1) & np.isfinite(chunk.xyze).all(axis=1)
+    if not finite.all():
+        raise HframeError(FAULT.format(int(chunk.line[np.argmin(finite)]), "is not a number"))
 
 
 def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:

@@ -93,16 +93,20 @@ class Differences:
         self._kinematics = kinematics
         self._before: Array | None = None
 
+    def before(self, command: Array) -> Array:
+        """Return the two samples before the next ones, (2, 2), which are the command (n, 2)."""
+        if self._before is None:
+            self._before = command[:1].repeat(2, axis=0)
+        return self._before
+
     def rates(self, command: Array) -> Rates:
         """Return the rates at the next samples of the command (n, 2), mm."""
         if not len(command):
             nothing = np.zeros((2, 0))
             return Rates(nothing, nothing, nothing)
-        if self._before is None:
-            self._before = command[:1].repeat(2, axis=0).T
-        known = np.concatenate([self._before, command.T], axis=1)
-        self._before = known[:, -2:].copy()
-        velocity = np.diff(known)[:, 1:] / TS
-        acceleration = np.diff(known, n=2) / TS**2
+        known = np.concatenate([self.before(command), command])
+        self._before = known[-2:]
+        velocity = np.diff(known.T)[:, 1:] / TS
+        acceleration = np.diff(known.T, n=2) / TS**2
         belts = self._kinematics.belts
         return Rates(belts(*velocity), belts(*acceleration), acceleration)

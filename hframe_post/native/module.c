@@ -13,6 +13,7 @@
     EACH(command_lines)                                                                       \
     EACH(count_turns)                                                                         \
     EACH(deviation)                                                                           \
+    EACH(farthest)                                                                            \
     EACH(filtered)                                                                            \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
@@ -21,7 +22,8 @@
     EACH(plain_moves)                                                                         \
     EACH(product)                                                                             \
     EACH(recursion)                                                                           \
-    EACH(response)
+    EACH(response)                                                                            \
+    EACH(safe)
 
 enum { MOST_ARGUMENTS = 32 };
 

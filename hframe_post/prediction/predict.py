@@ -80,7 +80,7 @@ def _noted(
 
 
 def _moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
-    """Return which of every n-th sample from ``first`` on are in motion, and which extrude, (k,)."""
+    """Return which of every n-th sample from ``first`` on move, and which of them extrude, (k,)."""
     if (compiled := kernel("moving")) is not None:
         at, extruding = np.empty(len(xyze), np.int64), np.empty(len(xyze), bool)
         count = compiled(xyze, len(xyze), first, every, at, extruding)

@@ -13,18 +13,22 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hframe_post import native
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array
+from hframe_post.compensation.guard import Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
+from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper import segments
 from hframe_post.model.linear import product, recursion
 from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import profiles, sampling
-from hframe_post.prediction.predict import Polyline
+from hframe_post.prediction.predict import Polyline, _moving
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Plan
+from hframe_post.stream.chunks import batches
+from hframe_post.stream.types import Plan, Samples
 from hframe_post.writers.stream import digits
 from tests.conftest import SAMPLES
 from tests.random_paths import wander
@@ -35,7 +39,7 @@ thorough = settings(
 )
 
 
-def same(one: Array | Integers, other: Array | Integers) -> None:
+def same(one: NDArray[Any], other: NDArray[Any]) -> None:
     assert one.dtype == other.dtype
     assert one.shape == other.shape
     assert one.tobytes() == other.tobytes()
@@ -81,6 +85,32 @@ def test_deviation(compiled: None, seed: int, n: int, every: int, power: float) 
         return Polyline(path).deviation(nozzle[at[0] :], at, int(at[0]))
 
     same(deviation(), in_numpy(deviation))
+    xyze = np.column_stack([path, path])
+    for one, other in zip(_moving(xyze, 1, every), in_numpy(_moving, xyze, 1, every), strict=True):
+        same(one, other)
+
+
+@thorough
+@given(seeds, st.sampled_from([np.nan, np.inf, 0.01, 5.0, 300.0]), st.booleans())
+def test_guard(paper: Printer, compiled: None, seed: int, odd: float, in_z: bool) -> None:
+    """Safe or not, the same is known of the command, and the same said of it."""
+    rng = np.random.default_rng(seed)
+    path = np.tile([150.0, 80.0, 0.2, 0.0], (300, 1))
+    path[:, :2] += walk(rng, 300)
+    command = path[:, :2] + rng.normal(0.0, 1e-3, (300, 2))
+    (path[:, 2:] if in_z else command)[rng.integers(0, 300), 0] += odd
+    whole = Samples(0, path, np.arange(300), (), {"racking": command})
+
+    def outcome() -> str | tuple[Peaks, int]:
+        guard = Guard(paper.travel, paper.motors, paper.kinematics)
+        try:
+            for _ in guard.check(batches([whole], 77), "racking"):
+                pass
+        except HframeError as error:
+            return str(error)
+        return guard.peaks, _farthest(path, command)
+
+    assert outcome() == in_numpy(outcome)
 
 
 @pytest.mark.parametrize("racks", [True, False])
