@@ -17,13 +17,18 @@
     EACH(filtered)                                                                            \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(lower)                                                                               \
+    EACH(misses)                                                                              \
     EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
+    EACH(phases)                                                                              \
     EACH(plain_moves)                                                                         \
     EACH(product)                                                                             \
+    EACH(ramps)                                                                               \
     EACH(recursion)                                                                           \
     EACH(response)                                                                            \
-    EACH(safe)
+    EACH(safe)                                                                                \
+    EACH(stand)
 
 enum { MOST_ARGUMENTS = 32 };
 

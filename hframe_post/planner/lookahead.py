@@ -25,6 +25,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
+from hframe_post.native import kernel
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
@@ -215,9 +216,9 @@ def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integ
     s = moves.s[ends]
     speed = np.sqrt(v2[ends])
     length, acceleration, j = np.diff(s), a[ends[:-1]], FEASIBLE * jerk
-    _lower(speed[::-1], length[::-1], acceleration[::-1], j)
+    _lower(speed, length, acceleration, j, from_end=True)
     speed[0] = caps[0]  # final before, with the share of FEASIBLE to spare
-    _lower(speed, length, acceleration, j)
+    _lower(speed, length, acceleration, j, from_end=False)
     return ends, speed
 
 
@@ -235,8 +236,14 @@ def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
     return limiting
 
 
-def _lower(speed: Array, length: Array, acceleration: Array, jerk: float) -> None:
-    """Lower speed[i + 1] to what can be reached from speed[i], along the whole chain."""
+def _lower(speed: Array, length: Array, acceleration: Array, jerk: float, from_end: bool) -> None:
+    """Lower speeds to what can be reached along the whole chain from its start, or its end."""
+    if (compiled := kernel("lower")) is not None:
+        new = np.ones(len(speed), bool)
+        compiled(speed, length, acceleration, len(length), jerk, from_end, new)
+        return
+    if from_end:
+        speed, length, acceleration = speed[::-1], length[::-1], acceleration[::-1]
     active = np.arange(len(length))
     while len(active):
         top = reachable_speed(speed[active], length[active], acceleration[active], jerk)
@@ -260,8 +267,11 @@ def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) 
     # never at full acceleration: u³ + 2·v0·u − length·√j = 0 with u = √Δ
     q = length * math.sqrt(j)
     p = np.maximum(2.0 * v0, 1e-12)
-    r = np.sqrt(p / 3.0)
-    u = 2.0 * r * np.sinh(np.arcsinh(1.5 * q / (p * r)) / 3.0)
+    fourth = np.sqrt(np.sqrt(q))
+    sixteenth = np.sqrt(np.sqrt(fourth))
+    u = np.minimum(fourth * sixteenth * np.sqrt(np.sqrt(sixteenth)), q / p)  # within a half
+    for _ in range(5):  # Newton's steps to the last digit, since libraries' cube roots differ
+        u = (2.0 * u * u * u + q) / (3.0 * u * u + p)
     return v0 + np.where(full >= a * a / j, full, np.minimum(u * u, a * a / j))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native import kernel
@@ -69,14 +69,19 @@ class Profiler:
         Points of rest are put on whole samples. Raises HframeError as ``profiles`` does.
         """
         t, j = self.profiles(plan, jerk)
+        at_ends = plan.s[plan.ends]
+        if (compiled := kernel("phases")) is not None:
+            room, last = np.empty(6 * t.size), np.empty(1)
+            p = compiled(t, j, plan.speed, at_ends, len(t), clock, TS, room, last)
+            return Phases(room[: 6 * p].reshape(6, p)), float(last[0])
         a, v, steps = integrate(t, j, plan.speed[:-1])
-        end = clock + np.cumsum(t.sum(axis=1))
-        wait = np.zeros(len(end))  # standstill after a run, to the next whole sample
+        end = clock + np.cumsum(np.cumsum(t, axis=1)[:, -1])
+        wait = np.zeros(len(end))  # standstill after runs so far, to whole samples
         for run in np.flatnonzero(plan.speed[1:] == 0.0):  # few: corners without speed
-            arrival = end[run] + wait[:run].sum()
-            wait[run] = max(samples_until(arrival) - arrival / TS, 0.0) * TS
-        start = np.concatenate([[clock], end + np.cumsum(wait)])
-        s = plan.s[plan.ends[:-1], None] + _exclusive(np.cumsum(steps, axis=1))
+            arrival = end[run] + wait[run]
+            wait[run:] += max(samples_until(arrival) - arrival / TS, 0.0) * TS
+        start = np.concatenate([[clock], end + wait])
+        s = at_ends[:-1, None] + _exclusive(np.cumsum(steps, axis=1))
         time = start[:-1, None] + _exclusive(np.cumsum(t, axis=1))
         keep = t.ravel() > 0.0
         table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
@@ -102,16 +107,18 @@ class Profiler:
         # power of two changes no digit.
         ramp = (1.0 - 1e-9) * t.sum(axis=1)
         for unit in (1.0, 16.0):
+            if not len(free):
+                break
             self._input.max_jerk = [jerk / unit]
             solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
-            if solved:
-                chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
-                chosen_j[free] *= unit
+            chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
+            chosen_j[free] *= unit
             slow = (ramp[free] > 0.0) & (chosen_t[free].sum(axis=1) >= ramp[free])
             free = free[slow | _misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
         wrong = _misses(chosen_t, chosen_j, v0, length)
-        chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
-        wrong = _misses(chosen_t, chosen_j, v0, length)
+        if wrong.any():
+            chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
+            wrong = _misses(chosen_t, chosen_j, v0, length)
         if wrong.any():
             line = plan.line[plan.ends[int(np.argmax(wrong))]]
             raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
@@ -138,6 +145,10 @@ def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Arra
     All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
     (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
     """
+    if (compiled := kernel("ramps")) is not None:
+        (t, j), a = np.empty((2, len(v0), 7)), np.empty(len(v0))
+        compiled(v0, v1, length, len(v0), jerk, t, j, a)
+        return t, j, a
     change = v1 - v0
     with np.errstate(divide="ignore", invalid="ignore"):
         T = 2.0 * length / (v0 + v1)
@@ -163,8 +174,12 @@ def integrate(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
 
 def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
     """Return which runs have a profile that goes backwards or misses their length, (r,)."""
+    if (compiled := kernel("misses")) is not None:
+        missed = np.empty(len(t), bool)
+        compiled(t, j, v0, length, len(t), DRIFT, missed)
+        return missed
     _, v, steps = integrate(t, j, v0)
-    misses = np.abs(steps.sum(axis=1) - length) > DRIFT
+    misses = np.abs(np.cumsum(steps, axis=1)[:, -1] - length) > DRIFT
     return np.asarray(misses | (v.min(axis=1) < -DRIFT))
 
 
@@ -208,10 +223,19 @@ class StandingProfile:
             trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, samples)
 
-    def share(self, samples: Integers) -> Array:
-        """Return the share of the move, (n, 1), done after each number of samples (n,)."""
-        done = self.trapezoid.distance(samples.astype(float) * TS) / self.trapezoid.length
-        return np.where(samples < self.samples, done, 1.0)[:, None]
+    def places(self, move: Standing, first: int, n: int) -> Array:
+        """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
+        way, ends = self.trapezoid, np.array([move.start, move.end])
+        if (compiled := kernel("stand")) is not None:
+            xyze, speeds = np.empty((n, 4)), (way.v_s, way.acceleration, way.peak)
+            trapezoid = np.array([way.length, *speeds, *way.ramps, way.seconds])
+            compiled(trapezoid, ends, first, n, self.samples, TS, xyze)
+            return xyze
+        samples = np.arange(first, first + n)
+        done = way.distance(samples.astype(float) * TS) / way.length
+        share = np.where(samples < self.samples, done, 1.0)[:, None]
+        start, end = ends[:, Z:]
+        return np.hstack([np.tile(ends[1, :Z], (n, 1)), start + share * (end - start)])
 
 
 class TravelRetraction:

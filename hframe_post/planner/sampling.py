@@ -15,7 +15,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.native import kernel
 from hframe_post.planner.profiles import Profiler, StandingProfile, TravelRetraction, samples_until
 from hframe_post.printer.settings import Limits
@@ -268,12 +268,9 @@ class _Sampler:
         yield from self.come_to_rest(long, needed=entry == 0.0)
         out.line = move.line
         out.events.append(Pause(out.index, profile.samples, move, exact, entry, leaving))
-        start, end = np.array(move.start[Z:]), np.array(move.end[Z:])
         for first in range(0, profile.samples, out.size):
             n = min(profile.samples - first, out.size)
-            xyze = np.tile(np.array(move.end), (n, 1))
-            xyze[:, Z:] = start + profile.share(np.arange(first + 1, first + n + 1)) * (end - start)
-            out.add(xyze, np.full(n, move.line))
+            out.add(profile.places(move, first + 1, n), np.full(n, move.line))
             if first + n < profile.samples:
                 yield from out.flush()
         if leaving:

@@ -24,11 +24,11 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper import segments
 from hframe_post.model.linear import product, recursion
 from hframe_post.model.plant import Filter, Response
-from hframe_post.planner import profiles, sampling
+from hframe_post.planner import lookahead, profiles, sampling
 from hframe_post.prediction.predict import Polyline, _moving
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
-from hframe_post.stream.types import Plan, Samples
+from hframe_post.stream.types import Plan, Samples, Standing
 from hframe_post.writers.stream import digits
 from tests.conftest import SAMPLES
 from tests.random_paths import wander
@@ -156,6 +156,51 @@ def test_linear_algebra(compiled: None, seed: int, m: int, k: int, n: int) -> No
     same(product(A, B), in_numpy(product, A, B))
     step, W = rng.normal(size=(n, n)) / n, rng.normal(size=(m, n))
     same(recursion(step, W, W[0]), in_numpy(recursion, step, W, W[0]))
+
+
+@thorough
+@given(seeds, st.integers(1, 200), st.floats(4.0, 8.0), st.booleans())
+def test_lookahead(compiled: None, seed: int, runs: int, power: float, from_end: bool) -> None:
+    rng = np.random.default_rng(seed)
+    speed, length = rng.uniform(0.0, 300.0, runs + 1), 10.0 ** rng.uniform(-3.0, 2.0, runs)
+    acceleration = 10.0 ** rng.uniform(2.0, 4.0, runs)
+
+    def lowered() -> Array:
+        found = speed.copy()
+        lookahead._lower(found, length, acceleration, 10.0**power, from_end)
+        return found
+
+    same(lowered(), in_numpy(lowered))
+
+
+@thorough
+@given(seeds, st.integers(1, 30))
+def test_profiles(compiled: None, seed: int, runs: int) -> None:
+    rng = np.random.default_rng(seed)
+    speed = rng.uniform(0.0, 200.0, runs + 1) * (rng.random(runs + 1) < 0.7)
+    length = rng.exponential(5.0, runs) + np.abs(np.diff(np.square(speed))) / 1e3
+    s = np.concatenate([[0.0], np.cumsum(length)])
+    count, limits = np.arange(runs + 1), (np.full(runs, 250.0), np.full(runs, 2e3))
+    plan = Plan(count[:-1], np.zeros((runs + 1, 4)), s, count, speed, *limits, ())
+
+    def phases() -> tuple[Array, float]:
+        found, end = profiles.Profiler().phases(plan, 5e6, 0.1234)
+        return found.table, end
+
+    (one, end), (other, plain_end) = phases(), in_numpy(phases)
+    same(one, other)
+    assert end == plain_end
+
+
+@thorough
+@given(*[st.floats(0.01, 5.0)] * 2, *[st.floats(0.0, 30.0)] * 2, st.booleans())
+def test_standing_moves(
+    paper: Printer, compiled: None, z: float, e: float, entry: float, leaving: float, lifts: bool
+) -> None:
+    move = Standing(7, (1.0, 2.0, 0.3, 10.0), (1.0, 2.0, 0.3 + z * lifts, 10.0 - e), 40.0)
+    profile = profiles.StandingProfile.from_move(move, paper.limits, entry, leaving)
+    arguments = move, 1, profile.samples
+    same(profile.places(*arguments), in_numpy(profile.places, *arguments))
 
 
 def test_the_whole_tool(
