@@ -68,6 +68,7 @@ def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Pa
     assert (own.limits.velocity, own.limits.acceleration) == (800.0, 10000.0)
     assert own.motors.belt_velocity > 2**0.5 * 800.0
     assert own.motors.belt_acceleration == round(2**0.5 * 22000.0)
+    assert own.limits.jerk == own.limits.acceleration / 0.01
     assert own.sweep.amplitude == 5000.0
     edited(config, "max_accel: 10000", "max_accel: 3000")
     set_up(config)

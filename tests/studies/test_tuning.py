@@ -156,8 +156,8 @@ def test_recommendation_stays_within_limits_that_bind(
         best = recommended(trials, motors)
         assert best is not None
         assert best.within(motors)
-        errors.append(min(t.robust for t in usable if t.within(motors)))
-        assert best.robust <= ROUGHLY * errors[-1]
+        errors.append(min(t.cost for t in usable if t.within(motors)))
+        assert best.cost <= ROUGHLY * errors[-1]
     assert errors == sorted(errors, reverse=True)  # more is allowed, less error is possible
     gentlest = min(trial.acceleration for trial in usable)
     assert recommended(trials, replace(profiled.motors, belt_acceleration=0.99 * gentlest)) is None
@@ -200,7 +200,21 @@ def test_robust_is_the_median_of_the_printers_drawn() -> None:
         statistics = type(trial.contour)()
         statistics.add(np.array([error]), np.array([True]))
         trial.drawn.append(statistics)
-    assert trial.robust == 4.0
+    assert (trial.robust, trial.worst, trial.cost) == (4.0, 5.0, 2.5)
+
+
+def test_a_little_on_wrong_models_is_not_worth_several_times_the_error_of_the_model() -> None:
+    def trial(model: float, wrong: float, acceleration: float) -> Trial:
+        made = Trial((WINDOW, WINDOW), acceleration=acceleration)
+        made.drawn = [type(made.contour)()]
+        made.contour.add(np.array([model]), np.array([True]))
+        made.drawn[0].add(np.array([wrong]), np.array([True]))
+        return made
+
+    hard, gentle = trial(2.0, 10.5, 40.0), trial(12.0, 10.0, 10.0)
+    assert recommended([hard, gentle], Motors(50.0, 50.0)) is hard
+    alike = trial(2.1, 11.0, 20.0)
+    assert recommended([hard, alike, gentle], Motors(50.0, 50.0)) is alike
 
 
 # ---------------------------------------------------------------------- stops

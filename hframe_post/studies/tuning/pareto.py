@@ -47,10 +47,12 @@ class Point:
 class Pareto:
     """All points; the front, see ``front``; the one that is worth its time.
 
-    chosen: None if the motors can follow none.
+    usual: the first window with the profile's own limits. chosen: None if the motors can follow
+    none.
     """
 
     points: tuple[Point, ...]
+    usual: Point
     front: tuple[Point, ...]
     chosen: Point | None
 
@@ -81,8 +83,10 @@ def pareto(
             samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
             trials = tried(samples, driven, grid, drawn)
             found += [Point(acceleration, jerk, trial) for trial in trials]
+    limits = usual.acceleration, usual.jerk
+    own = next(point for point in found if (point.acceleration, point.jerk) == limits)
     best = front(found, printer.motors)
-    return Pareto(tuple(found), best, min(best, key=lambda point: point.cost, default=None))
+    return Pareto(tuple(found), own, best, min(best, key=lambda point: point.cost, default=None))
 
 
 def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:
@@ -99,6 +103,6 @@ def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:
 
 def windows(trials: Iterable[Trial], best: Trial, motors: Motors) -> list[tuple[Window, Window]]:
     """Return the recommended window and the next best ones."""
-    able = sorted((t for t in trials if t.within(motors)), key=lambda t: t.robust)
+    able = sorted((t for t in trials if t.within(motors)), key=lambda t: t.cost)
     others = [t for t in able if t is not best][:OTHERS]
     return [best.windows, *(trial.windows for trial in others)]

@@ -33,6 +33,7 @@ def _trial_as_json(trial: Trial) -> dict[str, Any]:
     return values | {
         "contour_error_um": trial.contour.micrometres(),
         "median_under_model_error_um": round(trial.robust * 1e3, 4),
+        "worst_under_model_error_um": round(trial.worst * 1e3, 4),
         "peak_belt_speed": round(trial.velocity, 3),
         "peak_belt_acceleration": round(trial.acceleration, 1),
     }
@@ -71,7 +72,7 @@ def pace_table(pace: Pareto) -> str:
         "",
         "time against error: each is the quickest with so little error",
         f"{'':2s}{'acceleration':>13s}{'jerk':>9s}{'L':>4s}{'effort (λ)':>14s}{'time':>9s}"
-        f"{'µm RMS: the model':>20s}{'model error':>13s}",
+        f"{'µm RMS: the model':>20s}{'median':>9s}{'worst':>8s}",
     ]
     for point in front:
         x, y = point.trial.windows
@@ -79,10 +80,23 @@ def pace_table(pace: Pareto) -> str:
         lines.append(
             f"{'→' if point is chosen else '':2s}{point.acceleration:13.0f}{point.jerk:9.0e}"
             f"{x.L:4d}{f'{x.effort:g}, {y.effort:g}':>14s}{f'+{longer:.1f} %':>9s}"
-            f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:13.2f}"
+            f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:9.2f}"
+            f"{point.trial.worst * 1e3:8.2f}"
         )
     limits = f"acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, "
-    return "\n".join([*lines, "", _recommendation(chosen.trial, limits)])
+    lines += ["", _recommendation(chosen.trial, limits), _bought(pace.usual, chosen)]
+    return "\n".join(lines)
+
+
+def _bought(usual: Point, chosen: Point) -> str:
+    """Return what the chosen limits cost and bring, next to the profile's own."""
+    before, after = usual.trial, chosen.trial
+    more = after.seconds / before.seconds - 1.0
+    return (
+        f"next to acceleration = {usual.acceleration:g}, jerk = {usual.jerk:g}: {more:+.1%} time; "
+        f"median {1e3 * before.robust:.1f} → {1e3 * after.robust:.1f} µm, "
+        f"worst {1e3 * before.worst:.1f} → {1e3 * after.worst:.1f} µm"
+    )
 
 
 def _recommendation(trial: Trial, limits: str = "") -> str:
@@ -109,8 +123,8 @@ def summary(
 
 def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
     lines = [
-        f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>26s}{'belts, at most':>21s}",
-        f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'model error':>14s}{'mm/s':>10s}"
+        f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>29s}{'belts, at most':>21s}",
+        f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'median':>9s}{'worst':>8s}{'mm/s':>10s}"
         f"{'mm/s²':>11s}",
     ]
     for trial in trials:
@@ -120,9 +134,11 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
             lines.append(f"{row}  refused: {trial.refused.partition(' with ')[0]}")
         else:
             lines.append(
-                f"{row}{trial.contour.rms * 1e3:12.2f}{trial.robust * 1e3:14.2f}"
-                f"{trial.velocity:10.0f}{trial.acceleration:11.0f}"
+                f"{row}{trial.contour.rms * 1e3:12.2f}{trial.robust * 1e3:9.2f}"
+                f"{trial.worst * 1e3:8.2f}{trial.velocity:10.0f}{trial.acceleration:11.0f}"
             )
+    drawn = max((len(trial.drawn) for trial in trials), default=0)
+    lines += [f"median and worst: of {drawn} random printers"] if drawn else []
     if best is not None:
         lines += ["", _recommendation(best)]
     return "\n".join(lines)

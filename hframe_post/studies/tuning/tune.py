@@ -30,7 +30,7 @@ KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
 PREVIEW = 440  # samples of a window, L_C: as long for every L
 RACKING = Options("racking")
-ROUGHLY = 1.1  # errors this close to the best are as good; the gentlest of them is taken
+ROUGHLY = 1.1  # costs this close to the least are as good; the gentlest of them is taken
 
 
 @dataclass
@@ -55,6 +55,17 @@ class Trial:
     def robust(self) -> float:
         """Return the median RMS contour error (mm) of the random printers, or else of the model."""
         return median(statistics.rms for statistics in self.drawn or [self.contour])
+
+    @property
+    def worst(self) -> float:
+        """Return the largest RMS contour error (mm) of the random printers, or of the model."""
+        return max(statistics.rms for statistics in self.drawn or [self.contour])
+
+    @property
+    def cost(self) -> float:
+        """Return the error by which windows are compared, mm: the mean of that of the model, which
+        the printer may be today, and that of printers that differ from it."""
+        return (self.contour.rms + self.robust) / 2.0
 
     def within(self, motors: Motors) -> bool:
         return (
@@ -151,12 +162,16 @@ def tried(
 
 
 def recommended(trials: list[Trial], motors: Motors) -> Trial | None:
-    """Return the gentlest trial that is about as good as the best the motors can follow."""
+    """Return the gentlest trial that is about as good as the best the motors can follow.
+
+    Effort matters little on a wrong model. That alone would recommend one that leaves several times
+    the error on an exact model.
+    """
     able = [trial for trial in trials if trial.within(motors)]
     if not able:
         return None
-    best = min(trial.robust for trial in able)
-    good = [trial for trial in able if trial.robust <= ROUGHLY * best]
+    least = min(trial.cost for trial in able)
+    good = [trial for trial in able if trial.cost <= ROUGHLY * least]
     return min(good, key=lambda trial: trial.acceleration)
 
 
