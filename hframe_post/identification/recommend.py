@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Any
 
 from hframe_post.conversion.pipeline import Options
@@ -17,6 +18,7 @@ from hframe_post.studies.simulation.simulate import SimulationReport, Study, sim
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.tuning.tune import candidates, recommended, tune
 
+RANDOM = 10  # printers around the model
 SPARED = 0.6  # of the belts' acceleration: short moves of a print need more than a rectangle
 
 
@@ -24,11 +26,14 @@ SPARED = 0.6  # of the belts' acceleration: short moves of a print need more tha
 class Recommendation:
     """The windows of x and y for an identified plant, and their predicted effect.
 
-    rms_of_others: contour error in µm RMS of other plants that were measured, too.
+    model_error: share by which random printers differ from the plant. rms_of_random, rms_of_others:
+    contour error in µm RMS of these printers, and of other plants that were measured, too.
     """
 
     windows: tuple[Window, Window]
     predicted: SimulationReport
+    model_error: float
+    rms_of_random: list[float]
     rms_of_others: list[float]
 
     def rms(self, strategy: str) -> float:
@@ -40,6 +45,10 @@ class Recommendation:
         return {
             "windows": {"L": x.L, "n_C": x.n_C, "n_up": x.n_up, "effort": [x.effort, y.effort]},
             "predicted": self.predicted.as_json()["contour_error_um"],
+            "predicted_under_model_error": {
+                "median_um": round(median(self.rms_of_random), 4),
+                "worst_um": round(max(self.rms_of_random), 4),
+            },
         }
 
     def gain(self) -> str:
@@ -52,6 +61,11 @@ class Recommendation:
         return [
             ("windows", f"L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, {effort}"),
             ("predicted", self.gain()),
+            (
+                "",
+                f"on printers within ±{100.0 * self.model_error:.1f} % of the model: median "
+                f"{median(self.rms_of_random):.1f}, worst {max(self.rms_of_random):.1f}",
+            ),
         ]
 
 
@@ -66,7 +80,7 @@ def recommend(
     follow no window, or if one of these printers would be worse off than without compensation.
     """
     updated = replace(profile, plant=plant, name="the identified printer")
-    printers = [*draws(plant, model_error, 10, seed=0), *others]
+    printers = [*draws(plant, model_error, RANDOM, seed=0), *others]
     trials = tune(rectangle(updated), updated, candidates(updated.compensation), printers)
     limit = replace(updated.motors, belt_acceleration=SPARED * updated.motors.belt_acceleration)
     best = recommended(trials, limit) or recommended(trials, updated.motors)
@@ -84,6 +98,5 @@ def recommend(
     if similar.better("racking", "none") < len(printers):
         return None
     rms = [1e3 * error for error in similar.rms("racking")]
-    return Recommendation(
-        best.windows, replace(predicted, model_error=()), rms[len(rms) - len(others) :]
-    )
+    known = replace(predicted, model_error=())
+    return Recommendation(best.windows, known, model_error, rms[:RANDOM], rms[RANDOM:])

@@ -71,6 +71,9 @@ def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> Non
     strongest = found["functions"]["Gyy"]["modes"][0]
     assert strongest["hz"] == pytest.approx(40.0, rel=0.04)
     assert strongest["damping"] == pytest.approx(0.08, rel=0.3)
+    exact, around = found["predicted"]["racking"]["rms"], found["predicted_under_model_error"]
+    assert exact < around["median_um"] <= around["worst_um"] < found["predicted"]["none"]["rms"]
+    assert "printers within ±5.0 % of the model: median" in done.output
     profile = load(str(mine))
     assert not profile.invented
     assert profile.travel.x == (0.0, 350.0)

@@ -23,7 +23,7 @@ from hframe_post.studies.inputs import Piece, excerpt
 from hframe_post.studies.tuning.tune import Trial, tried
 
 JERKS = (1e5, 2e5, 5e5, 2e6, 1e7, 5e7)  # mm/s³
-ACCELERATIONS = (0.5, 1.0, 2.0)  # times the profile's
+ACCELERATIONS = (0.25, 0.5, 1.0)  # times the profile's
 PAID = 0.1  # share of the time that half of the error is worth
 ENOUGH = 30.0  # s of a print
 OTHERS = 2  # windows in addition to the recommended one
