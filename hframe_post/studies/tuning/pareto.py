@@ -83,8 +83,11 @@ def pareto(
             samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
             trials = tried(samples, driven, grid, drawn)
             found += [Point(acceleration, jerk, trial) for trial in trials]
-    limits = usual.acceleration, usual.jerk
-    own = next(point for point in found if (point.acceleration, point.jerk) == limits)
+    own = next(
+        point
+        for point in found
+        if (point.acceleration, point.jerk) == (usual.acceleration, usual.jerk)
+    )
     best = front(found, printer.motors)
     return Pareto(tuple(found), own, best, min(best, key=lambda point: point.cost, default=None))
 
