@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test slow bench fuzz random-printers audit
+.PHONY: check lint test slow hosts bench fuzz random-printers audit
 
 check: lint test
 
@@ -17,6 +17,13 @@ test:
 
 slow:
 	$(PYTHON) -m pytest -m slow -n auto --dist worksteal
+
+# HOSTS: a folder for environments with the real programs
+HOSTS ?= $(HOME)/.cache/hframe-post-hosts
+hosts:
+	$(PYTHON) -m venv $(HOSTS)/moonraker
+	$(HOSTS)/moonraker/bin/pip install -q moonraker==0.11.0
+	MOONRAKER_PYTHON=$(HOSTS)/moonraker/bin/python $(PYTHON) -m pytest -m slow tests/hosts
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

@@ -227,18 +227,34 @@ _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 @contextmanager
 def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show a progress bar on a terminal if the file is large.
+    """Show a progress bar on a terminal if the file is large, or log the progress with ``-v``.
 
-    Yields the function to call with each number of bytes read; None if there is no bar.
+    Yields the function to call with each number of bytes read; None if nothing is shown.
     """
     size = source.stat().st_size if source.is_file() else 0
     if quiet or size < BAR_FROM or not sys.stderr.isatty():
-        yield None
+        yield _log_progress(size) if size and _is_verbose() else None
         return
     with click.progressbar(
         length=size, label=source.name, file=sys.stderr, update_min_steps=size // 200
     ) as bar:
         yield bar.update
+
+
+def _log_progress(size: int) -> Callable[[int], None]:
+    done = 0
+
+    def advance(length: int) -> None:
+        nonlocal done
+        before, done = done, done + length
+        if (tenth := 10 * done // size) > 10 * before // size:
+            log(f"{10 * tenth} % is read")
+
+    return advance
+
+
+def _is_verbose() -> bool:
+    return bool(click.get_current_context().meta.get(_VERBOSE))
 
 
 def _set_verbose(context: click.Context, _: click.Parameter, verbose: bool) -> None:
@@ -253,5 +269,5 @@ verbose_option = click.option(
 
 def log(text: str) -> None:
     """Print a line with the seconds since the start, if the running command has ``-v``."""
-    if click.get_current_context().meta.get(_VERBOSE):
+    if _is_verbose():
         click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)

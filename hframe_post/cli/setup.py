@@ -10,6 +10,7 @@ from typing import Protocol
 
 import click
 
+from hframe_post.cli.moonraker import Moonraker
 from hframe_post.cli.options import files_read, number
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE, macros
@@ -57,9 +58,14 @@ def _size(text: str) -> tuple[float, float]:
     "--bed", type=_size, metavar="X,Y",
     help="Width and depth of the bed in mm, where Marlin's answers leave them open.",
 )  # fmt: skip
+@click.option(
+    "--moonraker/--no-moonraker", "connected", default=None,
+    help="Also let Moonraker, on this computer, convert each uploaded file; or no longer.",
+)  # fmt: skip
 def setup(
-    files: tuple[Path, ...], folder: Path, kinematics: str | None, bed: tuple[float, float] | None
-) -> None:
+    files: tuple[Path, ...], folder: Path, kinematics: str | None,
+    bed: tuple[float, float] | None, connected: bool | None,
+) -> None:  # fmt: skip
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
     Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
@@ -68,12 +74,23 @@ def setup(
     may follow. Run setup again after a change: what you changed in the profile stays, as does the
     measured model.
 
+    --moonraker is for the printer's computer, once the printer is measured. It links a component
+    into Moonraker and adds a section [hframe_post] to moonraker.conf, which must be next to
+    printer.cfg. --no-moonraker removes both and does nothing else.
+
     \b
     Examples:
       hframe-post setup printer.cfg
+      hframe-post setup printer.cfg --moonraker
       hframe-post setup m503.txt --bed 220,220
     """
     source = _Marlin(files, bed) if is_of_marlin(text_in(files[0])) else _Klipper(files, bed)
+    moonraker = None if connected is None else Moonraker(files[0].parent)
+    if moonraker is not None and not connected:
+        with Outputs() as outputs:
+            done = moonraker.disconnect(outputs)
+        click.echo("\n".join(done))
+        return
     target = folder / PROFILE
     old = text_of(str(target)) if target.exists() else ""
     before = parse(old, "printer", str(target)) if old else None
@@ -84,16 +101,21 @@ def setup(
         text, changes = updated(old, tables, str(target))
     # raises before anything is written
     profile = parse(text, target.stem, str(target if old else files[0]))
+    if moonraker is not None and profile.invented:
+        raise HframeError(f"{target} is not measured yet: run 'hframe-post identify' first")
     sections = source.macros(profile)
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
         outputs.open(target).write(text.encode())
         if sections:
             outputs.open(folder / FILE).write(sections.encode())
+        done = moonraker.connect(outputs, target) if moonraker is not None else []
         set_default(os.path.abspath(target))
     if old:
         click.echo("\n".join([f"{target}: {len(changes) or 'no'} changes", *changes]))
     click.echo("\n".join(_summary(source, profile, target, kind)))
+    if done:
+        click.echo("\n".join(["", *done]))
     click.echo(source.next_steps(profile, target))
 
 

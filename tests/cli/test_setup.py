@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from hframe_post.cli.integrations import program
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
+from tests.conftest import ROOT
 from tests.printers import M503, REAL
 
 
@@ -192,3 +194,63 @@ def test_the_command_that_asked_is_gone() -> None:
     done = run("printers", "new", "-o", "my.toml")
     assert done.returncode == 2
     assert b"hframe-post setup m503.txt" in done.stderr
+
+
+# ---------------------------------------------------------------------- Moonraker
+
+
+@pytest.fixture
+def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Moonraker as far as setup looks at it, and a measured profile; the components folder."""
+    monkeypatch.setenv("HOME", str(config.parent))
+    config.with_name("moonraker.conf").write_text("[server]\nport: 7125\n\n[history]\n# mine\n")
+    components = config.parent / "moonraker/moonraker/components"
+    (components / "file_manager").mkdir(parents=True)
+    (components / "file_manager/file_manager.py").write_text("def register_gcode_processor(): 0\n")
+    config.with_name("printer.toml").write_text((ROOT / "tests/measured.toml").read_text())
+    return components
+
+
+def test_moonraker_is_connected_and_disconnected_without_a_trace(
+    config: Path, moonraker: Path
+) -> None:
+    conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post.py"
+    before = conf.read_text()
+    printed = set_up(config, "--moonraker")
+    assert "sudo systemctl restart moonraker" in printed
+    assert link.resolve() == ROOT / "hframe_post/hosts/moonraker.py"
+    connected = conf.read_text()
+    assert connected.startswith(before)
+    assert f"[hframe_post]\ncommand: {program()} -p {config.parent}/printer.toml\n" in connected
+    conf.write_text(connected.replace("printer.toml", "printer.toml --limits printer"))
+    set_up(config, "--moonraker")
+    assert conf.read_text().count("[hframe_post]\n") == 1
+    assert "--limits printer" in conf.read_text()  # what was changed by hand stays
+    conf.write_text(conf.read_text() + "\n[timelapse]\n")
+    set_up(config, "--no-moonraker")
+    assert conf.read_text() == before + "\n[timelapse]\n"
+    assert not link.is_symlink()
+    set_up(config, "--no-moonraker")
+    assert conf.read_text() == before + "\n[timelapse]\n"
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "cause"),
+    [
+        ("moonraker.conf", None, "moonraker.conf was not found"),
+        ("printer.toml", None, "is not measured yet"),
+        ("moonraker/moonraker/components/hframe_post.py", "", "is not hframe-post's"),
+        ("moonraker/moonraker/components/file_manager/file_manager.py", "", "older than February"),
+    ],
+)
+def test_moonraker_is_not_touched_if_it_cannot_be_connected(
+    config: Path, moonraker: Path, path: str, text: str | None, cause: str
+) -> None:
+    changed = config.parent / path
+    if text is None:
+        changed.unlink()
+    else:
+        changed.write_text(text)
+    files = {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
+    assert cause in set_up(config, "--moonraker", status=1)
+    assert files == {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}

@@ -1,0 +1,1 @@
+"""Files that run inside Moonraker and OctoPrint, in their Python: they import nothing from here."""

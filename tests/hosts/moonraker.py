@@ -1,0 +1,192 @@
+"""The real Moonraker with the component, in front of the real Klipper host."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from http.client import HTTPConnection, HTTPException
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from tests.command_line import run
+from tests.conftest import ROOT
+from tests.klipper.batch import dictionary
+from tests.klipper.host import TEMPLATE
+
+WAIT = 60.0  # s
+CONFIG = """\
+[server]
+host: 127.0.0.1
+port: {port}
+klippy_uds_address: {data}/klippy.sock
+[authorization]
+trusted_clients: 127.0.0.1
+[machine]
+provider: none
+validate_service: False
+[octoprint_compat]
+[history]
+[announcements]
+"""
+
+
+class Printer:
+    """Klipper's host and Moonraker with hframe-post, set up as its owner does.
+
+    python: one that has Moonraker, whose code is copied, so that the component is linked there.
+    """
+
+    def __init__(self, python: Path, folder: Path) -> None:
+        self.data, self.home, self._python = folder / "printer_data", folder, python
+        self.gcodes, self.port = self.data / "gcodes", free_port()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        for name in ("config", "gcodes", "logs", "comms"):
+            (self.data / name).mkdir(parents=True)
+        where = [str(python), "-c", "import moonraker; print(moonraker.__path__[0])"]
+        code = subprocess.check_output(where, text=True).strip()
+        self.components = folder / "moonraker/moonraker/components"
+        shutil.copytree(code, self.components.parent)
+        self.config = self.data / "config/moonraker.conf"
+        self.config.write_text(CONFIG.format(port=self.port, data=self.data))
+        (self.data / "config/printer.cfg").write_text(
+            f"{TEMPLATE.read_text()}\n[virtual_sdcard]\npath: {self.gcodes}\n[pause_resume]\n"
+            "[display_status]\n"
+        )
+        self.profile = self.data / "config/printer.toml"
+        shutil.copy(ROOT / "tests/measured.toml", self.profile)
+        self.set_up("--moonraker")
+
+    def set_up(self, *options: str) -> str:
+        config = self.data / "config"
+        done = run(
+            "setup", config / "printer.cfg", "-o", config, *options,
+            HOME=str(self.home), XDG_CONFIG_HOME=str(self.home / ".config"),
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout.decode()
+
+    def converted(self, content: bytes) -> bytes:
+        """Return what the command line makes of a file."""
+        source, target = self.home / "by_hand.gcode", self.home / "converted.gcode"
+        source.write_bytes(content)
+        done = run(source, "-o", target, "-p", self.profile)
+        assert done.returncode == 0, done.stderr
+        return target.read_bytes()
+
+    def start_klipper(self) -> None:
+        messages = self.data / "messages.json"
+        messages.write_text(json.dumps(dictionary()))
+        (self.data / "input").touch()
+        self._start(
+            "klipper",
+            [sys.executable, "-P", "-m", "tests.hosts.klipper_server"],
+            self.data / "config/printer.cfg", "-i", self.data / "input", "-o", os.devnull,
+            "-d", messages, "-l", self.data / "logs/klippy.log", "-a", self.data / "klippy.sock",
+            PYTHONPATH=str(ROOT),
+        )  # fmt: skip
+
+    def start_moonraker(self, *before: str) -> None:
+        """Start it and wait until it answers. before: words of the command before its own."""
+        code = str(self.components.parents[1])
+        self._start(
+            "moonraker", [*before, self._python, "-m", "moonraker"], "-d", self.data,
+            PYTHONPATH=code,
+        )  # fmt: skip
+        until(lambda: "hframe_post" in self.get("/server/info")["components"])
+
+    def _start(self, name: str, command: list[Any], *arguments: Any, **environment: str) -> None:
+        with (self.data / f"{name}.out").open("wb") as output:
+            self._processes[name] = subprocess.Popen(
+                [str(word) for word in (*command, *arguments)], cwd=self.data, stdout=output,
+                stderr=output, env={**os.environ, **environment}, start_new_session=True,
+            )  # fmt: skip
+
+    def kill(self, name: str, alone: bool = False) -> None:
+        """Kill a program with all that it started, as systemd does, or alone."""
+        process = self._processes.pop(name)
+        if alone:
+            process.kill()
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+    def stop(self) -> None:
+        for name in list(self._processes):
+            self.kill(name)
+
+    # ------------------------------------------------------------------ requests
+
+    def request(
+        self, method: str, path: str, body: bytes = b"", kind: str = "", decoded: bool = True
+    ) -> Any:
+        with closing(HTTPConnection("127.0.0.1", self.port, timeout=600.0)) as connection:
+            connection.request(method, path, body, {"Content-Type": kind} if kind else {})
+            response = connection.getresponse()
+            answer = response.read()
+        assert response.status < 300, answer
+        return json.loads(answer) if decoded else answer
+
+    def get(self, path: str) -> Any:
+        return self.request("GET", path)["result"]
+
+    def post(self, path: str) -> Any:
+        return self.request("POST", path)["result"]
+
+    def upload(
+        self, name: str, content: bytes, path: str = "/server/files/upload", **form: str
+    ) -> Any:
+        """Upload a file as slicers do: a form with the file and, maybe, print=true."""
+        boundary = secrets.token_hex(16)
+        parts = [
+            f'--{boundary}\r\nContent-Disposition: form-data; name="{key}"\r\n\r\n{value}\r\n'
+            for key, value in form.items()
+        ]
+        head = (
+            f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
+            "Content-Type: application/octet-stream\r\n\r\n"
+        )
+        body = "".join(parts).encode() + head.encode() + content
+        end = f"\r\n--{boundary}--\r\n".encode()
+        return self.request("POST", path, body + end, f"multipart/form-data; boundary={boundary}")
+
+    def metadata(self, name: str) -> Any:
+        return self.get(f"/server/files/metadata?filename={quote(name)}")
+
+    def console(self) -> list[str]:
+        return [
+            entry["message"] for entry in self.get("/server/gcode_store?count=200")["gcode_store"]
+        ]
+
+    def print_stats(self) -> Mapping[str, Any]:
+        status = self.get("/printer/objects/query?print_stats&virtual_sdcard")["status"]
+        return {**status["virtual_sdcard"], **status["print_stats"]}
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def until(holds: Callable[[], bool], seconds: float = WAIT) -> None:
+    """Wait until ``holds()`` is true without an error of the connection; fail after a minute."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            if holds():
+                return
+        except (OSError, AssertionError, HTTPException):
+            pass
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

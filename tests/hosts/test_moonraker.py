@@ -1,0 +1,183 @@
+"""The component in the real Moonraker, in front of the real Klipper host.
+
+MOONRAKER_PYTHON names a Python in which Moonraker is installed, as ``make hosts`` does.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.command_line import RECTANGLE
+from tests.conftest import SAMPLES
+from tests.hosts.moonraker import Printer, until
+
+PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.klipper,
+    pytest.mark.skipif(not PYTHON, reason="MOONRAKER_PYTHON names no Python with Moonraker"),
+]
+
+CUBE = (SAMPLES / "cube.gcode").read_bytes()
+PART = RECTANGLE.read_bytes()
+OUTSIDE = CUBE + b"G1 X9000 Y10 F6000\n"
+
+
+@pytest.fixture(scope="module")
+def printer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Printer]:
+    built = Printer(Path(PYTHON), tmp_path_factory.mktemp("moonraker"))
+    try:
+        built.start_klipper()
+        built.start_moonraker()
+        until(lambda: built.get("/server/info")["klippy_state"] == "ready")
+        yield built
+    finally:
+        built.stop()
+
+
+def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer) -> None:
+    picture = base64.b64encode(b"\x89PNG")
+    start = b"; thumbnail begin 32x32 %d\n; %s\n; thumbnail end\n" % (len(picture), picture)
+    labels = b"EXCLUDE_OBJECT_DEFINE NAME=cube CENTER=110,110\n"
+    sliced = start + CUBE.replace(b";LAYER:0\n", labels + b";LAYER:0\n", 1)
+    answer = printer.upload("cube.gcode", sliced, "/api/files/local", print="true")
+    assert answer["print_started"]
+    assert printer.print_stats()["state"] == "printing"
+    until(lambda: printer.print_stats()["progress"] > 0.01)
+    printer.post("/printer/print/cancel")
+    assert printer.print_stats()["state"] == "cancelled"
+    objects = printer.get("/printer/objects/query?exclude_object")["status"]["exclude_object"]
+    assert [each["name"] for each in objects["objects"]] == ["CUBE"]
+    converted = (printer.gcodes / "cube.gcode").read_bytes()
+    assert converted == printer.converted(sliced)
+    described = printer.metadata("cube.gcode")
+    time = re.search(r"; hframe-post: print time .* → (\d+)m (\d+)s", converted.decode())
+    assert time is not None
+    assert described["estimated_time"] == pytest.approx(60 * int(time[1]) + int(time[2]), abs=1.0)
+    assert described["filament_total"] == pytest.approx(1301.66)  # as the slicer has it
+    assert described["file_processors"] == ["hframe_post"]
+    assert described["size"] == len(converted)
+    assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
+    shown = [line for line in printer.console() if "hframe-post: cube.gcode" in line]
+    assert len(shown) >= 1
+    assert "contour error" in shown[-1]
+
+
+def test_the_same_file_uploaded_again_and_a_converted_one_give_the_same_bytes(
+    printer: Printer,
+) -> None:
+    expected = printer.converted(PART)
+    for content in (PART, PART, expected):
+        printer.upload("twice.gcode", content)
+        assert (printer.gcodes / "twice.gcode").read_bytes() == expected
+        assert printer.metadata("twice.gcode")["file_processors"] == ["hframe_post"]
+    printer.post("/server/files/metascan?filename=twice.gcode")
+    assert (printer.gcodes / "twice.gcode").read_bytes() == expected
+    elsewhere = expected.replace(b"settings ", b"settings 0", 1)
+    printer.upload("elsewhere.gcode", elsewhere)
+    assert (printer.gcodes / "elsewhere.gcode").read_bytes() == elsewhere
+
+
+def test_a_file_marked_off_stays_as_it_is(printer: Printer) -> None:
+    marked = b"; hframe-post: off\n" + PART
+    printer.upload("marked.gcode", marked)
+    assert (printer.gcodes / "marked.gcode").read_bytes() == marked
+    assert any("marked.gcode: the file says" in line for line in printer.console())
+
+
+def test_what_fails_cannot_be_printed_and_says_why(printer: Printer) -> None:
+    printer.upload("fails.gcode", OUTSIDE, print="true")
+    until(lambda: printer.print_stats()["state"] == "error")
+    assert "not converted: line " in printer.print_stats()["message"]
+    assert "9000" in printer.print_stats()["message"]
+    refusal, kept = (printer.gcodes / "fails.gcode").read_bytes().split(b"\n", 1)
+    assert kept == OUTSIDE
+    assert "layer_height" in printer.metadata("fails.gcode")
+    entries = printer.get("/server/announcements/list")["entries"]
+    assert any("fails.gcode: not converted" in entry["description"] for entry in entries)
+    assert any("!! hframe-post: fails.gcode" in line for line in printer.console())
+    printer.post("/server/files/metascan?filename=fails.gcode")  # fails again, with one refusal
+    assert (printer.gcodes / "fails.gcode").read_bytes() == refusal + b"\n" + OUTSIDE
+    printer.upload("fails.gcode", PART, print="true")
+    until(lambda: printer.print_stats()["state"] == "complete")
+    assert (printer.gcodes / "fails.gcode").read_bytes() == printer.converted(PART)
+    assert left_over(printer) == []
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_conversion_that_was_interrupted_is_done_after_the_restart(
+    printer: Printer, alone: bool
+) -> None:
+    """alone: Moonraker is killed, and the conversion goes on."""
+    uploading = threading.Thread(target=attempted, args=(printer, "long.gcode", CUBE), daemon=True)
+    uploading.start()
+    path = printer.gcodes / "long.gcode"
+    until(lambda: path.exists() and b"not converted yet" in path.read_bytes())
+    printer.kill("moonraker", alone)
+    uploading.join()
+    if not alone:
+        assert b"not converted yet" in path.read_bytes()
+    printer.start_moonraker()
+    until(lambda: path.read_bytes().startswith(b"; processed by hframe-post"))
+    assert path.read_bytes() == printer.converted(CUBE)
+    until(lambda: printer.metadata("long.gcode")["size"] == path.stat().st_size)
+    until(lambda: left_over(printer) == [])
+    path.unlink()
+
+
+def attempted(printer: Printer, name: str, content: bytes) -> Any:
+    try:
+        return printer.upload(name, content)
+    except Exception:  # Moonraker is killed meanwhile
+        return None
+
+
+def left_over(printer: Printer) -> list[str]:
+    return sorted(set(os.listdir(printer.gcodes / ".hframe_post")) - {"lock"})
+
+
+@pytest.mark.parametrize(("room", "fits_twice"), [("1600k", True), ("600k", False)])
+def test_a_full_disk_leaves_nothing_that_could_be_printed(
+    tmp_path: Path, room: str, fits_twice: bool
+) -> None:
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run(
+            ["unshare", "-rm", "mount", "-t", "tmpfs", "none", tmp_path], check=False
+        ).returncode
+    ):
+        pytest.skip("no disk can be mounted here")
+    printer = Printer(Path(PYTHON), tmp_path / "printer")
+    mounted = f'mount -t tmpfs -o size={room} none {printer.gcodes} && exec "$@"'
+    try:
+        printer.start_moonraker("unshare", "-rm", "sh", "-c", mounted, "sh")
+        printer.upload("cube.gcode", CUBE)
+        left = printer.request("GET", "/server/files/gcodes/cube.gcode", decoded=False)
+        refusal, rest = left.split(b"\n", 1)
+        assert refusal.startswith(b'RESTORE_GCODE_STATE NAME="hframe-post: not converted')
+        assert b"No space left" in refusal
+        assert rest == (CUBE if fits_twice else b"")
+    finally:
+        printer.stop()
+
+
+def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
+    before = printer.config.read_text()
+    assert "[hframe_post]" in before
+    assert printer.set_up("--moonraker").count("added") == 0
+    assert printer.config.read_text() == before
+    assert "removed" in printer.set_up("--no-moonraker")
+    assert "hframe_post" not in printer.config.read_text()
+    assert not (printer.components / "hframe_post.py").is_symlink()
+    printer.set_up("--moonraker")
+    assert printer.config.read_text() == before

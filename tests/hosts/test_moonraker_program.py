@@ -1,0 +1,144 @@
+"""What Moonraker's component runs for each file, without Moonraker: the file and its place."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hframe_post.hosts import moonraker
+from hframe_post.hosts.moonraker import CONVERTING, FOLDER, REFUSAL, FailureError, Upload, refuse
+from tests.command_line import RECTANGLE, run
+from tests.conftest import ROOT
+
+COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
+PART = RECTANGLE.read_bytes()
+OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
+
+
+@pytest.fixture
+def part(tmp_path: Path) -> Path:
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / "sub").mkdir()
+    path = tmp_path / "sub" / "part.gcode"
+    path.write_bytes(PART)
+    return path
+
+
+def work(part: Path) -> Path:
+    return Upload(part, part.parents[1]).work
+
+
+def processed(part: Path, *command: str) -> int:
+    """Run the component as a program on a file; return its exit status."""
+    gcodes = part.parents[1]
+    words = (sys.executable, moonraker.__file__, part, gcodes, gcodes / "socket")
+    arguments = [str(word) for word in (*words, *(command or COMMAND))]
+    return subprocess.run(arguments, cwd=ROOT, check=False).returncode
+
+
+@pytest.fixture
+def reports(part: Path) -> Iterator[list[Any]]:
+    """What a listener at Moonraker's place receives."""
+    received: list[Any] = []
+    with closing(socket.socket(socket.AF_UNIX)) as listening:
+        listening.bind(str(part.parents[1] / "socket"))
+        listening.listen()
+
+        def answer() -> None:
+            while True:
+                try:
+                    connection = listening.accept()[0]
+                except OSError:  # shut down below
+                    return
+                with connection:
+                    received.append(json.loads(connection.recv(1 << 16).rstrip(b"\x03")))
+                    connection.sendall(b"{}\x03")
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        yield received
+        listening.shutdown(socket.SHUT_RDWR)
+        answering.join()
+
+
+def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any]) -> None:
+    run(part, "-o", part.with_name("by_hand.gcode"), "-p", ROOT / "tests/measured.toml")
+    assert processed(part) == 0
+    assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
+    assert processed(part) == 0  # a second pass
+    assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
+    assert os.listdir(part.parents[1] / FOLDER) == ["lock"]
+    texts = [each["params"]["text"] for each in reports if "% is read" not in str(each)]
+    assert len(texts) == 2
+    assert texts[0].startswith("hframe-post: part.gcode: converted\n")
+    assert "contour error" in texts[0]
+    assert texts[1] == "hframe-post: part.gcode: this file is converted already; left as it is"
+    assert [each["params"]["failed"] for each in reports] == [False, False]
+
+
+def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
+    part: Path, reports: list[Any]
+) -> None:
+    part.write_bytes(OUTSIDE)
+    for _ in range(2):
+        assert processed(part) == 1
+        refusal, rest = part.read_bytes().split(b"\n", 1)
+        assert refusal.startswith(REFUSAL.encode() + b"not converted: line ")
+        assert refusal.count(b'"') == 2
+        assert rest == OUTSIDE
+        assert not work(part).exists()
+    assert all(each["params"]["failed"] for each in reports)
+    part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
+    assert processed(part) == 0
+    assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+def test_a_command_that_cannot_run_is_a_reason(part: Path) -> None:
+    assert processed(part, "/nowhere/hframe-post") == 1
+    assert b"/nowhere/hframe-post cannot be run: No such file" in part.read_bytes().split(b"\n")[0]
+
+
+def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
+    upload = Upload(part, part.parents[1])
+    upload.take()
+    assert part.read_text() == f'{REFUSAL}{CONVERTING}"\n'
+    assert upload.work.read_bytes() == PART
+    assert processed(part) == 0
+    assert part.read_bytes().startswith(b"; processed by hframe-post")
+    upload.refuse(CONVERTING)  # as if it were interrupted once more, and the original deleted
+    with pytest.raises(FailureError, match="upload it again"):
+        upload.take()
+
+
+def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
+    part: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upload = Upload(part, part.parents[1])
+    monkeypatch.setattr(Upload, "refuse", full)
+    with pytest.raises(OSError, match="No space"):
+        upload.take()
+    refuse(upload, "the disk is full")
+    assert not part.exists()
+    assert upload.work.read_bytes() == PART
+
+
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:
+    refuse(Upload(part.with_name("other.gcode"), part.parents[1]), "no such file")
+    refuse(Upload(part, part.parents[1]), "cannot be read")
+    assert part.read_bytes() == PART
+    assert [path.name for path in part.parent.iterdir()] == ["part.gcode"]
