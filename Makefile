@@ -20,10 +20,12 @@ slow:
 
 # HOSTS: a folder for environments with the real programs
 HOSTS ?= $(HOME)/.cache/hframe-post-hosts
-hosts:
-	$(PYTHON) -m venv $(HOSTS)/moonraker
-	$(HOSTS)/moonraker/bin/pip install -q moonraker==0.11.0
-	MOONRAKER_PYTHON=$(HOSTS)/moonraker/bin/python $(PYTHON) -m pytest -m slow tests/hosts
+hosts: $(HOSTS)/moonraker==0.11.0 $(HOSTS)/octoprint==1.11.8
+	MOONRAKER_PYTHON=$</bin/python OCTOPRINT_PYTHON=$(word 2,$^)/bin/python \
+		$(PYTHON) -m pytest -m slow tests/hosts
+
+$(HOSTS)/%:
+	$(PYTHON) -m venv $@ && $@/bin/pip install -q $*
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

@@ -1,4 +1,4 @@
-"""Commands that set up other programs: klipper-macros, calibrate-marlin and cura-script."""
+"""Commands that set up other programs: Klipper, Marlin, Cura and OctoPrint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hframe_post.cli.options import files_read, old_option, printer_option, say
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
-from hframe_post.printer.profile import load, shipped
+from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import own_command
 from hframe_post.writers.files import Outputs
 
@@ -128,13 +128,52 @@ def script_folders() -> list[Path]:
 
 def program() -> str:
     """Return how another process runs this tool: a path, or a command with quotes."""
+    python, *rest = program_words()
+    return " ".join((f'"{python}"', *rest)) if rest else python
+
+
+def program_words() -> list[str]:
     for name in ("hframe-post", "hframe-post.exe"):
         if (installed := Path(sys.executable).parent / name).is_file():
-            return str(installed)
-    python, *rest = own_command()
-    return " ".join((f'"{python}"', *rest)) if rest else python
+            return [str(installed)]
+    return own_command()
 
 
 def script(program: str, printer: str) -> str:
     text = (resources.files(__package__) / f"{NAME}.py.in").read_text("utf-8")
     return text.replace("@PROGRAM@", repr(program)).replace("@PROFILE@", repr(printer))
+
+
+# ---------------------------------------------------------------------- OctoPrint
+
+PLUGIN = "hframe_post.py"
+
+
+@click.command("octoprint-plugin")
+@printer_option
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="OctoPrint's folder. Default: .octoprint in the home folder.",
+)  # fmt: skip
+def octoprint_plugin(printer: str, folder: Path | None) -> None:
+    """Install a plugin into OctoPrint on this computer, which converts each uploaded file.
+
+    An upload that cannot be converted fails, and OctoPrint answers with the reason. Run this
+    command again after moving hframe-post or the profile. To remove the plugin, delete its file.
+
+    \b
+    Example:
+      hframe-post octoprint-plugin -p my.toml
+    """
+    check_identified(load(printer))
+    home = folder or Path.home() / ".octoprint"
+    if not home.is_dir():
+        raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
+    profile = printer if printer in shipped() else str(Path(printer).absolute())
+    text = (resources.files("hframe_post.hosts") / "octoprint.py").read_text("utf-8")
+    command = [*program_words(), "-p", profile]
+    (home / "plugins").mkdir(exist_ok=True)
+    with Outputs() as outputs:
+        plugin = text.replace('COMMAND = ["hframe-post"]', f"COMMAND = {command!r}")
+        outputs.open(home / "plugins" / PLUGIN).write(plugin.encode())
+    click.echo(f"{home / 'plugins' / PLUGIN}\nRestart OctoPrint.")

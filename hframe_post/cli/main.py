@@ -34,6 +34,10 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "klipper-macros": ("integrations.klipper_macros", "Print macros for Klipper's printer.cfg."),
     "calibrate-marlin": ("integrations.calibrate_marlin", "Find out a Marlin board's planner."),
     "cura-script": ("integrations.cura_script", "Install a post-processing script into Cura."),
+    "octoprint-plugin": (
+        "integrations.octoprint_plugin",
+        "Install a plugin into OctoPrint that converts uploads.",
+    ),
     "paper": ("paper.paper", "Reproduce the paper's tables and figures."),
 }
 

@@ -22,6 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -43,8 +44,7 @@ class HframePost:
     """The component. ``command`` in its section runs hframe-post."""
 
     def __init__(self, config: Any) -> None:
-        from moonraker.common import RequestType
-
+        common = import_module("moonraker.common")
         self.server = config.get_server()
         command = shlex.split(config.get("command"))
         files = self.server.lookup_component("file_manager")
@@ -59,7 +59,7 @@ class HframePost:
             "ident": {"regex": STAMP, "location": "header"},
         }
         files.get_metadata_storage().register_gcode_processor(NAME, processor)
-        self.server.register_endpoint(ENDPOINT, RequestType.POST, self._report)
+        self.server.register_endpoint(ENDPOINT, common.RequestType.POST, self._report)
 
     async def _report(self, request: Any) -> str:
         """Show a message in the console of the web interface; a failure also as announcement."""

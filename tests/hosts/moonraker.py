@@ -40,15 +40,51 @@ validate_service: False
 """
 
 
-class Printer:
+class Server:
+    """A program that takes uploads by HTTP."""
+
+    def __init__(self, port: int, headers: Mapping[str, str]) -> None:
+        self.port, self._headers = port, headers
+
+    def request(
+        self, method: str, path: str, body: bytes = b"", kind: str = "", decoded: bool = True
+    ) -> Any:
+        with closing(HTTPConnection("127.0.0.1", self.port, timeout=600.0)) as connection:
+            headers = {**self._headers, **({"Content-Type": kind} if kind else {})}
+            connection.request(method, path, body, headers)
+            response = connection.getresponse()
+            answer = response.read()
+        assert response.status < 300, answer
+        return json.loads(answer) if decoded else answer
+
+    def upload(
+        self, name: str, content: bytes, path: str = "/server/files/upload", **form: str
+    ) -> Any:
+        """Upload a file as slicers do: a form with the file and, maybe, print=true."""
+        boundary = secrets.token_hex(16)
+        parts = [
+            f'--{boundary}\r\nContent-Disposition: form-data; name="{key}"\r\n\r\n{value}\r\n'
+            for key, value in form.items()
+        ]
+        head = (
+            f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
+            "Content-Type: application/octet-stream\r\n\r\n"
+        )
+        body = "".join(parts).encode() + head.encode() + content
+        end = f"\r\n--{boundary}--\r\n".encode()
+        return self.request("POST", path, body + end, f"multipart/form-data; boundary={boundary}")
+
+
+class Printer(Server):
     """Klipper's host and Moonraker with hframe-post, set up as its owner does.
 
     python: one that has Moonraker, whose code is copied, so that the component is linked there.
     """
 
     def __init__(self, python: Path, folder: Path) -> None:
+        super().__init__(free_port(), {})
         self.data, self.home, self._python = folder / "printer_data", folder, python
-        self.gcodes, self.port = self.data / "gcodes", free_port()
+        self.gcodes = self.data / "gcodes"
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         for name in ("config", "gcodes", "logs", "comms"):
             (self.data / name).mkdir(parents=True)
@@ -126,38 +162,11 @@ class Printer:
 
     # ------------------------------------------------------------------ requests
 
-    def request(
-        self, method: str, path: str, body: bytes = b"", kind: str = "", decoded: bool = True
-    ) -> Any:
-        with closing(HTTPConnection("127.0.0.1", self.port, timeout=600.0)) as connection:
-            connection.request(method, path, body, {"Content-Type": kind} if kind else {})
-            response = connection.getresponse()
-            answer = response.read()
-        assert response.status < 300, answer
-        return json.loads(answer) if decoded else answer
-
     def get(self, path: str) -> Any:
         return self.request("GET", path)["result"]
 
     def post(self, path: str) -> Any:
         return self.request("POST", path)["result"]
-
-    def upload(
-        self, name: str, content: bytes, path: str = "/server/files/upload", **form: str
-    ) -> Any:
-        """Upload a file as slicers do: a form with the file and, maybe, print=true."""
-        boundary = secrets.token_hex(16)
-        parts = [
-            f'--{boundary}\r\nContent-Disposition: form-data; name="{key}"\r\n\r\n{value}\r\n'
-            for key, value in form.items()
-        ]
-        head = (
-            f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
-            "Content-Type: application/octet-stream\r\n\r\n"
-        )
-        body = "".join(parts).encode() + head.encode() + content
-        end = f"\r\n--{boundary}--\r\n".encode()
-        return self.request("POST", path, body + end, f"multipart/form-data; boundary={boundary}")
 
     def metadata(self, name: str) -> Any:
         return self.get(f"/server/files/metadata?filename={quote(name)}")
