@@ -17,6 +17,7 @@ from hframe_post.writers.files import Outputs
 CONFIG = "moonraker.conf"
 LINK = f"{moonraker.NAME}.py"
 PLACES = ("moonraker/moonraker", "moonraker-env/lib/python3*/site-packages/moonraker")
+UPDATES = f"update_manager {moonraker.NAME}"
 # a header and the lines below it, as far as the next empty line
 SECTIONS = re.compile(
     r"\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?", re.MULTILINE
@@ -48,18 +49,19 @@ class Moonraker:
         if not files.is_file() or "register_gcode_processor" not in files.read_text("utf-8"):
             raise HframeError("this Moonraker is older than February 2025: update it first")
         text, done = self._text(), [f"{self._link(create=True)}: linked"]
-        if not SECTIONS.search(text):
-            command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
-            section = f"\n[{moonraker.NAME}]\ncommand: {command}\n{update_section()}"
-            self._write(outputs, text.rstrip("\n") + "\n" + section)
-            done.append(f"{self.config}: section [{moonraker.NAME}] added")
+        command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
+        for name, lines in ((moonraker.NAME, f"command: {command}\n"), (UPDATES, update_lines())):
+            if lines and not re.search(rf"^\[{name}\]", text, re.MULTILINE):
+                text = f"{text.rstrip()}\n\n[{name}]\n{lines}"
+                done.append(f"{self.config}: section [{name}] added")
+        self._write(outputs, text)
         return [*done, "", RESTART]
 
     def disconnect(self, outputs: Outputs) -> list[str]:
         """Remove link and sections, and return what was done."""
         text, done = self._text(), [f"{self._link(create=False)}: removed"]
+        self._write(outputs, SECTIONS.sub("\n", text))
         if SECTIONS.search(text):
-            self._write(outputs, SECTIONS.sub("\n", text))
             done.append(f"{self.config}: section [{moonraker.NAME}] removed")
         return [*done, "", RESTART]
 
@@ -67,7 +69,8 @@ class Moonraker:
         return self.config.read_bytes().decode("utf-8", "surrogateescape")
 
     def _write(self, outputs: Outputs, text: str) -> None:
-        outputs.open(self.config).write(text.encode("utf-8", "surrogateescape"))
+        if text != self._text():
+            outputs.open(self.config).write(text.encode("utf-8", "surrogateescape"))
 
     def _link(self, create: bool) -> Path:
         link = self._components / LINK
@@ -83,13 +86,12 @@ class Moonraker:
         return link
 
 
-def update_section() -> str:
-    """Return the section that lets Moonraker update this installation, if it is able to."""
-    origin = metadata.distribution("hframe-post").read_text("direct_url.json")
-    if sys.prefix == sys.base_prefix or (origin and "vcs_info" not in json.loads(origin)):
-        return ""  # not a virtual environment, or installed from a folder
-    return f"""
-[update_manager {moonraker.NAME}]
+def update_lines() -> str:
+    """Return what lets Moonraker update this installation; empty unless it is one from Git."""
+    origin = metadata.distribution("hframe-post").read_text("direct_url.json") or "{}"
+    if "vcs_info" not in json.loads(origin):
+        return ""
+    return f"""\
 type: python
 project_name: hframe-post
 virtualenv: {sys.prefix}

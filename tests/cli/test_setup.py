@@ -203,7 +203,9 @@ def test_the_command_that_asked_is_gone() -> None:
 def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Moonraker as far as setup looks at it, and a measured profile; the components folder."""
     monkeypatch.setenv("HOME", str(config.parent))
-    config.with_name("moonraker.conf").write_text("[server]\nport: 7125\n\n[history]\n# mine\n")
+    config.with_name("moonraker.conf").write_text(
+        "[server]\nport: 7125\n\n[history]\n# no [hframe_post]\n"
+    )
     components = config.parent / "moonraker/moonraker/components"
     (components / "file_manager").mkdir(parents=True)
     (components / "file_manager/file_manager.py").write_text("def register_gcode_processor(): 0\n")
@@ -224,7 +226,7 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     assert f"[hframe_post]\ncommand: {program()} -p {config.parent}/printer.toml\n" in connected
     conf.write_text(connected.replace("printer.toml", "printer.toml --limits printer"))
     set_up(config, "--moonraker")
-    assert conf.read_text().count("[hframe_post]\n") == 1
+    assert conf.read_text().count("\n[hframe_post]\n") == 1
     assert "--limits printer" in conf.read_text()  # what was changed by hand stays
     conf.write_text(conf.read_text() + "\n[timelapse]\n")
     set_up(config, "--no-moonraker")
