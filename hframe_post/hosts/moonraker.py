@@ -106,7 +106,9 @@ class Upload:
         self.work.unlink(missing_ok=True)
         try:
             os.link(self.path, self.work)  # moved away, the file would be reported as deleted
-        except OSError:  # on another file system
+            if self.path.is_symlink() or self.work.stat().st_nlink > 2:
+                raise OSError("the file has other names, which keep it")
+        except OSError:  # also on another file system
             with self._new() as new:
                 shutil.copyfile(self.path, new)
                 new.replace(self.work)
@@ -194,9 +196,12 @@ def alone(folder: Path) -> Iterator[None]:
     """Wait until no other conversion runs, such as one of a Moonraker that was killed."""
     import fcntl  # which Windows has not, where setup reads this file
 
-    with (folder / "lock").open("w") as lock:
+    lock = os.open(folder, os.O_RDONLY)
+    try:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(lock)
 
 
 def main(path: str, gcodes: str, address: str, *command: str) -> int:
