@@ -20,12 +20,12 @@ slow:
 
 # HOSTS: a folder for environments with the real programs
 HOSTS ?= $(HOME)/.cache/hframe-post-hosts
-hosts: $(HOSTS)/moonraker==0.11.0 $(HOSTS)/octoprint==1.11.8
+hosts: $(HOSTS)/moonraker-0.11.0 $(HOSTS)/octoprint-1.11.8
 	MOONRAKER_PYTHON=$</bin/python OCTOPRINT_PYTHON=$(word 2,$^)/bin/python \
 		$(PYTHON) -m pytest -m slow tests/hosts
 
 $(HOSTS)/%:
-	$(PYTHON) -m venv $@ && $@/bin/pip install -q $*
+	$(PYTHON) -m venv $@ && $@/bin/pip install -q $(subst -,==,$*)
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only
