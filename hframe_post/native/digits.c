@@ -2,6 +2,8 @@
 
 #include "kernels.h"
 
+enum { WORDS = 5, LINE = 80 }; /* bytes of a line, at most: a number below 2^32 has 10 digits */
+
 /* Write ``value`` units of 10^-decimals at c, without trailing zeros; return its end. */
 static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
 {
@@ -24,23 +26,27 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
     return c;
 }
 
-/* Write n lines of a command with w words: values (w, n) in units of 10^-decimals (w) after their
- * letters; shown (w, n): the words to write. ends (n): the end of each line. Returns the length of
- * the text. */
-static int64_t command_lines(const char *command, const char *letters, int64_t w, int64_t n,
-                               const int64_t *values, const int64_t *decimals,
-                               const uint8_t *shown, uint8_t *text, int64_t *ends)
+/* Write n lines of G1: see motion_lines of digits.py. longest (5): the least numbers that are too
+ * long. ends (n): the end of each line. Returns the length of the text, or -1. */
+static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, int64_t feed,
+                            const int64_t *decimals, const int64_t *longest, uint8_t *text,
+                            int64_t *ends)
 {
     uint8_t *c = text;
-    for (int64_t i = 0; i < n; i++) {
-        for (const char *name = command; *name; name++)
-            *c++ = (uint8_t)*name;
-        for (int64_t k = 0; k < w; k++) {
-            if (!shown[k * n + i])
-                continue;
-            *c++ = ' ';
-            *c++ = (uint8_t)letters[k];
-            c = written(c, values[k * n + i], decimals[k]);
+    for (int64_t i = 0; i < n; i++, at += COLUMNS) {
+        const int64_t *to = at + COLUMNS;
+        int64_t values[] = {to[X], to[Y], to[Z], to[E] - at[E], feeds[i]};
+        int both = i == 0 && feed == 0;
+        int shown[] = {to[X] != at[X] || both, to[Y] != at[Y] || both, to[Z] != at[Z],
+                       to[E] != at[E], feeds[i] != (i ? feeds[i - 1] : feed)};
+        *c++ = 'G', *c++ = '1';
+        for (int k = 0; k < WORDS; k++) {
+            if (values[k] <= -longest[k] || values[k] >= longest[k])
+                return -1;
+            if (shown[k]) {
+                *c++ = ' ', *c++ = (uint8_t)"XYZEF"[k];
+                c = written(c, values[k], decimals[k]);
+            }
         }
         *c++ = '\n';
         ends[i] = c - text;
@@ -48,6 +54,6 @@ static int64_t command_lines(const char *command, const char *letters, int64_t w
     return c - text;
 }
 
-LOOP(command_lines, TEXT(0), TEXT(1), WHOLE(2), WHOLE(3), INTEGERS(4, WHOLE(2) * WHOLE(3)),
-     INTEGERS(5, WHOLE(2)), BYTES(6, WHOLE(2) * WHOLE(3)), OUT_BYTES(7, WHOLE(3)),
-     OUT_INTEGERS(8, WHOLE(3)))
+LOOP(motion_lines, INTEGERS(0, COLUMNS * (WHOLE(2) + 1)), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3),
+     INTEGERS(4, WORDS), INTEGERS(5, WORDS), OUT_BYTES(6, LINE * WHOLE(2)),
+     OUT_INTEGERS(7, WHOLE(2)))

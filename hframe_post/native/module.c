@@ -10,15 +10,18 @@
 /* The name of each function that has a LOOP row. */
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
-    EACH(command_lines)                                                                       \
     EACH(count_turns)                                                                         \
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \
     EACH(filtered)                                                                            \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(klipper_durations)                                                                   \
+    EACH(klipper_feed_rates)                                                                  \
     EACH(lower)                                                                               \
     EACH(misses)                                                                              \
+    EACH(motion_lines)                                                                        \
+    EACH(motion_segments)                                                                     \
     EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.klipper.segments import Ramped, StreamLimits
+from hframe_post.firmware.klipper.ramps import Ramped, StreamLimits
 from hframe_post.firmware.player import plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable

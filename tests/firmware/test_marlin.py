@@ -314,7 +314,7 @@ def test_golden_rectangle(
     """Other machines may round to another tick of the timer."""
     whole = converted(sample("rectangle.gcode"), with_own(marlin, planner=planner))[0]
     now = whole.partition(b"\n")[2]  # the stamp apart: it changes with every option
-    assert_same_stream(now, golden(f"rectangle.marlin-{planner}.gcode", now), feed=2e-2)
+    assert_same_stream(now, golden(f"rectangle.marlin-{planner}.gcode", now))
 
 
 def test_generations_of_planners_are_those_of_the_profile() -> None:

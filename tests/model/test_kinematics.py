@@ -13,7 +13,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.segments import StreamLimits
+from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import ROWS, Differences, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from hframe_post import native
 from hframe_post.arrays import Array
@@ -21,7 +18,6 @@ from hframe_post.compensation.guard import Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper import segments
 from hframe_post.model.linear import product, recursion
 from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import lookahead, profiles, sampling
@@ -29,40 +25,8 @@ from hframe_post.prediction.predict import Polyline, _moving
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
 from hframe_post.stream.types import Plan, Samples, Standing
-from hframe_post.writers.stream import digits
 from tests.conftest import SAMPLES
-from tests.random_paths import wander
-
-seeds = st.integers(0, 2**32 - 1)
-thorough = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-
-
-def same(one: NDArray[Any], other: NDArray[Any]) -> None:
-    assert one.dtype == other.dtype
-    assert one.shape == other.shape
-    assert one.tobytes() == other.tobytes()
-
-
-def in_numpy(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what a function computes without the compiled loops."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "built", lambda: None)
-        return function(*arguments)
-
-
-@thorough
-@given(seeds, st.integers(1, 400), st.floats(-6.0, -1.0), st.booleans(), st.floats(1e-3, 0.1))
-def test_decimation(
-    compiled: None, seed: int, n: int, power: float, coarse: bool, tolerance: float
-) -> None:
-    """Rounded points have many chords with equal errors."""
-    points, forced = wander(seed, n, power)
-    points = points.round(3) if coarse else points
-    ends = segments.breakpoints(points, forced, tolerance)
-    same(ends, segments._breakpoints(points, forced, tolerance))
-    same(segments.fitted(points, ends), segments._fitted(points, ends))
+from tests.native.comparing import in_numpy, same, seeds, thorough
 
 
 def walk(rng: np.random.Generator, n: int) -> Array:
@@ -274,16 +238,3 @@ def test_numpy_is_used_where_the_module_is(name: str, monkeypatch: pytest.Monkey
         monkeypatch.setattr(native, "BUILT_FOR", native.BUILT_FOR + 1)
     monkeypatch.setattr(native, "built", native.built.__wrapped__)
     assert native.kernel("follow") is None
-
-
-@thorough
-@given(seeds, st.integers(0, 60), st.integers(1, 9), st.integers(0, 5))
-def test_lines(compiled: None, seed: int, n: int, digits_of: int, places: int) -> None:
-    rng = np.random.default_rng(seed)
-    values = rng.integers(-(10**digits_of), 10**digits_of + 1, (5, n)) // 10**places * 10**places
-    decimals, shown = (4, 5, 6, 5, 4), rng.random((5, n)) < 0.7
-    arguments = b"G1", b"XYZEF", values, decimals, shown
-    text, ends = digits.command_lines(*arguments)
-    plain_text, plain_ends = digits._command_lines(*arguments)
-    assert text == plain_text
-    same(ends, plain_ends)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hframe_post import native
 from hframe_post.errors import HframeError
 from hframe_post.writers.stream import digits
 
@@ -19,10 +20,11 @@ def formatted(letter: str, value: int, decimals: int) -> str:
     return f"{letter}{sign}{whole}" + (f".{fraction}" if fraction else "")
 
 
-def words(letter: str, values: list[int], decimals: int, shown: list[bool] | None = None) -> bytes:
-    flags = np.array(shown if shown is not None else [True] * len(values), dtype=bool)
-    column = np.array([values], dtype=np.int64)
-    return digits.command_lines(b"G1", letter.encode(), column, (decimals,), flags[None])[0]
+def extruded(values: list[int], decimals: int) -> bytes:
+    """Return lines that extrude these lengths."""
+    at = np.zeros((len(values) + 1, 4), dtype=np.int64)
+    at[1:, 3] = np.cumsum(values)
+    return digits.motion_lines(at, np.zeros(len(values), np.int64), 0, (3, 3, 3, decimals, 1))[0]
 
 
 @st.composite
@@ -37,73 +39,67 @@ def columns(draw: st.DrawFn) -> tuple[list[int], int]:
 @given(columns())
 def test_words_equal_numbers_formatted_by_python(column: tuple[list[int], int]) -> None:
     values, decimals = column
-    expected = "".join("G1" + formatted(" X", value, decimals) + "\n" for value in values)
-    assert words("X", values, decimals).decode() == expected
+    words = (formatted(" E", value, decimals) if value else "" for value in values)
+    expected = "".join(f"G1{word}\n" for word in words)
+    assert extruded([7, *values], decimals).decode().split("\n", 1)[1] == expected
 
 
 @settings(max_examples=300)
 @given(columns())
 def test_words_read_back_as_their_values(column: tuple[list[int], int]) -> None:
     values, decimals = column
-    for row, value in zip(words("X", values, decimals).splitlines(), values, strict=True):
-        number = row.removeprefix(b"G1 X")
-        assert round(float(number) * 10**decimals) == value
+    for row, value in zip(extruded([7, *values], decimals).splitlines()[1:], values, strict=True):
+        number = row.removeprefix(b"G1").removeprefix(b" E")
+        assert round(float(number or b"0") * 10**decimals) == value
         assert b"e" not in number
-        assert number != b"-0"
         assert b"." not in number or not number.endswith((b"0", b"."))
 
 
 @pytest.mark.parametrize(
     ("value", "decimals", "expected"),
     [
-        (0, 3, "0"), (1, 3, "0.001"), (-1, 3, "-0.001"), (12500, 3, "12.5"),
-        (-12000, 3, "-12"), (100, 0, "100"), (0, 0, "0"), (-7, 0, "-7"), (999999, 3, "999.999"),
-        (1000000, 3, "1000"), (-99999999, 3, "-99999.999"), (5, 5, "0.00005"), (10, 1, "1"),
+        (1, 3, "0.001"), (-1, 3, "-0.001"), (12500, 3, "12.5"), (-12000, 3, "-12"),
+        (100, 0, "100"), (-7, 0, "-7"), (999999, 3, "999.999"), (1000000, 3, "1000"),
+        (-99999999, 3, "-99999.999"), (99999999, 3, "99999.999"), (5, 5, "0.00005"), (10, 1, "1"),
     ],
 )  # fmt: skip
 def test_numbers_are_written_plainly(value: int, decimals: int, expected: str) -> None:
-    assert words("E", [value], decimals) == b"G1 E" + expected.encode() + b"\n"
+    assert extruded([value], decimals) == b"G1 X0 Y0 E" + expected.encode() + b"\n"
 
 
-@given(st.lists(st.tuples(st.integers(-99999, 99999), st.booleans()), min_size=1, max_size=20))
-def test_hidden_words_are_not_written(rows: list[tuple[int, bool]]) -> None:
-    values, shown = [value for value, _ in rows], [flag for _, flag in rows]
-    expected = (f"G1{formatted(' Y', v, 2) if s else ''}\n" for v, s in rows)
-    assert words("Y", values, 2, shown).decode() == "".join(expected)
+places = st.lists(st.integers(-2, 2), min_size=5, max_size=5)
 
 
-@given(st.lists(st.tuples(st.integers(-10**6, 10**6), st.integers(0, 10**5)), min_size=1,
-                max_size=20))  # fmt: skip
-def test_lines_end_where_they_say(rows: list[tuple[int, int]]) -> None:
-    x, f = (np.array(column, dtype=np.int64) for column in zip(*rows, strict=True))
-    shown = np.array([np.ones(len(rows), dtype=bool), f % 2 == 0])
-    written, ends = digits.command_lines(b"G1", b"XF", np.array([x, f]), (3, 1), shown)
-    starts = [0, *ends[:-1].tolist()]
-    for (a, b), start, end in zip(rows, starts, ends.tolist(), strict=True):
-        feed = formatted(" F", b, 1) if b % 2 == 0 else ""
-        assert written[start:end].decode() == "G1" + formatted(" X", a, 3) + feed + "\n"
-    assert ends[-1] == len(written)
+@given(st.lists(places, min_size=2, max_size=20), st.sampled_from([digits.NO_FEED, 0, 2]))
+def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) -> None:
+    table, decimals = np.array(rows, dtype=np.int64), (3, 2, 1, 0, 5)
+    written, ends = digits.motion_lines(table[:, :4].copy(), table[1:, 4].copy(), feed, decimals)
+    feeds, begin = [feed, *table[1:, 4].tolist()], 0
+    for k, end in enumerate(ends.tolist(), start=1):
+        changed = table[k] != table[k - 1]
+        changed[:2] |= k == 1 and feed == 0
+        changed[4] = feeds[k] != feeds[k - 1]
+        values = [*rows[k][:3], rows[k][3] - rows[k - 1][3], rows[k][4]]
+        words = zip("XYZEF", values, decimals, changed, strict=True)
+        line = "".join(formatted(f" {letter}", v, d) for letter, v, d, shown in words if shown)
+        assert written[begin:end].decode() == f"G1{line}\n"
+        begin = end
+    assert begin == len(written)
 
 
-def test_no_rows_give_no_text() -> None:
-    values, shown = np.zeros((1, 0), dtype=np.int64), np.zeros((1, 0), dtype=bool)
-    written, ends = digits.command_lines(b"G1", b"X", values, (3,), shown)
-    assert written == b""
-    assert len(ends) == 0
-
-
+@pytest.mark.parametrize("compiles", [True, False])
 @pytest.mark.parametrize(
     "value",
     [10**8, -(10**8), 2**32, 2**32 + 5, -(2**32), 10**15, 2**63 - 1, -(2**63)],
 )
-def test_number_too_long_is_an_error(value: int) -> None:
+def test_number_too_long_is_an_error(
+    value: int, compiles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """-2⁶³ is what numpy makes of NaN."""
+    if not compiles:
+        monkeypatch.setattr(native, "built", lambda: None)
     with pytest.raises(HframeError):
-        words("X", [1, value, 2], 3)
-
-
-def test_longest_number_is_written() -> None:
-    assert words("X", [10**8 - 1, 1 - 10**8], 3) == b"G1 X99999.999\nG1 X-99999.999\n"
+        extruded([value], 3)
 
 
 # ---------------------------------------------------------------------- columns of numbers

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.klipper.segments import SQUARE_CORNER_VELOCITY
+from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 

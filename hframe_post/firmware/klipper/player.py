@@ -11,16 +11,9 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.segments import (
-    LATE,
-    SQUARE_CORNER_VELOCITY,
-    Ramped,
-    StreamLimits,
-    breakpoints,
-    fitted,
-    made_up,
-    thinned,
-)
+from hframe_post.firmware.klipper import ramps
+from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
+from hframe_post.firmware.klipper.segments import breakpoints, fitted, thinned
 from hframe_post.firmware.player import Dwelling, Rejoined, Stroke, coordinates, plain
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -161,18 +154,12 @@ class Klipper:
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        ramped = Ramped.from_moves(np.diff(at, axis=0), rest, self.limits, after)
-        v = ramped.speeds(T, before)
-        late = ramped.durations(v, before) - T
-        if late.max() > LATE:
-            v = ramped.speeds(made_up(T, np.where(late > LATE, late, 0.0)), before)
-        return v
+        return ramps.feed_rates(at, T, rest, before, after, self.limits)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        ramped = Ramped.from_moves(np.diff(at, axis=0), rest, self.limits, after)
-        return ramped.durations(v, before)
+        return ramps.durations(at, v, rest, before, after, self.limits)
 
     def lift_corner(self, at: Array, speed: float) -> float:
         lift = abs(float(at[1, Z] - at[0, Z]))

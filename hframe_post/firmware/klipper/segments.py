@@ -1,4 +1,4 @@
-"""Segments for Klipper: few of them, with its limits and ramps, and none that it would refuse.
+"""Segments for Klipper: few of them, and none that it would refuse.
 
 1. Neighbouring segments become one, those first that lose least by it, as long as every sample
    stays within the tolerance of its chord (Keogh's bottom-up segmentation, all places at once).
@@ -10,101 +10,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z, lengths
-from hframe_post.firmware import ramps
-from hframe_post.firmware.player import VELOCITY_HEADROOM
-from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
-from hframe_post.printer.settings import Limits, Motors
 
-SQUARE_CORNER_VELOCITY = 20.0  # mm/s; the stream makes its own corners
-LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
 SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
-ALIKE = 1e-6  # mm; losses this close count as equal, on every machine
+ALIKE = 1e-4  # mm; losses this close count as equal, for evenness
 ROUNDS = 12  # of Jacobi's method, each of which at least halves the error
-
-
-@dataclass(frozen=True, slots=True)
-class StreamLimits:
-    """Klipper's limits while the stream runs; mm, s.
-
-    acceleration: what the motors hold in any direction. A pause or a cancelled print brakes with
-    no more than that.
-    """
-
-    velocity: float
-    acceleration: float
-    z_velocity: float
-    z_acceleration: float
-    extruder_velocity: float
-    extruder_acceleration: float
-    extruder_corner_velocity: float
-
-    @classmethod
-    def from_limits(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
-        # no higher than the stream needs: an aborted print leaves them in force
-        return cls(
-            VELOCITY_HEADROOM * kinematics.max_speed_ratio * motors.belt_velocity,
-            math.floor(kinematics.min_speed_ratio * motors.belt_acceleration),
-            limits.z_velocity,
-            limits.z_acceleration,
-            limits.extruder_velocity,
-            limits.extruder_acceleration,
-            limits.extruder_corner_velocity,
-        )
-
-    @property
-    def lift_corner(self) -> float:
-        """Return the speed, mm/s, of Klipper in the corner between a lift and motion in x, y."""
-        return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)
-
-
-@dataclass(frozen=True, slots=True)
-class Ramped:
-    """Segments with Klipper's ramps: length, acceleration and greatest speed of each (k,).
-
-    caps (k + 1,): greatest speeds at their ends.
-    """
-
-    d: Array
-    a: Array
-    top: Array
-    caps: Array
-
-    @classmethod
-    def from_moves(
-        cls, delta: Array, rest: Flags, limits: StreamLimits, after: float = math.inf
-    ) -> Ramped:
-        """Return the segments of moves delta (k, 4) in x, y, z, e.
-
-        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper stands at
-        each end; after: greatest speed at the last.
-        """
-        d = lengths(delta[:, :E])
-        with np.errstate(divide="ignore"):
-            per_z = d / np.abs(delta[:, Z])
-            per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
-        a = np.minimum(per_z * limits.z_acceleration, per_e * limits.extruder_acceleration)
-        top = np.minimum(per_z * limits.z_velocity, per_e * limits.extruder_velocity)
-        a, top = np.minimum(a, limits.acceleration), np.minimum(top, limits.velocity)
-        square = junction_deviation(SQUARE_CORNER_VELOCITY, limits.acceleration)
-        inner = junction_speeds(delta, d, a, square, limits.extruder_corner_velocity)
-        corners = np.concatenate([[math.inf], inner, [after]])
-        return cls(d, a, top, np.where(rest, 0.0, corners))
-
-    def speeds(self, T: Array, before: float) -> Array:
-        """Return the cruise speeds (k,) for the times T (k,); before: of the segment before."""
-        return ramps.speeds(self.d, T, self.a, self.caps, before)
-
-    def durations(self, v: Array, before: float) -> Array:
-        return ramps.durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
 
 
 def thinned(points: Array, ends: Integers) -> Integers:
@@ -137,17 +53,6 @@ def thinned(points: Array, ends: Integers) -> Integers:
     return np.unique(np.concatenate(pieces))
 
 
-def made_up(T: Array, late: Array) -> Array:
-    """Return T (k,), shortened after segments that are late by (k,) s at any feed rate.
-
-    Lateness waits in a queue, from which each segment in time takes 4 % of its T.
-    """
-    taken = np.where(late > 0.0, 0.0, 0.04 * T)
-    total = np.cumsum(late - taken)
-    waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
-    return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
-
-
 def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
     """Return indices of the points to keep, ascending, without the first and with the last one.
 
@@ -156,30 +61,32 @@ def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
     together, of z, and of e within a share 1/E_WEIGHT of it. A segment of n > SHORT samples is
     within √(SHORT/n) of that.
     """
-    n = len(points)
     if (compiled := kernel("breakpoints")) is None:
         return _breakpoints(points, forced, tolerance)
-    kept, room, flags = np.empty(n, np.int64), np.empty((3, n)), np.empty(n, np.uint8)
+    n = len(points)
+    kept = np.empty(n, np.int64)
     count = compiled(
-        np.ascontiguousarray(points), forced, n, tolerance, SHORT, E_WEIGHT**2,
-        ALIKE, kept, room, flags,
-    )  # fmt: skip
+        points, forced, n, tolerance, SHORT, E_WEIGHT**2, ALIKE, kept, np.empty((6, n))
+    )
     return kept[1:count]
 
 
 def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
-    kept = np.arange(len(points))
+    kept, places = np.arange(len(points)), np.zeros(1)
+    while len(places) < len(points):  # the bits of each index in reverse; odd ones come first
+        places = np.concatenate([2.0 * places + 1.0, 2.0 * places])
     off = np.zeros(len(points) - 1)  # greatest distance of samples from each chord, or more
-    while len(kept) > 2:
-        off_merged = _merged(points[kept], kept, off)
-        cost = off_merged * np.sqrt(np.maximum((kept[2:] - kept[:-2]) / SHORT, 1.0))
-        cost[forced[kept[1:-1]] | (cost > tolerance)] = np.inf
-        chosen = _cheapest(np.rint(cost / ALIKE))
+    while True:
+        merged = _merged(points[kept], kept, off)
+        cost = merged * np.sqrt(np.maximum((kept[2:] - kept[:-2]) / SHORT, 1.0))
+        key = np.full(len(kept), np.inf)  # of equal costs, the lowest place goes first
+        key[1:-1] = np.trunc(cost / ALIKE) * len(places) + places[kept[1:-1]]
+        key[1:-1][forced[kept[1:-1]] | (cost > tolerance)] = np.inf
+        chosen = 1 + np.flatnonzero((key[1:-1] < key[:-2]) & (key[1:-1] < key[2:]))
         if not len(chosen):
-            break
-        off[chosen] = off_merged[chosen]
-        off, kept = np.delete(off, chosen + 1), np.delete(kept, chosen + 1)
-    return kept[1:]
+            return kept[1:]
+        off[chosen - 1] = merged[chosen - 1]
+        off, kept = np.delete(off, chosen), np.delete(kept, chosen)
 
 
 def _merged(vertices: Array, at: Integers, off: Array) -> Array:
@@ -196,15 +103,6 @@ def _merged(vertices: Array, at: Integers, off: Array) -> Array:
     z_e = np.maximum(apart[:, Z], E_WEIGHT**2 * apart[:, E])
     farthest = np.sqrt(np.maximum(xy, z_e))
     return np.asarray(np.maximum(off[:-1], off[1:]) + farthest)
-
-
-def _cheapest(cost: Array) -> Integers:
-    """Return the finite costs (k,) below their neighbours'; of equal ones the even."""
-    even = np.arange(len(cost)) % 2 == 0
-    left, right = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
-    least = (cost < left) | (even & (cost == left))
-    least &= (cost < right) | (even & (cost == right))
-    return np.flatnonzero(least & np.isfinite(cost))
 
 
 def fitted(points: Array, ends: Integers) -> Array:

@@ -65,7 +65,8 @@ class Timer:
     def interrupts(self, rate: Array) -> Array:
         """Return the interrupts a step, (k,), in blocks of nominal rates (k,)."""
         below = np.ceil(self.smoothing_hz / rate) - 1.0  # most that stay under smoothing_hz
-        return np.exp2(np.floor(np.log2(np.maximum(below, 1.0))))
+        _, exponent = np.frexp(np.maximum(below, 1.0))
+        return np.asarray(np.ldexp(1.0, exponent - 1))
 
     def ticks(self, rate: Array) -> Array:
         return np.floor(self.hz / rate)
@@ -183,7 +184,7 @@ def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Arr
         return np.asarray(start + np.sign(way) * np.minimum(np.floor(a * t), np.abs(way)))
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.where(way != 0.0, np.clip(a * t / np.abs(way), 0.0, 1.0), 1.0)
-    return np.asarray(np.floor(start + way * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)))
+    return np.asarray(np.floor(start + way * (u * u * u) * (10.0 - 15.0 * u + 6.0 * u * u)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ def motor_steps(cells: Integers, kinematics: Kinematics) -> Integers:
 
 def most_steps(steps: Integers) -> Integers:
     """Return the steps (n,) of the motor that makes the most of them, from (n, 2)."""
-    return np.asarray(np.abs(steps).max(axis=1))
+    return np.asarray(np.maximum(*np.abs(steps).T))  # by columns: rows take ten times as long
 
 
 def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integers:

@@ -27,7 +27,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers, X
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.klipper.segments import StreamLimits
+from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.player import VELOCITY_HEADROOM, plain
 from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.recordings import place_mark

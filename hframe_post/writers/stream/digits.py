@@ -7,54 +7,68 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import Array, E, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]
 MINUS, ZERO = b"-0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
+TOO_LONG = "a coordinate, filament length or feed rate is too long to be written"
+NO_FEED = -1  # any F is written after it
+LINE = 80  # bytes of a line of motion, at most: five words of up to 10 digits
 GROUP = 4  # digits looked up at once
 
 
-def command_lines(
-    command: bytes, letters: bytes, values: Integers, decimals: tuple[int, ...], shown: Flags
+def motion_lines(
+    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...]
 ) -> tuple[bytes, Integers]:
-    """Return n lines of a command with w words each, and where each ends in the text (n,).
+    """Return n lines of G1 from place to place, and where each ends in the text (n,).
 
-    values (w, n): in units of 10^−decimals (w,), each after its letter (w,). shown (w, n): whether
-    the word is written. No exponent, no negative zero, no trailing zeros. Raises HframeError for
-    numbers with more than WHOLE_DIGITS before the point, or from 2³² units on.
+    at (n + 1, 4): x, y, z, e; feeds (n,): F; both in units of 10^−decimals (5,). feed: F before
+    the first line. A word is written where it changes, and x and y after a feed of 0; E is a
+    difference. No exponent, no negative zero, no trailing zeros. Raises HframeError for numbers
+    with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
-    for row, places in zip(values, decimals, strict=True):
-        longest = min(10.0 ** (WHOLE_DIGITS + places), 2.0**32)
-        if np.abs(row.astype(np.float64)).max(initial=0.0) >= longest:
-            cause = "a coordinate, filament length or feed rate is too long to be written"
-            raise HframeError(cause)
-    if (compiled := kernel("command_lines")) is None:
-        return _command_lines(command, letters, values, decimals, shown)
-    w, n = values.shape
-    room = 27  # bytes of a word, at most: 2³² has 10 digits, no number has more than 20 decimals
-    text, ends = np.empty(n * (len(command) + w * room + 1), np.uint8), np.empty(n, np.int64)
-    size = compiled(
-        command, letters, w, n, np.ascontiguousarray(values), np.array(decimals, np.int64),
-        np.ascontiguousarray(shown), text, ends,
-    )  # fmt: skip
+    if (compiled := kernel("motion_lines")) is None:
+        return _motion_lines(at, feeds, feed, decimals)
+    n = len(feeds)
+    text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
+    size = compiled(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
+    if size < 0:
+        raise HframeError(TOO_LONG)
     return text[:size].tobytes(), ends
 
 
-def _command_lines(
-    command: bytes, letters: bytes, values: Integers, decimals: tuple[int, ...], shown: Flags
+def _motion_lines(
+    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...]
 ) -> tuple[bytes, Integers]:
-    n = values.shape[1]
-    columns = [column(command, n)]
-    for letter, row, places, seen in zip(letters, values, decimals, shown, strict=True):
+    n = len(feeds)
+    shown = np.column_stack([np.diff(at, axis=0), np.diff(feeds, prepend=feed)]) != 0
+    shown[0, :Z] |= feed == 0
+    values = np.column_stack([at[1:, :E], np.diff(at[:, E]), feeds])
+    longest = _longest(decimals)
+    if ((values <= -longest) | (values >= longest)).any():
+        raise HframeError(TOO_LONG)
+    columns = [column(b"G1", n)]
+    for letter, row, places, seen in zip(b"XYZEF", values.T, decimals, shown.T, strict=True):
         word = np.concatenate([column(b" %c" % letter, n), number(row, places, trim=True)], axis=1)
         word[~seen] = 0
         columns.append(word)
     table = np.concatenate([*columns, column(b"\n", n)], axis=1)
     visible = table != 0
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
+
+
+@cache
+def _row(decimals: tuple[int, ...]) -> Integers:
+    return np.array(decimals)
+
+
+@cache
+def _longest(decimals: tuple[int, ...]) -> Integers:
+    """Return the least numbers that are too long to be written, (5,)."""
+    return np.array([min(10 ** (WHOLE_DIGITS + places), 2**32) for places in decimals])
 
 
 def rows(columns: list[Bytes]) -> bytes:

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import E, Z
 from hframe_post.firmware.player import Player
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.stream import digits
@@ -114,15 +113,7 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
 
 def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Iterator[Output]:
     """Yield G1 lines from place to place, with the lines between them. feed: F before them."""
-    at, feeds = motion.at, motion.feeds
-    shown = np.diff(at, axis=0) != 0
-    shown[0, :Z] |= feed == 0  # after the machine was released: both, to be plain
-    changed = np.diff(feeds, prepend=feed) != 0
-    values = np.vstack([at[1:, :E].T, np.diff(at[:, E]), feeds])
-    decimals = (*units.decimals, units.feed_decimals)
-    rows, ends = digits.command_lines(
-        b"G1", b"XYZEF", values, decimals, np.vstack([shown.T, changed])
-    )
+    rows, ends = digits.motion_lines(motion.at, motion.feeds, feed, units.decimals)
     between = sorted([(1, revert), *motion.between], key=lambda item: item[0])
     written = 0
     for row, text in between:
@@ -136,10 +127,6 @@ def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Itera
 
 def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:
     """Return the line of a retraction or a lift; empty where nothing moves."""
-    dz, de = int(move.end[Z] - move.start[Z]), int(move.end[E] - move.start[E])
-    if not (dz or de):
+    if (move.at[0] == move.at[1]).all():
         return b""
-    values = np.array([[move.end[Z]], [de], [feed]])
-    decimals = (units.decimals[Z], units.decimals[E], units.feed_decimals)
-    shown = np.array([[dz != 0], [de != 0], [True]])
-    return digits.command_lines(b"G1", b"ZEF", values, decimals, shown)[0]
+    return digits.motion_lines(move.at, np.array([feed]), digits.NO_FEED, units.decimals)[0]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,13 +51,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class StandingMove:
-    """A retraction or a lift from start to end, (4,) each, in output units."""
+    """A retraction or a lift from place to place, at (2, 4), in output units."""
 
     pause: Pause
     speed: float
     lifts: bool
-    start: Integers
-    end: Integers
+    at: Integers
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,34 +108,37 @@ class Machine:
         yield from self._stop()
 
     def _chunk(self, chunk: Samples) -> Iterator[Command]:
-        points = np.column_stack([chunk.commands[self._strategy], chunk.xyze[:, Z:]])
         done = min(self._skip, len(chunk))
         self._skip -= done
         for event in chunk.events:
             at = event.index - chunk.first
             if isinstance(event, Mark):
-                yield from self._take(points[done:at], chunk.first + done)
+                yield from self._take(chunk, done, at)
                 done = max(at, done)
                 self._buffer.add_mark(event)
                 if not self._buffer:
                     yield from self._marks(event.index)
             elif isinstance(event, Pause):
-                yield from self._take(points[done:at], chunk.first + done)
+                yield from self._take(chunk, done, at)
                 yield from self._stop(self._speed_into(event))
                 yield from self._pause(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
-        yield from self._take(points[done:], chunk.first + done)
+        yield from self._take(chunk, done, len(chunk))
 
-    def _take(self, points: Array, index: int) -> Iterator[Command]:
-        if not len(points):
+    def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[Command]:
+        if start >= stop:
             return
+        xy, z_e = chunk.commands[self._strategy], chunk.xyze[:, Z:]
         if self._at is None:  # the first sample may have extruded on its way here
-            self._at = self._units.rounded(np.append(points[0, :E], self.ledger.filament))
-        self._buffer.add(points, index, np.asarray(self._at / self._units.per_mm))
-        while len(self._buffer) > SAMPLES_AT_ONCE:
-            if batch := self._buffer.batch(last=False):
+            place = (*xy[start], z_e[start, 0], self.ledger.filament)
+            self._at = self._units.rounded(np.array(place))
+        stand = np.asarray(self._at / self._units.per_mm)
+        while start < stop:
+            if len(self._buffer) == SAMPLES_AT_ONCE and (batch := self._buffer.batch(last=False)):
                 yield from self._motion(batch)
+            rows = slice(start, stop)
+            start += self._buffer.add(xy[rows], z_e[rows], chunk.first + start, stand)
 
     def _stop(self, speed: float = 0.0) -> Iterator[Command]:
         """Yield what is buffered, up to standstill or to a lift that begins at a speed, mm/s."""
@@ -164,14 +167,14 @@ class Machine:
         self._still = made.still
         if len(made.T):
             yield from self._enter()
-            at = np.vstack([self._at, made.at])
+            at = made.at
             check_filament(batch, made.ends, at[:, E] / self._units.per_mm[E], still)
             rows = np.searchsorted(made.ends, batch.marked, side="right").tolist()
             marks = zip(rows, batch.marks, strict=True)
             between = tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
             stops = batch.last and not (speed and not self._still)
             self.ledger.moved(batch.first + made.ends, int(at[-1, E] - at[0, E]))
-            self._at = made.at[-1]
+            self._at = at[-1]
             yield Motion(at, made.T, made.dwell, between, stops, speed or math.inf)
         else:
             for mark in batch.marks:
@@ -201,11 +204,11 @@ class Machine:
     def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
         yield from self._enter()
         assert self._at is not None
-        start = self._at
-        end = np.concatenate([start[:Z], self._units.rounded(np.array(move.end))[Z:]])
-        self.ledger.moved(np.array([pause.index]), int(end[E] - start[E]))
-        self._at = end
-        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], start, end)
+        at = np.array([self._at, self._at])
+        at[1, Z:] = self._units.rounded(np.array(move.end))[Z:]
+        self.ledger.moved([pause.index], int(at[1, E] - at[0, E]))
+        self._at = at[1]
+        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], at)
 
     def _enter(self) -> Iterator[Command]:
         """Yield the change to the stream's limits if the user's hold, and a new count of E."""
@@ -237,15 +240,14 @@ class Ledger:
         self._counted = steps  # when the firmware last began to count
         self._second, self._lines = 0, 0  # lines in that second, so far
 
-    def moved(self, samples: Integers, steps: int) -> None:
+    def moved(self, samples: Sequence[int] | Integers, steps: int) -> None:
         """Add lines that extrude these steps in all and are due at these samples, ascending."""
         self._steps += steps
-        seconds = samples // round(1.0 / TS)
-        first = np.append(0, np.flatnonzero(np.diff(seconds)) + 1)  # row of each second
-        counts = np.diff(np.append(first, len(seconds)))
-        for second, count in zip(seconds[first].tolist(), counts.tolist(), strict=True):
-            self._lines = count + (self._lines if second == self._second else 0)
-            self._second, self.busiest = second, max(self.busiest, self._lines)
+        a_second, done = round(1.0 / TS), 0
+        for second in range(int(samples[0]) // a_second, int(samples[-1]) // a_second + 1):
+            end = bisect_left(samples, (second + 1) * a_second)
+            self._lines = end - done + (self._lines if second == self._second else 0)
+            self._second, self.busiest, done = second, max(self.busiest, self._lines), end
 
     def passed(self, filament: float) -> None:
         self._passed += filament

@@ -88,7 +88,7 @@ class Pace:
 
     def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
         motion = yield from self._rejoined(motion)
-        rest: Flags = np.append(motion.dwell > 0, motion.stops)
+        rest = np.concatenate([motion.dwell > 0, [motion.stops]])
         feeds = self.feeds(motion.at / self._units.per_mm, motion.T, rest, motion.after)
         yield from self._leave(feeds[0] / self._per_feed if not motion.dwell[0] else 0.0)
         dwells = [
@@ -106,9 +106,10 @@ class Pace:
         Returns the motion with its first segment shorter by that.
         """
         per_mm = self._units.per_mm
+        if not self._may_be_elsewhere or self._before != 0.0:
+            return motion
         way = (motion.at[1] - motion.at[0])[:Z] / per_mm[:Z]
-        stands = self._before == 0.0
-        if not self._may_be_elsewhere or not stands or np.abs(way).max() < 1.5 / per_mm[X]:
+        if np.abs(way).max() < 1.5 / per_mm[X]:
             return motion
         self._may_be_elsewhere = False
         rejoined = self._player.rejoin(motion.at[0] / per_mm, way, float(motion.T[0]))
@@ -132,11 +133,11 @@ class Pace:
         late, passed = abs(self.lag), np.cumsum(T)
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
-        wanted = T - np.copysign(np.diff(made_up, prepend=0.0), self.lag)
+        made_up[1:] -= made_up[:-1].copy()
+        wanted = T - np.copysign(made_up, self.lag)
         feeds, taken = self._asked(at, wanted, rest, after)
         if self._steady:
-            near = np.ones(min(self._steady, len(T)))
-            drift = np.convolve(taken - wanted, near, "same") / np.convolve(T, near, "same")
+            drift = _near(taken - wanted, self._steady) / _near(T, self._steady)
             feeds, taken = self._asked(at, wanted - drift * T, rest, after)
             self._join(at, feeds, rest)
         over = taken - T
@@ -173,7 +174,7 @@ class Pace:
             self._before = 0.0
         if self._before == 0.0:
             yield from self._dwell(0, next_to)
-        places = np.stack([move.start, move.end]) / self._units.per_mm
+        places = move.at / self._units.per_mm
         planned = pause.samples * TS
         left_for_it = planned - self.lag
         stroke_to = partial(
@@ -210,3 +211,11 @@ class Pace:
         self.lag += waited - samples * TS
         if line:
             yield Text(line)
+
+
+def _near(x: Array, n: int) -> Array:
+    """Return the sum of x (k,) over n neighbours of each, or as many as there are."""
+    n = min(n, len(x))
+    total = np.cumsum(np.append(0.0, x))  # np.convolve would sum in an order that depends on BLAS
+    first = np.arange(-(n // 2), len(x) - n // 2)
+    return np.asarray(total[np.minimum(first + n, len(x))] - total[np.maximum(first, 0)])

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.firmware.player import Player
+from hframe_post.native import kernel
 from hframe_post.stream.types import Mark
 
 SAMPLES_AT_ONCE = 1 << 14
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Units:
     """How finely a place (x, y, z, e) and F are written.
 
@@ -24,30 +26,27 @@ class Units:
 
     finer: int = 0
 
-    @property
-    def decimals(self) -> tuple[int, int, int, int]:
-        return 3 + self.finer, 3 + self.finer, 3 + self.finer, 5
+    @cached_property
+    def decimals(self) -> tuple[int, ...]:
+        """Return the decimals of x, y, z, e in mm and of F in mm/min."""
+        return 3 + self.finer, 3 + self.finer, 3 + self.finer, 5, 1 + self.finer
 
-    @property
-    def feed_decimals(self) -> int:
-        return 1 + self.finer
-
-    @property
+    @cached_property
     def per_mm(self) -> Array:
         """Return the units in a mm of x, y, z, e (4,)."""
-        return 10.0 ** np.array(self.decimals)
+        return np.array([float(10**places) for places in self.decimals[:-1]])
 
-    @property
+    @cached_property
     def per_feed(self) -> float:
         """Return the units of F in a mm/s."""
-        return float(60.0 * 10.0**self.feed_decimals)
+        return 60.0 * float(10 ** self.decimals[-1])
 
     def rounded(self, places: Array) -> Integers:
         """Return places (..., 4) in mm as they are written, in units."""
         return np.rint(places * self.per_mm).astype(np.int64)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Batch:
     """Samples (n,) that are written together.
 
@@ -68,7 +67,7 @@ class Batch:
         """Return the point of each mark."""
         return np.array([mark.index - self.first + 1 for mark in self.marks], dtype=np.int64)
 
-    @property
+    @cached_property
     def forced(self) -> Flags:
         """Return the points (n + 1,) at which a line of the file passes."""
         forced = np.zeros(len(self.points), dtype=bool)
@@ -77,43 +76,48 @@ class Batch:
 
 
 class SampleBuffer:
-    """Contiguous samples and the lines between them, taken in order and returned in batches."""
+    """Contiguous samples, at most SAMPLES_AT_ONCE, and the lines between them, taken in order.
+
+    The points of a batch are those of the buffer: use the batch up before you add samples.
+    """
 
     def __init__(self) -> None:
-        self._points: list[Array] = []
+        self._points = np.empty((1 + SAMPLES_AT_ONCE, 4))  # the first precedes the samples
         self._count = 0
-        self._start = np.zeros(4)  # the point before the first
-        self._index = 0  # of the first
+        self._before: Array | None = None  # the sample before the first, in the midst of motion
+        self._index = 0  # of the first, or of the next to come
         self._marks: list[Mark] = []
 
     def __len__(self) -> int:
         return self._count
 
-    def add(self, points: Array, index: int, stand: Array) -> None:
-        """Add samples (n, 4) from ``index`` on; stand (4,): the machine's place before them."""
+    def add(self, xy: Array, z_e: Array, index: int, stand: Array) -> int:
+        """Add samples (n, 2) from ``index`` on, and return how many there was room for.
+
+        stand (4,): the machine's place before them if motion begins.
+        """
         if not self._count:
-            self._index, self._start = index, stand
-        self._points.append(points)
-        self._count += len(points)
+            self._index = index
+            self._points[0] = stand if self._before is None else self._before
+        first = 1 + self._count
+        n = min(len(xy), SAMPLES_AT_ONCE - self._count)
+        self._points[first : first + n, :Z] = xy[:n]
+        self._points[first : first + n, Z:] = z_e[:n]
+        self._count += n
+        return n
 
     def add_mark(self, mark: Mark) -> None:
         """Add a line that passes before its sample, which may follow later."""
         self._marks.append(mark)
 
     def batch(self, last: bool) -> Batch | None:
-        """Remove and return SAMPLES_AT_ONCE samples, or all where motion ends; None if empty."""
+        """Remove and return the samples; None if there are none. last: motion ends there."""
         if not self._count:
             return None
-        buffered = np.concatenate([self._start[None], *self._points])
-        n = self._count if last else SAMPLES_AT_ONCE
-        points = buffered[: n + 1]
-        marks = tuple(mark for mark in self._marks if mark.index - self._index < n)
-        batch = Batch(self._index, points, marks, last)
-        self._marks = self._marks[len(marks) :]
-        self._count -= n
-        self._points = [buffered[n + 1 :]] if self._count else []
-        self._start, self._index = points[-1], self._index + n
-        return batch
+        first, points = self._index, self._points[: 1 + self._count]
+        self._index += self._count
+        self._count, self._before = 0, None if last else points[-1].copy()
+        return Batch(first, points, tuple(self.marks_up_to(self._index - 1)), last)
 
     def marks_up_to(self, index: int | None = None) -> list[Mark]:
         """Remove and return the lines up to a sample, or up to the first that is buffered."""
@@ -127,9 +131,9 @@ class SampleBuffer:
 class Segments:
     """Segments (k,) in which something moves, and the standstill around them.
 
-    at (k, 4): where each ends, in output units; ends (k,): the point of the batch; T (k,): how
-    long it is to last, s; dwell (k,): samples of standstill before it; still: samples of
-    standstill after the last.
+    at (k + 1, 4): places, in output units; ends (k,): the point of the batch at which each ends;
+    T (k,): how long it is to last, s; dwell (k,): samples of standstill before it; still: samples
+    of standstill after the last.
     """
 
     at: Integers
@@ -146,14 +150,30 @@ def segments(batch: Batch, start: Integers, still: int, player: Player, units: U
     nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
     """
     ends, places = player.segments(batch.points, batch.forced, batch.last)
-    at = units.rounded(places)
-    moved = np.any(np.diff(at[:, :E], axis=0, prepend=start[None, :E]) != 0, axis=1)
-    at[moved, E] = at[_extruded_by(moved, ends, np.flatnonzero(batch.forced)), E]
-    starts, ends, at = np.concatenate([[0], ends])[:-1][moved], ends[moved], at[moved]
+    at, ends, T, dwell = _moving(places, ends, batch.forced, start, still, units)
+    left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
+    return Segments(at, ends, T, dwell, left)
+
+
+def _moving(
+    places: Array, ends: Integers, forced: Flags, start: Integers, still: int, units: Units
+) -> tuple[Integers, Integers, Array, Integers]:
+    """Return at, ends, T and dwell of the segments that move, as in ``Segments``."""
+    if (compiled := kernel("motion_segments")) is not None:
+        k, n, per_mm = len(ends), len(forced), units.per_mm
+        at, ended, T = np.empty((k + 1, 4), np.int64), np.empty(k, np.int64), np.empty(k)
+        dwell = np.empty(k, np.int64)
+        count = compiled(
+            places, ends, k, forced, n, per_mm, start, still, DWELL, TS, at, ended, T, dwell
+        )
+        return at[: count + 1], ended[:count], T[:count], dwell[:count]
+    at = np.vstack([start, units.rounded(places)])
+    moved = np.any(np.diff(at[:, :E], axis=0) != 0, axis=1)
+    at[1:][moved, E] = at[1:][_extruded_by(moved, ends, np.flatnonzero(forced)), E]
+    starts, ends = np.concatenate([[0], ends])[:-1][moved], ends[moved]
     idle = starts - np.concatenate([[-still], ends])[: len(ends)]
     dwell = np.where(idle >= DWELL, idle, 0)
-    left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
-    return Segments(at, ends, (ends - starts + idle - dwell) * TS, dwell, left)
+    return at[np.append(True, moved)], ends, (ends - starts + idle - dwell) * TS, dwell
 
 
 def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:

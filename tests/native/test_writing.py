@@ -1,0 +1,77 @@
+"""The compiled loops of the writer give the same bits as numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hframe_post.arrays import Array
+from hframe_post.firmware.klipper import ramps, segments
+from hframe_post.printer.settings import Printer
+from hframe_post.writers.stream import digits
+from hframe_post.writers.stream.segments import Units, _moving
+from tests.native.comparing import in_numpy, same, seeds, thorough
+from tests.random_paths import wander
+
+
+@thorough
+@given(seeds, st.integers(1, 400), st.floats(-6.0, -1.0), st.booleans(), st.floats(1e-3, 0.1))
+def test_decimation(
+    compiled: None, seed: int, n: int, power: float, coarse: bool, tolerance: float
+) -> None:
+    """Rounded points have many chords with equal errors."""
+    points, forced = wander(seed, n, power)
+    points = points.round(3) if coarse else points
+    ends = segments.breakpoints(points, forced, tolerance)
+    same(ends, segments._breakpoints(points, forced, tolerance))
+    same(segments.fitted(points, ends), segments._fitted(points, ends))
+
+
+@thorough
+@given(seeds, st.integers(1, 300), st.floats(-4.0, 1.0), st.booleans())
+def test_ramps(
+    compiled: None, paper: Printer, seed: int, k: int, power: float, lifts: bool
+) -> None:
+    """Some segments are straight on or straight back, and some are too short for their time."""
+    rng = np.random.default_rng(seed)
+    limits = ramps.StreamLimits.from_limits(paper.limits, paper.motors, paper.kinematics)
+    moves = rng.normal(0.0, 10.0**power, (k, 4)).round(3) * (1.0, 1.0, lifts, 0.04)
+    moves[rng.random(k) < 0.2] = moves[0] * rng.choice([1.0, -1.0])
+    moves[:, 0] = np.where(moves[:, 0] == 0.0, 0.001, moves[:, 0])
+    at = np.cumsum(np.vstack([np.zeros(4), moves]), axis=0)
+    T: Array = 1e-3 * np.ceil(rng.uniform(0.0, 200.0, k))
+    v: Array = rng.uniform(0.1, 700.0, k)
+    rest = rng.random(k + 1) < rng.choice([0.0, 0.1])
+    before = float(rng.choice([0.0, 60.0]))
+    for function, numbers in ((ramps.feed_rates, T), (ramps.durations, v)):
+        found = function(at, numbers, rest, before, np.inf, limits)
+        same(found, in_numpy(function, at, numbers, rest, before, np.inf, limits))
+
+
+@thorough
+@given(seeds, st.integers(1, 60), st.integers(0, 40))
+def test_segments_that_move(compiled: None, seed: int, n: int, still: int) -> None:
+    """Some segments are shorter than a unit, or extrude alone, next to lines of the file."""
+    rng = np.random.default_rng(seed)
+    places = np.cumsum(rng.normal(0.0, 0.01, (n, 4)) * (rng.random((n, 1)) < 0.5), axis=0)
+    places[:, 3] = np.cumsum(rng.uniform(0.0, 0.01, n))
+    ends = np.cumsum(rng.integers(1, 40, n))
+    forced = rng.random(int(ends[-1]) + 1) < rng.choice([0.0, 0.01, 0.2])
+    arguments = places, ends, forced, np.zeros(4, np.int64), still, Units()
+    plain = in_numpy(_moving, *arguments)
+    for k, found in enumerate(_moving(*arguments)):
+        same(np.asarray(found), plain[k])
+
+
+@thorough
+@given(seeds, st.integers(1, 60), st.integers(1, 7), st.integers(0, 5), st.sampled_from([0, 7, -1]))
+def test_lines(compiled: None, seed: int, n: int, digits_of: int, places: int, feed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = rng.integers(-(10**digits_of), 10**digits_of + 1, (n + 1, 4)) // 10**places * 10**places
+    at[1:][rng.random((n, 4)) < 0.3] = at[0, 0]
+    arguments = at, rng.integers(0, 5, n), feed, (4, 5, 6, 5, 2)
+    text, ends = digits.motion_lines(*arguments)
+    plain_text, plain_ends = in_numpy(digits.motion_lines, *arguments)
+    assert text == plain_text
+    same(ends, plain_ends)
