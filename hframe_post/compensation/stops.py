@@ -22,14 +22,13 @@ from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, NEAREST, Stop, Surroundings
 from hframe_post.model.stop_plant import State
 from hframe_post.model.strategies import Compensator, strategy
-from hframe_post.model.transfer_function import BLOCK_SAMPLES
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen
 
 LONGEST = 1000  # samples of a stop that is treated as one
 ASIDE = 80  # samples of rest around a longer one, on whose path the command must stand
-REMEMBERED = 32 * BLOCK_SAMPLES  # after this many samples any plant has forgotten its state
+REMEMBERED = 2048  # after this many samples any plant has forgotten its state
 BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
@@ -148,7 +147,7 @@ class _Stretch:
 class _Track:
     """One strategy's command (n, 2) in the window, from the origin.
 
-    state: of the strategy's plant before sample ``reached``, where a block of its filters begins.
+    state: of the strategy's plant before sample ``reached``.
     """
 
     solver: StopSolver
@@ -160,8 +159,7 @@ class _Track:
 class _Window:
     """The samples of a stretch that are still needed, counted as in the stream.
 
-    They begin with standstill before the stretch. ``_first`` is the index of the first of them and
-    the beginning of a block of the plant's filters.
+    They begin with standstill before the stretch. ``_first`` is the index of the first of them.
     """
 
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
@@ -198,8 +196,8 @@ class _Window:
         self.append(last, dict.fromkeys(self._tracks, last[:, :Z]))
 
     def forget(self, end: int) -> None:
-        """Drop the whole blocks that nothing depends on once all before ``end`` is final."""
-        n = (end - self._first - REMEMBERED) // BLOCK_SAMPLES * BLOCK_SAMPLES
+        """Drop the samples that nothing depends on once all before ``end`` is final."""
+        n = end - self._first - REMEMBERED
         if n <= 0:
             return
         for track in self._tracks.values():
@@ -229,11 +227,9 @@ class _Window:
     def _state_before(self, k: int, track: _Track) -> State:
         """Return the state of a track's plant before sample k, before which all is final."""
         filters = track.solver.filters
-        block = self._first + (k - self._first) // BLOCK_SAMPLES * BLOCK_SAMPLES
-        if track.reached < block - REMEMBERED:
-            track.reached = block - REMEMBERED
+        if track.reached < k - REMEMBERED:
+            track.reached = k - REMEMBERED
             track.state = filters.at_rest(track.command[track.reached - self._first])
-        if track.reached < block:
-            passed = track.command[self._rows(track.reached, block)]
-            track.state, track.reached = filters.after(track.state, passed), block
-        return filters.after(track.state, track.command[self._rows(track.reached, k)])
+        passed = track.command[self._rows(track.reached, k)]
+        track.state, track.reached = filters.after(track.state, passed), k
+        return track.state

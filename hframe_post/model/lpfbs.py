@@ -174,7 +174,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
             "without influence on the window; take smaller n_C or larger effort"
         )
     pinv = pinv[: w.n_up]
-    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, G.order)), weight * D_P]])
+    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, O.shape[1])), weight * D_P]])
     K_target, K_past = pinv[:, : w.L_C], -product(pinv, free)
 
     past, T = w.degree + 1, w.stride
@@ -183,7 +183,7 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     z_target = product(reach_C, K_target)
     z_past = product(reach_C, K_past) + np.hstack([A_T, reach_P])
     points_target = np.vstack([np.zeros((past, w.L_C)), K_target])[-past:]
-    old = np.hstack([np.zeros((past, G.order)), np.eye(past)])
+    old = np.hstack([np.zeros((past, O.shape[1])), np.eye(past)])
     points_past = np.vstack([old, K_past])[-past:]
     step_target, step_past = np.vstack([z_target, points_target]), np.vstack([z_past, points_past])
     return K_target, K_past, step_target, step_past

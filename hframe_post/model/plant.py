@@ -59,7 +59,7 @@ class Response:
     def __init__(self, plant: Plant, origin: Array) -> None:
         self._origin, self._x_c = origin, plant.x_c
         functions = plant.Gxx, plant.Gyy, plant.Gxtheta or NO_RACKING
-        self._filters = tuple(Filter(G) for G in functions)
+        self.filters = tuple(Filter(G) for G in functions)
 
     def run(self, command: Array) -> Array:
         """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
@@ -72,11 +72,11 @@ class Response:
     def _motion(self, command: Array, columns: int) -> Array:
         if (compiled := kernel("response")) is not None:
             command, motion = np.ascontiguousarray(command), np.empty((len(command), columns))
-            filters = ((f.sections, len(f.sections), f.state) for f in self._filters)
+            filters = ((f.sections, len(f.sections), f.state) for f in self.filters)
             places = *self._origin.tolist(), self._x_c
             compiled(*chain(*filters), *places, command, len(command), motion, columns)
             return motion
-        Gxx, Gyy, Gxtheta = self._filters
+        Gxx, Gyy, Gxtheta = self.filters
         u = command - self._origin
         x = Gxx.run(u[:, X]) + self._origin[X]
         theta = Gxtheta.run(u[:, X])

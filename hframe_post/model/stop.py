@@ -35,24 +35,20 @@ squares: a row that exceeds its bound gets more weight, and the problem is solve
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers, X, Y
+from hframe_post.arrays import TS, Array, Integers, X
+from hframe_post.model.linear import product
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
-from hframe_post.model.stop_cost import BESIDE, FAR, Rows, Stop, Surroundings, reweighted
+from hframe_post.model.stop_cost import BESIDE, Rows, Stop, Surroundings
 from hframe_post.model.stop_plant import Filters, State
+from hframe_post.model.stop_problem import Problem, Splines
 
-SEARCHES, EMPHASES, TRIALS = 2, 3, 10  # iterations of steps 1, 3 and 2
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 AT_HOLD = 0.5  # share of that next to the hold, where firmware stops within one segment
-HARDEST = 0.97  # share of the belts' acceleration that no command may exceed if one can help it
-EXCESS_COST = 0.2  # mm² for exceeding USABLE by as much again, next to the squared deviations
-TARGET = 0.7  # share of its bound from which on a row of E is raised, so that it stays below
-CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 HOLD_ROWS = 2  # samples of a hold that second differences can tell apart
 
 
@@ -72,13 +68,13 @@ class StopSolver:
         bed: tuple[tuple[float, float], tuple[float, float]],
     ) -> None:
         # a tenth of the effort elsewhere, since a stop is short and asks for more
-        self._effort = [max(0.1 * e, 1e-3) for e in effort]
+        self._effort = np.array([max(0.1 * e, 1e-3) for e in effort])
         self._belts, self._limit = belts, USABLE * acceleration * TS**2
         self._bed = np.array(bed)
         away, self._reach = _graded_splines()
-        self._N_before, self._N_after = away[::-1], away
+        self._N_before, self._N_after = away[::-1, ::-1], away
         self.filters = Filters(plant, self._N_before, self._N_after)
-        self._splines = lru_cache(maxsize=64)(self._usable_splines)
+        self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
     def solve(self, around: Surroundings, command: Array, z: State, stop: Stop) -> Array:
         """Return the command (n, 2) of samples a − BESIDE … b + BESIDE − 1, from the origin.
@@ -87,151 +83,52 @@ class StopSolver:
         samples. The path must be known for NEAREST samples more on either side, and for BEYOND
         after.
         """
-        rows = Rows.from_stop(around, stop)
         a, b = stop.a, stop.b
+        rows = Rows.from_stop(around, stop)
+        path_x = around.path[rows.index, X] + around.origin[X]
+        known, lever = self.filters.known(command, z, stop, path_x)
         # with two samples more on either side for second differences, and a shortened hold
         hold = np.repeat(command[a : a + 1], min(b - a, HOLD_ROWS), axis=0)
-        known = np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
-        splines = self._splines(stop.before, stop.after, stop.movable, len(hold))
-        nozzle = self.filters.nozzle(around, command, z, stop, splines.columns)
-        weights = _BoundWeights.initial(known, self._bed - around.origin[:, None])
-        p = best = np.zeros(2 * len(splines.columns))
-        least = np.inf
-        for search in range(SEARCHES + EMPHASES):
-            foot, t = rows.nearest(nozzle.at(p)) if search else (rows.path, rows.direction)
-            H, g = nozzle.normal_equations(rows, foot, t)
-            p, weights = self._bounded(H, g, splines, known, weights)
-            if search < SEARCHES - 1:
-                continue
-            off = rows.off(nozzle.at(p))
-            if (peak := float(off.max(initial=0.0))) < least:
-                best, least = p, peak
-            if least <= FAR:
-                break
-            rows = rows.emphasised(off)
-        return self._changed(command, stop, splines.columns, best)
-
-    def _bounded(
-        self, H: Array, g: Array, splines: _Splines, known: Array, weights: _BoundWeights
-    ) -> tuple[Array, _BoundWeights]:
-        """Return p within the bounds of belts and bed, and the weights that this took."""
-        D, rates = splines.D, np.diff(known, n=2, axis=0)
-        limit = np.full(len(D), self._limit)
-        limit[BESIDE : len(D) - BESIDE] *= AT_HOLD
-        hardest = HARDEST / USABLE * self._limit
-        best, kept, least = np.zeros(len(g)), weights, (np.inf, np.inf)
-        for _ in range(TRIALS):
-            p = self._weighted_solution(H, g, splines, known, rates, weights)
-            added = p.reshape(2, -1).T
-            share = np.abs((rates + D @ added) @ self._belts.T).max(axis=1) / limit
-            place = known + splines.N @ added
-            outside = np.abs(np.clip(place, weights.low, weights.high) - place)
-            excess = max(float(share.max()), 1.0) + float(outside.max())
-            hard = float((share * limit).max()) / hardest
-            cost = float(p @ (0.5 * (H @ p) + g)) + EXCESS_COST * (excess - 1.0)
-            if (rank := (max(hard, 1.0) + float(outside.max()), cost)) < least:
-                best, kept, least = p, weights, rank
-            if excess <= 1.0:
-                break
-            weights = weights.raised(share, outside, place)
-        return best, kept
-
-    def _weighted_solution(
-        self, H: Array, g: Array, splines: _Splines, known: Array, rates: Array,
-        weights: _BoundWeights,
-    ) -> Array:  # fmt: skip
-        """Return the p that minimises ½pᵀHp + gᵀp, the effort, and what leaves the bed."""
-        N, D, k = splines.N, splines.D, splines.N.shape[1]
-        H, g = H.copy(), g.copy()
-        weighted_D = weights.effort[:, None] * D
-        square = weighted_D.T @ D if (weights.effort != 1.0).any() else splines.square
-        for axis, effort in enumerate(self._effort):
-            half = slice(axis * k, (axis + 1) * k)
-            H[half, half] += effort * square
-            g[half] += effort * (weighted_D.T @ rates[:, axis])
-            if weights.bed[:, axis].any():
-                weighted_N = weights.bed[:, axis, None] * N
-                H[half, half] += weighted_N.T @ N
-                g[half] += weighted_N.T @ (known[:, axis] - weights.inside[:, axis])
-        H[np.diag_indices(2 * k)] += 1e-9 * H.diagonal().max(initial=0.0) + 1e-12  # regular
-        return np.asarray(-np.linalg.solve(H, g))
+        sequence = np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
+        limit = np.full(len(sequence) - 2, self._limit)
+        limit[BESIDE : len(limit) - BESIDE] *= AT_HOLD
+        before, after = self._reach.searchsorted([stop.before, stop.after], side="right")
+        splines, by_p, first = self._splines(int(before), int(after), stop.movable, b - a)
+        problem = Problem(
+            rows, known, lever, by_p, first, splines, sequence, self._effort, self._belts, limit,
+            self._limit, self._bed - around.origin[:, None],
+        )  # fmt: skip
+        return self._changed(command, stop, splines.columns, problem.solution())
 
     def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
         a, b, k = stop.a, stop.b, len(self._reach)
+        added = np.zeros((2 * k + 1, 2))
+        added[columns] = p
         changed = command[a - BESIDE : b + BESIDE].copy()
-        for axis in (X, Y):
-            added = np.zeros(2 * k + 1)
-            added[columns] = p[axis * len(columns) : (axis + 1) * len(columns)]
-            changed[:BESIDE, axis] += self._N_before @ added[:k]
-            changed[BESIDE : len(changed) - BESIDE, axis] = command[a, axis] + added[k]
-            changed[len(changed) - BESIDE :, axis] += self._N_after @ added[k + 1 :]
+        changed[:BESIDE] += product(self._N_before, added[:k])
+        changed[BESIDE : len(changed) - BESIDE] = command[a] + added[k]
+        changed[len(changed) - BESIDE :] += product(self._N_after, added[k + 1 :])
         return changed
 
-    def _usable_splines(self, before: int, after: int, movable: bool, hold: int) -> _Splines:
-        """Return the splines of a stop that may change ``before`` and ``after`` samples next to it.
+    def _usable_splines(
+        self, before: int, after: int, movable: bool, n: int
+    ) -> tuple[Splines, Array, Integers]:
+        """Return the splines of a stop, what they do to the nozzle, and from which row on.
 
-        movable: whether its own place may change too; hold: rows of D that it has.
+        before, after: how many splines it may use on either side; movable: whether its own place
+        may change; n: samples of the hold.
         """
-        k = len(self._reach)
-        first, last = (np.flatnonzero(self._reach <= n) for n in (before, after))
-        columns = np.concatenate([first, [k] if movable else [], k + 1 + last]).astype(np.int64)
+        k, hold = len(self._reach), min(n, HOLD_ROWS)
+        usable = [range(k - before, k), [k] if movable else [], range(k + 1, k + 1 + after)]
+        columns = np.concatenate(usable).astype(np.int64)
         N = np.zeros((BESIDE + hold + BESIDE + 4, 2 * k + 1))
         N[2 : 2 + BESIDE, :k] = self._N_before
         N[2 + BESIDE : 2 + BESIDE + hold, k] = 1.0
         N[2 + BESIDE + hold : -2, k + 1 :] = self._N_after
-        N = N[:, columns]
-        D = np.diff(N, n=2, axis=0)
-        return _Splines(columns, N, D, D.T @ D)
-
-
-@dataclass(frozen=True, slots=True)
-class _Splines:
-    """The usable ones of all splines and the hold.
-
-    columns: which these are; N (r, k): the command by p, from two samples before to two after;
-    D (r − 2, k): its second differences; square: DᵀD.
-    """
-
-    columns: Integers
-    N: Array
-    D: Array
-    square: Array
-
-
-@dataclass(frozen=True, slots=True)
-class _BoundWeights:
-    """Weights that keep a command (r, 2) within bounds, row by row.
-
-    effort (r − 2,): E², factors of λ; bed (r, 2): B², on the distance to ``inside`` (r, 2); low,
-    high (2,): edges of the bed from the origin.
-    """
-
-    effort: Array
-    bed: Array
-    inside: Array
-    low: Array
-    high: Array
-
-    @classmethod
-    def initial(cls, known: Array, bed: Array) -> _BoundWeights:
-        nothing = np.zeros_like(known)
-        return cls(np.ones(len(known) - 2), nothing, nothing, bed[:, 0], bed[:, 1])
-
-    def raised(self, share: Array, outside: Array, place: Array) -> _BoundWeights:
-        """Return more weight on belts at a great ``share`` of their bound, and outside the bed.
-
-        Belts at a small share of it get less again: the command is more sluggish than it must be.
-        """
-        factor = reweighted(share / TARGET, gain=2.0, most=5.0)
-        factor[share < 0.4] = 0.5
-        out = outside > 0.0
-        inwards = np.clip(place, self.low + CLEARANCE, self.high - CLEARANCE)
-        return replace(
-            self,
-            effort=np.maximum(self.effort * factor, 1.0),
-            bed=np.where(out, np.maximum(10.0 * self.bed, 1.0), self.bed),
-            inside=np.where(out, inwards, self.inside),
-        )
+        by_p = np.ascontiguousarray(self.filters.by_splines(n)[..., columns])
+        acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
+        first = np.minimum.accumulate(acts[::-1])[::-1].copy()
+        return Splines.from_matrix(columns, np.ascontiguousarray(N[:, columns])), by_p, first
 
 
 def _graded_splines() -> tuple[Array, Array]:

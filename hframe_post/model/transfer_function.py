@@ -28,7 +28,6 @@ from hframe_post.model.linear import power, product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
-BLOCK_SAMPLES = 64  # in a lifted block: long ones cost in products, short ones in the recursion
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class TransferFunction:
 
     @property
     def order(self) -> int:
-        """Return the number of poles, which is that of states."""
+        """Return the number of poles."""
         return len(self.poles)
 
     @property
@@ -78,18 +77,21 @@ class TransferFunction:
 
     @cached_property
     def state_space(self) -> tuple[Array, Array, Array, float]:
-        """Return real (A, B, C, D) of the cascade, shapes (d, d), (d,), (d,), scalar."""
-        A, B, C, D = np.zeros((0, 0)), np.zeros(0), np.zeros(0), self.gain
-        for num, den in _sections(self.zeros, self.poles):
-            a, b, c, d = _section_state_space(num, den)
-            A = np.block([[A, np.zeros((len(A), len(a)))], [np.outer(b, C), a]])
-            B, C, D = np.concatenate([B, b * D]), np.concatenate([d * C, c]), d * D
+        """Return real (A, B, C, D) of the cascade, shapes (d, d), (d,), (d,), scalar.
+
+        The state is that of ``Filter``: two numbers for each section.
+        """
+        A, B, C, D = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+        for b0, b1, b2, _, a1, a2 in self.sections.tolist():
+            a, b = np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0])
+            A = np.block([[A, np.zeros((len(A), 2))], [np.outer(b, C), a]])
+            B, C, D = np.concatenate([B, b * D]), np.concatenate([b0 * C, [1.0, 0.0]]), b0 * D
         return A, B, C, D
 
     def impulse(self, n: int) -> Array:
         """Return the first ``n`` samples of the impulse response."""
         A, B, C, D = self.state_space
-        states = recursion(A, np.zeros((n, self.order)), B)[:-1]
+        states = recursion(A, np.zeros((n, len(A))), B)[:-1]
         return np.concatenate([[D], product(states, C[:, None])[:, 0]])[:n]
 
     def lifted(self, n: int) -> tuple[Array, Array, Array, Array]:
@@ -100,7 +102,7 @@ class TransferFunction:
         past carried as a state in place of the rows above the block.
         """
         A, B, C, _ = self.state_space
-        nothing = np.zeros((n, self.order))
+        nothing = np.zeros((n, len(A)))
         O, R = recursion(A.T, nothing, C)[:-1], recursion(A, nothing, B)[-2::-1].T
         reversed_h = np.concatenate([self.impulse(n)[::-1], np.zeros(max(n - 1, 0))])
         G = np.lib.stride_tricks.sliding_window_view(reversed_h, n)[::-1]
@@ -186,14 +188,3 @@ def _polynomial(roots: Complex) -> Array:
 def _pairs_and_real(roots: Complex) -> tuple[list[Complex], Complex]:
     upper, real = upper_and_real(roots)
     return [np.array([root, root.conjugate()]) for root in upper], real
-
-
-def _section_state_space(num: Array, den: Array) -> tuple[Array, Array, Array, float]:
-    """Return the controllable canonical form of a section; both in descending powers, den monic."""
-    order = len(den) - 1
-    b = np.concatenate([np.zeros(order + 1 - len(num)), num])
-    A = np.eye(order, k=-1)
-    A[0] = -den[1:]
-    B = np.zeros(order)
-    B[0] = 1.0
-    return A, B, b[1:] - b[0] * den[1:], float(b[0])

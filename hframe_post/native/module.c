@@ -18,6 +18,7 @@
     EACH(follow)                                                                              \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feed_rates)                                                                  \
+    EACH(least_squares)                                                                       \
     EACH(lower)                                                                               \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \

@@ -158,7 +158,7 @@ class _Filtered:
         self.pinv = np.linalg.pinv(np.vstack([self.N_C, self.effort_C]))
         _, _, self._A_T, self._R = G.lifted(w.stride)
         self._kept_P, self._kept_C = N_P[: w.stride], N_C[: w.stride, : w.n_up]
-        self.z, self.p_P, self._n_up = np.zeros(G.order), np.zeros(w.degree + 1), w.n_up
+        self.z, self.p_P, self._n_up = np.zeros(len(self._A_T)), np.zeros(w.degree + 1), w.n_up
 
     def free(self, p_P: Array) -> Array:
         """Return the motion that the past alone causes in the window, (L_C,).

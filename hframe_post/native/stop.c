@@ -1,0 +1,438 @@
+/* The least squares of one stop: model/stop_problem.py, with its symbols and its order of sums.
+ *
+ * The columns are those of p, x and y in turn, and then the residual. A row in time has a prefix of
+ * columns that are not zero, and these are ``begun`` at it; products skip the rest. */
+
+#include <string.h>
+
+#include "kernels.h"
+
+enum {
+    SEARCHES = 2, EMPHASES = 3, TRIALS = 10, NEAREST = 24, PIECES = 2 * NEAREST,
+    MOST_SPLINES = 39, MOST_ROWS = 147, MOST_SAMPLES = 206,
+    TILE = 4, WIDTH = 80 /* columns, in whole tiles */
+};
+#define ALONG 0.01
+#define FAR_OFF 0.05
+#define EMPHASIS 1.5
+#define MOST_EMPHASIS 10.0
+#define TARGET 0.7
+#define EASY 0.4
+#define RAISED 2.0
+#define MOST_RAISED 5.0
+#define HARDEST (0.97 / 0.8)
+#define EXCESS_COST 0.2
+#define CLEARANCE 0.02
+
+typedef double vector[2];
+
+struct problem {
+    const vector *path;
+    const int64_t *index; /* (r) into path */
+    int64_t r, held_from, held_to;
+    const double *weight;      /* (r) */
+    const uint8_t *extruding;  /* (r) */
+    const vector *known;       /* (r) */
+    const double *lever;       /* (r) */
+    const double *x, *y, *theta; /* (r, k) each */
+    const int64_t *first;      /* (k) */
+    int64_t k, q;
+    const vector *command;     /* (q) */
+    const double *N, *D;       /* (q, k), (q - 2, k) */
+    const int64_t *bands;      /* (q, 2) */
+    const double *limit;       /* (q - 2) */
+    const double *effort, *belts, *low, *high;
+    double full_limit;
+};
+
+struct bound_weights {
+    double effort[MOST_SAMPLES];
+    vector bed[MOST_SAMPLES], inside[MOST_SAMPLES];
+};
+
+struct room {
+    double J[2 * MOST_ROWS][WIDTH], squares[WIDTH][WIDTH], solved[WIDTH][WIDTH];
+    vector nozzle[MOST_ROWS], foot[MOST_ROWS], direction[MOST_ROWS], t[MOST_ROWS];
+    double weight[MOST_ROWS], off[MOST_ROWS];
+    vector rates[MOST_SAMPLES], place[MOST_SAMPLES], outside[MOST_SAMPLES];
+    double share[MOST_SAMPLES];
+    struct bound_weights weights, kept;
+};
+
+static double clipped(double value, double low, double high)
+{
+    return lesser(greater(value, low), high);
+}
+
+static double reweighted(double ratio, double gain, double most)
+{
+    return ratio > 1.0 ? lesser(gain * (ratio * ratio), most) : 1.0;
+}
+
+static void unit(double x, double y, const vector otherwise, vector out)
+{
+    double length = sqrt(x * x + y * y);
+    out[0] = length > 1e-7 ? x / length : otherwise[0];
+    out[1] = length > 1e-7 ? y / length : otherwise[1];
+}
+
+static int held(const struct problem *q, int64_t row)
+{
+    return row >= q->held_from && row < q->held_to;
+}
+
+/* The nozzle at a row. */
+static void moved(const struct problem *q, int64_t row, const vector *p, vector at)
+{
+    const double *by_x = q->x + row * q->k, *by_y = q->y + row * q->k;
+    const double *by_theta = q->theta + row * q->k;
+    double x = 0.0, y = 0.0, theta = 0.0;
+    for (int64_t c = 0; c < q->k && q->first[c] <= row; c++) {
+        x += p[c][0] * by_x[c];
+        y += p[c][1] * by_y[c];
+        theta += p[c][0] * by_theta[c];
+    }
+    at[0] = q->known[row][0] + x;
+    at[1] = q->known[row][1] + (y + q->lever[row] * theta);
+}
+
+/* The path's nearest point to the nozzle, and the path's step there. */
+static void nearest(const struct problem *q, int64_t row, const vector at, vector foot, vector step)
+{
+    const vector *path = q->path + q->index[row];
+    double dx[PIECES], dy[PIECES], along[PIECES], squared[PIECES];
+    if (held(q, row)) {
+        foot[0] = path[0][0], foot[1] = path[0][1];
+        step[0] = step[1] = 0.0;
+        return;
+    }
+    path -= NEAREST;
+    for (int i = 0; i < PIECES; i++) {
+        double to_x = at[0] - path[i][0], to_y = at[1] - path[i][1];
+        dx[i] = path[i + 1][0] - path[i][0], dy[i] = path[i + 1][1] - path[i][1];
+        double share = 1.0 / greater(dx[i] * dx[i] + dy[i] * dy[i], 1e-18);
+        along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share, 0.0, 1.0);
+        double off_x = to_x - along[i] * dx[i], off_y = to_y - along[i] * dy[i];
+        squared[i] = off_x * off_x + off_y * off_y;
+    }
+    int best = 0;
+    for (int i = 1; i < PIECES; i++)
+        if (squared[i] < squared[best])
+            best = i;
+    foot[0] = path[best][0] + along[best] * dx[best];
+    foot[1] = path[best][1] + along[best] * dy[best];
+    step[0] = dx[best], step[1] = dy[best];
+}
+
+/* J: two rows for each sample, across the path and along it. */
+static void jacobian(const struct problem *q, struct room *room)
+{
+    int64_t begun = 0, k = q->k;
+    for (int64_t row = 0; row < q->r; row++) {
+        const double *x = q->x + row * k, *y = q->y + row * k, *theta = q->theta + row * k;
+        const double *t = room->t[row], *known = q->known[row], *place = q->path[q->index[row]];
+        double normal = sqrt(room->weight[row]);
+        double along = (held(q, row) ? 1.0 : sqrt(ALONG)) * normal;
+        while (begun < k && q->first[begun] <= row)
+            begun++;
+        for (int side = 0; side < 2; side++) {
+            double *J = room->J[2 * row + side];
+            const double *to = side ? place : room->foot[row];
+            double n_x = side ? along * t[0] : -normal * t[1];
+            double n_y = side ? along * t[1] : normal * t[0];
+            double by_theta = n_y * q->lever[row];
+            for (int64_t c = 0; c < begun; c++) {
+                J[2 * c] = n_x * x[c] + by_theta * theta[c];
+                J[2 * c + 1] = n_y * y[c];
+            }
+            for (int64_t c = 2 * begun; c < WIDTH; c++)
+                J[c] = 0.0;
+            J[2 * k] = n_x * (known[0] - to[0]) + n_y * (known[1] - to[1]);
+        }
+    }
+}
+
+/* Add the products of TILE columns of a with as many of b to sum, row by row; or subtract them. */
+static inline void tile(const double *a, const double *b, int64_t rows, double sign, double *sum)
+{
+    double total[TILE][TILE];
+    for (int i = 0; i < TILE; i++)
+        memcpy(total[i], sum + i * WIDTH, sizeof total[i]);
+    for (int64_t row = 0; row < rows; row++, a += WIDTH, b += WIDTH)
+        for (int i = 0; i < TILE; i++)
+            for (int j = 0; j < TILE; j++)
+                total[i][j] += sign * a[i] * b[j];
+    for (int i = 0; i < TILE; i++)
+        memcpy(sum + i * WIDTH, total[i], sizeof total[i]);
+}
+
+/* The upper triangle of [H g], in tiles. */
+static void sum_squares(const struct problem *q, struct room *room)
+{
+    int64_t residual = 2 * q->k;
+    memset(room->squares, 0, sizeof room->squares);
+    for (int64_t i = 0; i < residual; i += TILE)
+        for (int64_t j = i; j <= residual; j += TILE) {
+            int64_t row = 2 * q->first[(j + TILE > residual ? i : j) / 2];
+            tile(room->J[row] + i, room->J[row] + j, 2 * q->r - row, 1.0, room->squares[i] + j);
+        }
+}
+
+/* Add a row of weight w to the squares of one axis, of splines from low to before high. */
+static void add_row(const double *by_p, int64_t low, int64_t high, double w, double residual,
+                    double square[][MOST_SPLINES], double *gradient)
+{
+    for (int64_t i = low; i < high; i++) {
+        double weighted = w * by_p[i];
+        gradient[i] += residual * weighted;
+        for (int64_t j = i; j < high; j++)
+            square[i][j] += weighted * by_p[j];
+    }
+}
+
+static void add_squares(const struct problem *q, struct room *room, int axis, double factor,
+                        double square[][MOST_SPLINES], const double *gradient)
+{
+    for (int64_t i = 0; i < q->k; i++) {
+        for (int64_t j = i; j < q->k; j++)
+            room->solved[2 * i + axis][2 * j + axis] += factor * square[i][j];
+        room->solved[2 * i + axis][2 * q->k] += factor * gradient[i];
+    }
+}
+
+/* [H g] with the effort and the cost of leaving the bed, into room->solved. */
+static void add_bounds(const struct problem *q, struct room *room)
+{
+    double greatest = 0.0;
+    memcpy(room->solved, room->squares, sizeof room->solved);
+    for (int axis = 0; axis < 2; axis++) {
+        double square[MOST_SPLINES][MOST_SPLINES] = {{0.0}}, gradient[MOST_SPLINES] = {0.0};
+        for (int64_t r = 0; r < q->q - 2; r++)
+            add_row(q->D + r * q->k, q->bands[2 * r], q->bands[2 * (r + 2) + 1],
+                    room->weights.effort[r], room->rates[r][axis], square, gradient);
+        add_squares(q, room, axis, q->effort[axis], square, gradient);
+        int outside = 0;
+        for (int64_t r = 0; r < q->q; r++)
+            outside |= room->weights.bed[r][axis] != 0.0;
+        if (!outside)
+            continue;
+        memset(square, 0, sizeof square), memset(gradient, 0, sizeof gradient);
+        for (int64_t r = 0; r < q->q; r++)
+            add_row(q->N + r * q->k, q->bands[2 * r], q->bands[2 * r + 1], room->weights.bed[r][axis],
+                    q->command[r][axis] - room->weights.inside[r][axis], square, gradient);
+        add_squares(q, room, axis, 1.0, square, gradient);
+    }
+    for (int64_t i = 0; i < 2 * q->k; i++)
+        greatest = greater(greatest, room->solved[i][i]);
+    for (int64_t i = 0; i < 2 * q->k; i++)
+        room->solved[i][i] += 1e-9 * greatest + 1e-12;
+}
+
+/* p by Cholesky's method: [H g] in room->solved becomes [U y] with UᵀU = H. */
+static void solve(int64_t n, struct room *room, double *p)
+{
+    double(*U)[WIDTH] = room->solved;
+    for (int64_t top = 0; top < n; top += TILE) {
+        int64_t end = top + TILE < n ? top + TILE : n;
+        for (int64_t j = top; j <= n; j += TILE)
+            tile(U[0] + top, U[0] + j, top, -1.0, U[top] + j);
+        for (int64_t i = top; i < end; i++) {
+            double root = sqrt(U[i][i]);
+            for (int64_t j = i; j <= n; j++)
+                U[i][j] /= root;
+            for (int64_t row = i + 1; row < end; row++)
+                for (int64_t j = row; j <= n; j++)
+                    U[row][j] -= U[i][row] * U[i][j];
+        }
+    }
+    for (int64_t i = 0; i < n; i++)
+        p[i] = -U[i][n];
+    for (int64_t i = n - 1; i >= 0; i--) {
+        p[i] /= U[i][i];
+        for (int64_t j = 0; j < i; j++)
+            p[j] -= U[j][i] * p[i];
+    }
+}
+
+/* ½pᵀHp + gᵀp */
+static double cost_of(int64_t n, const struct room *room, const double *p)
+{
+    double cost = 0.0;
+    for (int64_t i = 0; i < n; i++) {
+        const double *H = room->squares[i];
+        double others = 0.0;
+        for (int64_t j = i + 1; j < n; j++)
+            others += p[j] * H[j];
+        cost += p[i] * (0.5 * H[i] * p[i] + others + H[n]);
+    }
+    return cost;
+}
+
+/* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
+ * the accelerations, and of what is outside. */
+static void judge(const struct problem *q, struct room *room, const vector *p, double most[3])
+{
+    most[0] = most[1] = most[2] = 0.0;
+    for (int64_t r = 0; r < q->q - 2; r++) {
+        double u[2] = {0.0, 0.0}, acceleration = 0.0;
+        for (int64_t c = q->bands[2 * r]; c < q->bands[2 * (r + 2) + 1]; c++)
+            for (int axis = 0; axis < 2; axis++)
+                u[axis] += q->D[r * q->k + c] * p[c][axis];
+        for (int axis = 0; axis < 2; axis++)
+            u[axis] += room->rates[r][axis];
+        for (int belt = 0; belt < 2; belt++)
+            acceleration = greater(acceleration, fabs(u[0] * q->belts[2 * belt] +
+                                                      u[1] * q->belts[2 * belt + 1]));
+        room->share[r] = acceleration / q->limit[r];
+        most[0] = greater(most[0], room->share[r]);
+        most[1] = greater(most[1], acceleration);
+    }
+    for (int64_t r = 0; r < q->q; r++)
+        for (int axis = 0; axis < 2; axis++) {
+            double added = 0.0;
+            for (int64_t c = q->bands[2 * r]; c < q->bands[2 * r + 1]; c++)
+                added += q->N[r * q->k + c] * p[c][axis];
+            double place = q->command[r][axis] + added;
+            room->place[r][axis] = place;
+            room->outside[r][axis] = fabs(clipped(place, q->low[axis], q->high[axis]) - place);
+            most[2] = greater(most[2], room->outside[r][axis]);
+        }
+}
+
+static void raise(const struct problem *q, struct room *room)
+{
+    struct bound_weights *w = &room->weights;
+    for (int64_t r = 0; r < q->q - 2; r++) {
+        double share = room->share[r];
+        double factor = share < EASY ? 0.5 : reweighted(share / TARGET, RAISED, MOST_RAISED);
+        w->effort[r] = greater(w->effort[r] * factor, 1.0);
+    }
+    for (int64_t r = 0; r < q->q; r++)
+        for (int axis = 0; axis < 2; axis++)
+            if (room->outside[r][axis] > 0.0) {
+                double low = q->low[axis] + CLEARANCE, high = q->high[axis] - CLEARANCE;
+                w->bed[r][axis] = greater(10.0 * w->bed[r][axis], 1.0);
+                w->inside[r][axis] = clipped(room->place[r][axis], low, high);
+            }
+}
+
+/* p (k) within the bounds of belts and bed; room->weights become those that this took. */
+static void bounded(const struct problem *q, struct room *room, vector *p)
+{
+    vector tried[MOST_SPLINES];
+    double least_hard = INFINITY, least_cost = INFINITY, most[3];
+    for (int trial = 0; trial < TRIALS; trial++) {
+        add_bounds(q, room);
+        solve(2 * q->k, room, tried[0]);
+        judge(q, room, (const vector *)tried, most);
+        double excess = greater(most[0], 1.0) + most[2];
+        double hard = greater(most[1] / (HARDEST * q->full_limit), 1.0) + most[2];
+        double cost = cost_of(2 * q->k, room, tried[0]) + EXCESS_COST * (excess - 1.0);
+        if (hard < least_hard || (hard == least_hard && cost < least_cost)) {
+            memcpy(p, tried, sizeof(vector) * (size_t)q->k);
+            room->kept = room->weights;
+            least_hard = hard, least_cost = cost;
+        }
+        if (excess <= 1.0)
+            break;
+        raise(q, room);
+    }
+    room->weights = room->kept;
+}
+
+/* The greatest distance of the nozzle to the path while it extrudes; all of them in room->off. */
+static double peak_of(const struct problem *q, struct room *room, const vector *p)
+{
+    double peak = 0.0;
+    for (int64_t row = 0; row < q->r; row++) {
+        vector at, foot, step;
+        room->off[row] = 0.0;
+        if (!q->extruding[row])
+            continue;
+        moved(q, row, p, at);
+        nearest(q, row, (const double *)at, foot, step);
+        double x = at[0] - foot[0], y = at[1] - foot[1];
+        room->off[row] = sqrt(x * x + y * y);
+        peak = greater(peak, room->off[row]);
+    }
+    return peak;
+}
+
+static void begin(const struct problem *q, struct room *room)
+{
+    static const vector ahead = {1.0, 0.0};
+    for (int64_t row = 0; row < q->r; row++) {
+        const vector *path = q->path + q->index[row], *next = path + !held(q, row);
+        unit(next[0][0] - path[0][0], next[0][1] - path[0][1], ahead, room->direction[row]);
+        room->weight[row] = q->weight[row];
+        for (int axis = 0; axis < 2; axis++) {
+            room->foot[row][axis] = path[0][axis];
+            room->t[row][axis] = room->direction[row][axis];
+        }
+    }
+    memset(&room->weights, 0, sizeof room->weights);
+    for (int64_t r = 0; r < q->q - 2; r++) {
+        const vector *u = q->command + r;
+        room->weights.effort[r] = 1.0;
+        for (int axis = 0; axis < 2; axis++)
+            room->rates[r][axis] = (u[2][axis] - u[1][axis]) - (u[1][axis] - u[0][axis]);
+    }
+}
+
+static void search(const struct problem *q, struct room *room, vector *best)
+{
+    vector p[MOST_SPLINES];
+    double least = INFINITY;
+    begin(q, room);
+    memset(p, 0, sizeof p);
+    for (int searched = 0; searched < SEARCHES + EMPHASES; searched++) {
+        for (int64_t row = 0; searched && row < q->r; row++) {
+            vector at, step;
+            moved(q, row, (const vector *)p, at);
+            nearest(q, row, (const double *)at, room->foot[row], step);
+            unit(step[0], step[1], (const double *)room->direction[row], room->t[row]);
+        }
+        jacobian(q, room);
+        sum_squares(q, room);
+        bounded(q, room, p);
+        if (searched < SEARCHES - 1)
+            continue;
+        double peak = peak_of(q, room, (const vector *)p);
+        if (peak < least) {
+            memcpy(best, p, sizeof(vector) * (size_t)q->k);
+            least = peak;
+        }
+        if (least <= FAR_OFF)
+            break;
+        for (int64_t row = 0; row < q->r; row++)
+            room->weight[row] *= reweighted(room->off[row] / FAR_OFF, EMPHASIS, MOST_EMPHASIS);
+    }
+}
+
+/* p (k, 2) of a stop; bounds: effort (2), belts (2, 2), the least and the greatest place (2, 2),
+ * and the belts' limit where nothing lowers it. Return whether there is room for it. */
+static int64_t least_squares(const double *path, const int64_t *index, int64_t r, int64_t held_from,
+                             int64_t held_to, const double *weight, const uint8_t *extruding,
+                             const double *known, const double *lever, const double *by_p,
+                             const int64_t *first, int64_t k, const double *command, int64_t q,
+                             const double *N, const double *D, const int64_t *bands, const double *limit,
+                             const double *bounds, double *room, double *p)
+{
+    struct problem problem = {
+        (const vector *)path, index, r, held_from, held_to, weight, extruding, (const vector *)known,
+        lever, by_p, by_p + r * k, by_p + 2 * r * k, first, k, q, (const vector *)command, N, D, bands,
+        limit, bounds, bounds + 2, bounds + 6, bounds + 8, bounds[10],
+    };
+    if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
+        return 0;
+    search(&problem, (struct room *)room, (vector *)p);
+    return 1;
+}
+
+LOOP(least_squares, FLOATS(0, 2 * PIECES), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3), WHOLE(4),
+     FLOATS(5, WHOLE(2)), BYTES(6, WHOLE(2)), FLOATS(7, 2 * WHOLE(2)), FLOATS(8, WHOLE(2)),
+     FLOATS(9, 3 * WHOLE(2) * WHOLE(11)), INTEGERS(10, WHOLE(11)), WHOLE(11),
+     FLOATS(12, 2 * WHOLE(13)), WHOLE(13), FLOATS(14, WHOLE(13) * WHOLE(11)),
+     FLOATS(15, (WHOLE(13) - 2) * WHOLE(11)), INTEGERS(16, 2 * WHOLE(13)), FLOATS(17, WHOLE(13) - 2),
+     FLOATS(18, 11), OUT_FLOATS(19, (int64_t)(sizeof(struct room) / sizeof(double))),
+     OUT_FLOATS(20, 2 * WHOLE(11)))
