@@ -210,7 +210,8 @@ class _Marlin:
         return f"""
 Next: measure the printer (docs/start.md#marlin).
   With an accelerometer: hframe-post sweep -o sweep.gcode, record while the printer plays it, and
-  hframe-post identify recordings -o {target}"""
+  hframe-post identify recordings -o {target}
+  With a ruler only: hframe-post calibrate-print -o tower.gcode"""
 
 
 def _kinematics(source: _Source, requested: str | None, before: Printer | None) -> Known:

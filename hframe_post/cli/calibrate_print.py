@@ -1,0 +1,184 @@
+"""``hframe-post calibrate-print``: a model without a sensor, from waves on printed walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from hframe_post.cli.options import files_read, number, printer_option, say, share
+from hframe_post.cli.sweep import FILE
+from hframe_post.errors import HframeError
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.profile import check_identified, load
+from hframe_post.writers.files import Outputs
+
+if TYPE_CHECKING:  # these import SciPy, which takes a second
+    from hframe_post.model.plant import Plant
+    from hframe_post.printer.settings import Printer
+
+FORM = ".form.toml"
+FINEST = 6.0  # %, by which squares to compare differ at first
+NO_WINDOW = "the motors' limits are too low to compensate these waves: raise both under [motors]"
+
+
+def _shift(text: str) -> float:
+    """Read ``-6%`` or ``0`` as a share."""
+    value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    if not -0.3 <= value <= 0.3:
+        raise click.BadParameter(f"{text!r} is not a change of at most 30%, such as -6%")
+    return value
+
+
+def _heat(text: str) -> tuple[float, float]:
+    nozzle, _, bed = text.partition(",")
+    values = number(nozzle), number(bed)
+    if not (150.0 <= values[0] <= 320.0 and 0.0 <= values[1] <= 130.0):
+        raise click.BadParameter(f"{text!r} is not °C of nozzle and bed, such as 210,60")
+    return values
+
+
+@click.command("calibrate-print")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE", help="The G-code to print; with --form or --pick the profile to write.",
+)  # fmt: skip
+@printer_option
+@click.option("--form", type=FILE, metavar="FORM.TOML", help="The form, filled in: what the walls "
+              "show.")  # fmt: skip
+@click.option(
+    "--compare", type=share, metavar="SHARE",
+    help="Print three squares next to each other: for lower frequencies by this share, for the "
+    "profile's, and for higher ones.",
+)  # fmt: skip
+@click.option(
+    "--pick", type=(_shift, _shift), metavar="X Y",
+    help="Change the model by what the best square has in x and in y, such as --pick -6% 0.",
+)  # fmt: skip
+@click.option(
+    "--heat", type=_heat, default="210,60", show_default=True, metavar="NOZZLE,BED",
+    help="Temperatures of the prints, °C.",
+)  # fmt: skip
+def calibrate_print(
+    output: Path, printer: str, form: Path | None, compare: float | None,
+    pick: tuple[float, float] | None, heat: tuple[float, float],
+) -> None:  # fmt: skip
+    """Measure a printer by two small prints and a ruler, where there is no accelerometer.
+
+    First print the tower, note in the form next to it how far apart its waves are, and read the
+    form. Then print three squares, pick the better one in x and in y, and do that once more with
+    half the share. The model has one resonance an axis, and does not know racking.
+
+    \b
+    Examples:
+      hframe-post calibrate-print -o tower.gcode
+      hframe-post calibrate-print --form tower.form.toml -o printer.toml
+      hframe-post calibrate-print --compare 6% -o three.gcode
+      hframe-post calibrate-print --pick 0 6% -o printer.toml
+    """
+    if sum(choice is not None for choice in (form, compare, pick)) > 1:
+        raise click.UsageError("give one of --form, --compare and --pick")
+    profile = load(printer)
+    if form is not None:
+        _read(form, output, printer, profile)
+    elif pick is not None:
+        _picked(pick, output, printer, profile)
+    elif compare is not None:
+        _compare(compare, output, printer, profile, heat)
+    else:
+        _tower(output, printer, profile, heat)
+
+
+def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
+    from hframe_post.identification.by_eye.form import form
+    from hframe_post.identification.by_eye.tower import Heat, bands, tower
+
+    lines = tower(profile, Heat(*heat))
+    empty = form(bands(profile), profile.limits.acceleration)
+    target = output.with_name(f"{output.stem}{FORM}")
+    with Outputs(files_read(printer)) as outputs:
+        outputs.open(output).write("\n".join([*lines, ""]).encode())
+        outputs.open(target).write(empty.encode())
+    say(
+        f"Print {output}. Measure the waves on its right and back wall with a ruler, and fill in "
+        f"{target}, which says how. Next: hframe-post calibrate-print -p {printer} --form {target} "
+        f"-o {printer}"
+    )
+
+
+def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
+    from hframe_post.identification.by_eye.form import (
+        LEAST_UNCERTAINTY,
+        MOST_UNCERTAINTY,
+        filled,
+    )
+    from hframe_post.model.plant import Plant
+
+    modes = filled(form.read_text("utf-8"), str(form)).modes()
+    x, y = modes["x"], modes["y"]
+    plant = Plant(x.function(), y.function(), None, sum(profile.travel.x) / 2.0)
+    off = max(LEAST_UNCERTAINTY, 2.0 * x.uncertainty, 2.0 * y.uncertainty)
+    shown = [
+        f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
+    ]
+    off = min(off, MOST_UNCERTAINTY)
+    _write(output, printer, profile, plant, off, [f"Read from {form.name}", *shown])
+    if profile.kinematics.racks:
+        say("note         racking does not show in these waves: the profile cancels ringing only")
+    by = max(FINEST, 50.0 * off)
+    say(f"Next: hframe-post calibrate-print -p {output} --compare {by:.0f}% -o three.gcode")
+
+
+def _compare(
+    by: float, output: Path, printer: str, profile: Printer, heat: tuple[float, float]
+) -> None:
+    from hframe_post.identification.by_eye.tower import Heat, squares
+
+    check_identified(profile)
+    if not 0.0 < by <= 0.3:
+        raise click.UsageError("--compare takes a share above 0% and up to 30%")
+    plants = [_shifted(profile.plant, change, change) for change in (-by, 0.0, by)]
+    with Outputs(files_read(printer)) as outputs:
+        outputs.open(output).writelines(squares(profile, plants, Heat(*heat)))
+    low, high = f"-{100.0 * by:g}%", f"{100.0 * by:g}%"
+    say(
+        f"Print {output}. Which square has the fewest waves on its right wall (x), which on its "
+        f"back wall (y)? The left one is {low}, the middle one 0, the right one {high}. For the "
+        f"left one in x and the middle one in y, run hframe-post calibrate-print -p {printer} "
+        f"--pick {low} 0 -o {printer}"
+    )
+
+
+def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Printer) -> None:
+    check_identified(profile)
+    x, y = pick
+    plant = _shifted(profile.plant, x, y)
+    note = f"Frequencies changed by {100.0 * x:+g} % in x and {100.0 * y:+g} % in y, by eye"
+    off = profile.uncertainty or profile.speed.model_error
+    _write(output, printer, profile, plant, off, [note])
+
+
+def _shifted(plant: Plant, x: float, y: float) -> Plant:
+    """Return the plant with frequencies changed by shares in x and in y."""
+    from hframe_post.studies.simulation.uncertainty import perturbed
+
+    return perturbed(plant, np.array([[1.0 + x, 1.0, 1.0], [1.0 + y, 1.0, 1.0], np.ones(3)]))
+
+
+def _write(
+    output: Path, printer: str, profile: Printer, plant: Plant, off: float, notes: list[str]
+) -> None:
+    """Write the profile with a plant, and with windows for printers that differ by a share."""
+    from hframe_post.identification.recommend import recommend
+
+    found = recommend(plant, profile, off)
+    if found is None:
+        raise HframeError(NO_WINDOW)
+    text = with_plant(printer, plant, found.windows, notes, round(off, 3))
+    with Outputs(files_read(printer)) as outputs:
+        outputs.open(output, Path(printer)).write(text.encode())
+    for label, row in [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %"),
+                       *found.rows()]:  # fmt: skip
+        say(f"{label:13s}{row}")

@@ -1,0 +1,1 @@
+"""A printer's model from prints and a ruler, without a sensor."""

@@ -1,0 +1,166 @@
+"""Thin square walls to print: one tower in bands of several speeds, or three low squares in a row.
+
+Behind a corner a wall shows the waves of the axis that has just stopped there:
+
+    right and left wall: x      front and back wall: y
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options
+from hframe_post.errors import HframeError
+from hframe_post.firmware.player import plain
+from hframe_post.firmware.registry import player
+from hframe_post.gcode.commands import OFF, STAMP
+from hframe_post.identification.by_eye.waves import Band
+from hframe_post.model.plant import Plant
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import ModalState
+from hframe_post.version import __version__
+
+SIDE, GAP = 60.0, 15.0  # mm of the tower; between three squares, and to the edge of the bed
+LAYER, WIDTH = 0.2, 0.5  # mm
+LAYERS, LOW = 20, 10  # of a band; of a low square, over which the print head can pass
+SPEEDS = (60.0, 100.0, 150.0)  # mm/s of bands, as far as the printer reaches them
+HARD, SOFT = 20.0, 0.4  # mm/s at corners, and the share of it at soft ones
+DEVIATION, RIGHT_ANGLE = 0.3, 2.414  # most that M205 J takes, mm; v² = RIGHT_ANGLE·J·a
+BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
+HARDEST_JERK = 5e7  # mm/s³, of squares to compare
+
+
+@dataclass(frozen=True, slots=True)
+class Heat:
+    """°C of nozzle and bed."""
+
+    nozzle: float
+    bed: float
+
+    def lines(self) -> list[str]:
+        nozzle, bed = plain(self.nozzle, 0), plain(self.bed, 0)
+        return [f"M140 S{bed}", f"M190 S{bed}", "G28", f"M104 S{nozzle}", f"M109 S{nozzle}",
+                "M106 S128", "G90", "M83"]  # fmt: skip
+
+
+COLD = ["M104 S0", "M140 S0", "M106 S0"]
+
+
+def bands(printer: Printer) -> list[Band]:
+    """Return the bands of a tower, from the bottom; the last has soft corners."""
+    limits = printer.limits
+    a, corner = limits.acceleration, _hard_corner(printer)
+    fastest = min(limits.velocity, limits.flow / (LAYER * WIDTH), np.sqrt(0.5 * SIDE * a))
+    speeds = [v for v in SPEEDS if v <= fastest]  # on half of a wall at full speed
+    if not speeds:
+        raise HframeError(
+            f"at {limits.velocity:g} mm/s and {a:g} mm/s² no waves would show: the profile needs "
+            f"limits of {SPEEDS[0]:g} mm/s and {2.0 * SPEEDS[0] ** 2 / SIDE:g} mm/s²"
+        )
+    return [*(Band(v, corner) for v in speeds), Band(speeds[-1], SOFT * corner)]
+
+
+def _hard_corner(printer: Printer) -> float:
+    marlin = printer.firmware.marlin if printer.firmware.dialect == "marlin" else None
+    if marlin is None or marlin.classic_jerk:
+        return HARD
+    return min(HARD, float(np.sqrt(DEVIATION * RIGHT_ANGLE * printer.limits.acceleration)))
+
+
+def tower(printer: Printer, heat: Heat) -> list[str]:
+    """Return the G-code of the tower, which the firmware plays without compensation.
+
+    Raises HframeError if it does not fit onto the bed.
+    """
+    middle = _middle(printer)
+    if min(np.ptp(printer.travel.x), np.ptp(printer.travel.y)) < SIDE + 2.0 * GAP:
+        raise HframeError(f"the bed must be at least {SIDE + 2.0 * GAP:g} mm wide and deep")
+    lines = [OFF.decode(), f"; waves to measure, hframe-post {__version__}", *heat.lines()]
+    z = 0.0
+    for k, band in enumerate(bands(printer)):
+        lines += [f"; band {k + 1}: {band.speed:g} mm/s", *_limits(printer, band)]
+        lines += _walls(printer, middle, SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
+        z = (k + 1) * LAYERS * LAYER
+    at = np.array([*middle, z + GAP, 0.0])
+    state = ModalState(True, False, 0.0, TRAVEL, (0.0, 0.0, 0.0))
+    end = player(printer, None).end(state, at)
+    return [*lines, f"G1 Z{plain(at[2], 2)} F600", *(line.decode() for line in end), *COLD]
+
+
+def _limits(printer: Printer, band: Band) -> list[str]:
+    """Return the commands for a band: its corners, and no input shaping."""
+    a, v = plain(printer.limits.acceleration, 0), plain(printer.limits.velocity, 0)
+    if printer.firmware.dialect == "klipper":
+        return [
+            "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+            f"SET_VELOCITY_LIMIT VELOCITY={v} ACCEL={a} MINIMUM_CRUISE_RATIO=0 "
+            f"SQUARE_CORNER_VELOCITY={plain(band.corner, 2)}",
+        ]
+    table = printer.firmware.marlin
+    assert table is not None
+    deviation = band.corner**2 / (RIGHT_ANGLE * printer.limits.acceleration)
+    corner = plain(band.corner, 2)
+    corners = f"X{corner} Y{corner}" if table.classic_jerk else f"J{plain(deviation, 4)}"
+    return ["M400", "M593 F0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+            f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
+
+
+def _walls(
+    printer: Printer, middle: tuple[float, float], side: float, speed: float, layers: range
+) -> Iterator[str]:
+    """Yield layers of a square, counter-clockwise from the front left corner, with a brim."""
+    for layer in layers:
+        yield f"G1 Z{plain((layer + 1) * LAYER, 2)} F600"
+        if layer == 0:
+            for k in range(BRIM, 0, -1):
+                yield from _square(printer, middle, side + 2.0 * k * WIDTH, FIRST)
+        yield from _square(printer, middle, side, FIRST if layer == 0 else speed)
+
+
+def _square(
+    printer: Printer, middle: tuple[float, float], side: float, speed: float
+) -> Iterator[str]:
+    fed = LAYER * WIDTH * side / (np.pi / 4.0 * printer.limits.filament_diameter**2)
+    (x, y), half = middle, side / 2.0
+    yield f"G0 X{plain(x - half, 3)} Y{plain(y - half, 3)} F{plain(TRAVEL * 60.0, 0)}"
+    for u, v in ((1, -1), (1, 1), (-1, 1), (-1, -1)):
+        place = f"X{plain(x + u * half, 3)} Y{plain(y + v * half, 3)}"
+        yield f"G1 {place} E{plain(fed, 5)} F{plain(speed * 60.0, 0)}"
+
+
+def _middle(printer: Printer) -> tuple[float, float]:
+    return round(sum(printer.travel.x) / 2.0, 1), round(sum(printer.travel.y) / 2.0, 1)
+
+
+# ---------------------------------------------------------------------- three squares
+
+
+def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> Iterator[bytes]:
+    """Yield the G-code of squares from left to right, each compensated for another plant.
+
+    Their corners are as hard as the tower's, so that what is left of the waves shows. Raises
+    HframeError.
+    """
+    n, (x, y) = len(plants), _middle(printer)
+    side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
+    if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
+        raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
+    hard = replace(printer.limits, square_corner_velocity=_hard_corner(printer), jerk=HARDEST_JERK)
+    speed = bands(printer)[-1].speed
+    head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *heat.lines()]
+    yield "\n".join([*head, ""]).encode()
+    for k, plant in enumerate(plants):
+        at = round(x + (k - (n - 1) / 2.0) * (side + GAP), 1), y
+        lines = [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
+        lines += _walls(printer, at, side, speed, range(LOW))
+        lines += [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
+        own = replace(printer, plant=plant, limits=hard)
+        text = (line.encode() + b"\n" for line in ["G90", "M83", *lines])
+        for piece in GcodeConversion(text, own, Options("racking", clamp=True)):
+            if isinstance(piece, bytes) and not piece.startswith(STAMP):
+                yield piece
+    yield "\n".join([*COLD, ""]).encode()
