@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import TYPE_CHECKING
 
 from hframe_post.compensation.stops import stop_solvers
 from hframe_post.conversion.meters import MotionSummary
@@ -31,6 +30,10 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
 from hframe_post.writers.stream.print_time import SUMMARY, Output, later
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ProcessPoolExecutor
+    from multiprocessing.context import BaseContext
 
 
 class GcodeConversion:
@@ -113,12 +116,19 @@ class SpanWriter:
 
     def written(self, spans: Spans, jobs: int) -> Iterator[WrittenSpan]:
         """Yield all spans in order, written by ``jobs`` processes; use up each before the next."""
-        if jobs == 1:
-            yield from map(self.streamed, spans)
+        source = iter(spans)
+        for first in source:
+            if jobs > 1 and first.in_memory:
+                break
+            yield self.streamed(first)
+        else:
             return
+        # a print of one span needs no other processes, nor the modules that start them
+        from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+
         pool = ProcessPoolExecutor(jobs, _context(), _start_worker, self.made_of)
         try:
-            yield from self._written_by(pool, spans, most_pending=jobs + 2)
+            yield from self._written_by(pool, chain([first], source), most_pending=jobs + 2)
         except BrokenProcessPool:
             raise HframeError(
                 "a worker process of this conversion was killed, perhaps for lack of memory; "
@@ -128,10 +138,10 @@ class SpanWriter:
             pool.shutdown(cancel_futures=True)
 
     def _written_by(
-        self, pool: ProcessPoolExecutor, spans: Spans, most_pending: int
+        self, pool: ProcessPoolExecutor, source: Iterator[Span], most_pending: int
     ) -> Iterator[WrittenSpan]:
-        pending = deque[Future[WrittenSpan]]()
-        source, unreadable = iter(spans), None
+        pending: deque[Future[WrittenSpan]] = deque()
+        unreadable = None
         while unreadable is None:
             try:
                 span = next(source, None)
@@ -154,8 +164,10 @@ class SpanWriter:
 _writer: list[SpanWriter] = []  # the one of this worker
 
 
-def _context() -> multiprocessing.context.BaseContext:
+def _context() -> BaseContext:
     """Return how workers start: as copies of this process where that is safe, which is faster."""
+    import multiprocessing
+
     return multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
 
 
@@ -168,6 +180,8 @@ def _start_worker(printer: Printer, options: Options, compensator: Compensator) 
 
 
 def _end_with_parent() -> None:
+    import multiprocessing
+
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -8,13 +8,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import struct
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
@@ -23,7 +21,8 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from tests.benchmarks.timing import fastest, seconds
+from tests.benchmarks.models import SPREAD, models
+from tests.benchmarks.timing import fastest, processor_and_wall, seconds
 from tests.conftest import SAMPLES
 
 OPTIONS = Options("racking", ("none", "racking"))
@@ -85,44 +84,25 @@ def test_stages_by_width_of_the_window(
         benchmark.extra_info[f"{stage}, s an hour of print"] = spent / hours
 
 
-def test_conversion_against_slicing(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    """A knot of many short moves: CuraEngine makes of it what is converted."""
+@pytest.mark.parametrize("name", ["figure", "knot", "gyroid", "vase"])
+def test_conversion_against_slicing(benchmark: BenchmarkFixture, tmp_path: Path, name: str) -> None:
+    """Processor time and duration of CuraEngine, and of converting what it slices."""
     if shutil.which("CuraEngine") is None or not CURA.exists():
         pytest.skip("CuraEngine and its definitions are not here (apt install cura)")
-    model, sliced = tmp_path / "knot.stl", tmp_path / "knot.gcode"
-    model.write_bytes(knot())
-    definition = str(CURA / "fdmprinter.def.json")
-    settings = "center_object=true", "machine_width=220", "machine_depth=220"
-    slicing = ["CuraEngine", "slice", "-j", definition]
-    slicing += [part for setting in settings for part in ("-s", setting)]
-    slicing += ["-l", str(model), "-o", str(sliced)]
-    slicer = seconds(*slicing, rounds=1)
-    convert = command(sliced, tmp_path / "out.gcode")
-    benchmark.pedantic(  # type: ignore[no-untyped-call]
-        subprocess.run, args=(convert,), kwargs={"check": True}, rounds=1
-    )
-    benchmark.extra_info["times CuraEngine"] = fastest(benchmark) / slicer
-
-
-def knot(around: int = 1500, across: int = 60) -> bytes:
-    """A torus knot as a tube of triangles: binary STL."""
-    u = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
-    radius = 20.0 + 8.0 * np.cos(3.0 * u)
-    centre = np.stack(
-        [radius * np.cos(2.0 * u), radius * np.sin(2.0 * u), 8.0 * np.sin(3.0 * u) + 12.1], axis=1
-    )
-    ahead = np.roll(centre, -1, axis=0) - np.roll(centre, 1, axis=0)
-    side = np.cross(ahead, [0.0, 0.0, 1.0])
-    up = np.cross(ahead, side)
-    v = np.linspace(0.0, 2.0 * np.pi, across, endpoint=False)[None, :, None]
-    ring = [axis / np.linalg.norm(axis, axis=1)[:, None] for axis in (side, up)]
-    a = centre[:, None] + 4.0 * (np.cos(v) * ring[0][:, None] + np.sin(v) * ring[1][:, None])
-    b = np.roll(a, -1, axis=0)
-    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
-    corners = np.concatenate([np.stack([a, c, b], axis=2), np.stack([b, c, d], axis=2)])
-    facets = np.zeros(2 * around * across, dtype=[("n", "<f4", 3), ("v", "<f4", 9), ("a", "<u2")])
-    facets["v"] = corners.reshape(-1, 9)
-    return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
+    model, sliced, out = (tmp_path / f"{name}.{end}" for end in ("stl", "gcode", "out.gcode"))
+    surface, settings = models()[name]
+    model.write_bytes(surface)
+    slicing = ["CuraEngine", "slice", "-j", str(CURA / "fdmprinter.def.json")]
+    slicing += [w for item in (SPREAD | settings).items() for w in ("-s", "=".join(item))]
+    runs = {"slicing": processor_and_wall(*slicing, "-l", str(model), "-o", str(sliced))}
+    for jobs in ("1", "2"):
+        runs[f"jobs {jobs}"] = processor_and_wall(
+            *command(sliced, out, "-p", "paper", "--jobs", jobs)
+        )
+    benchmark.pedantic(lambda: None, rounds=1)  # type: ignore[no-untyped-call]
+    for run, (processor, wall) in runs.items():
+        benchmark.extra_info |= {f"{run}, CPU s": processor, f"{run}, s": wall}
+    benchmark.extra_info["times CuraEngine, CPU"] = runs["jobs 2"][0] / runs["slicing"][0]
 
 
 def test_start_against_numpy(benchmark: BenchmarkFixture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 
@@ -16,6 +17,17 @@ def seconds(*arguments: str, rounds: int = 3) -> float:
         subprocess.run(arguments, check=True, capture_output=True)
         times.append(time.perf_counter() - start)
     return min(times)
+
+
+def processor_and_wall(*arguments: str) -> tuple[float, float]:
+    """Return the processor time of a process with its children, and its duration, both in s."""
+    start = time.perf_counter()
+    process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    wall = time.perf_counter() - start
+    assert process.returncode == 0
+    return used.ru_utime + used.ru_stime, wall
 
 
 def fastest(benchmark: BenchmarkFixture) -> float:
