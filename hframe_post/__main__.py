@@ -1,5 +1,6 @@
 """``python -m hframe_post``, and the installed command."""
 
+import os
 import signal
 import sys
 from typing import NoReturn
@@ -12,6 +13,8 @@ def main() -> NoReturn:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # numpy would start a thread for each processor, which takes 0.1 s of them; all work uses one
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if getattr(sys, "frozen", False):  # a single file, which its child processes run, too
         from multiprocessing import freeze_support
 
