@@ -295,6 +295,7 @@ def _faded(needed: Array, reach: int) -> Array:
     """Return a smooth share (n,) that is nowhere above ``needed`` and fades over ``reach``."""
     share = np.ones(len(needed))
     ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
+    ramp = ramp.round(12)  # the last digit of a cosine depends on the processor
     for k in np.flatnonzero(needed < 1.0).tolist():  # few: only where a limit is exceeded
         low, high = max(k - reach, 0), min(k + reach + 1, len(share))
         removed = (1.0 - needed[k]) * ramp[low - k + reach : high - k + reach]

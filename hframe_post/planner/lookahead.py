@@ -194,7 +194,8 @@ def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
     inner = junction_speeds(
         delta, moves.length, moves.acceleration, moves.deviation, limits.extruder_corner_velocity
     )
-    steep = np.abs(delta[:, Z]) > STEEP * np.hypot(delta[:, 0], delta[:, 1])
+    dx, dy, dz, _ = np.square(delta).T
+    steep = dz > STEEP * STEEP * (dx + dy)
     inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0
     cruise = BELOW_CRUISE * moves.cruise
     inner = np.minimum(inner, np.minimum(cruise[:-1], cruise[1:]))
