@@ -82,7 +82,7 @@ def test_response(paper: Printer, compiled: None, racks: bool) -> None:
     """The nozzle, and θ for the compensation, in pieces of any length."""
     plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
     command = np.array([200.0, 80.0]) + walk(np.random.default_rng(1), 3000)
-    pieces = np.split(command, [1, 40, 41, 2000])
+    pieces = np.split(command, [1, 40, 40, 2000])
 
     def motions() -> list[Array]:
         response, theta = Response(plant, command[0]), Filter(plant.Gxtheta or plant.Gxx)
