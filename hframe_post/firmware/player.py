@@ -82,8 +82,8 @@ class Player(Protocol):
         T. None: this firmware leaves nothing out.
         """
 
-    def reset_extruder(self) -> bytes:
-        """Return a line that resets the firmware's count of filament, or nothing."""
+    def reset_extruder(self, filament: float) -> bytes:
+        """Return a line that resets the firmware's count of filament (mm), or nothing."""
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return where segments end: indices (k,) of points, ascending, and positions (k, 4), mm.

@@ -91,6 +91,11 @@ class Run:
     def duration(self) -> float:
         return float(self.time[-1])
 
+    @property
+    def sets_out(self) -> float:
+        """Return when x or y first moves."""
+        return float(self.time[np.argmax((self.steps != self.start)[:, :2].any(axis=1))])
+
     def cells(self, t: Array) -> Integers:
         """Return the steps (n, 4) made at times t (n,)."""
         made = np.searchsorted(self.time, t, side="right")
@@ -106,6 +111,11 @@ class FixedTimeRun:
     @property
     def duration(self) -> float:
         return FRAME * (len(self.frames) - 1)
+
+    @property
+    def sets_out(self) -> float:
+        """Return when x or y first moves."""
+        return FRAME * int(np.argmax((self.frames != self.frames[0])[:, :2].any(axis=1)))
 
     def cells(self, t: Array) -> Integers:
         """Return the steps (n, 4) made at times t (n,): each in the middle between two places."""

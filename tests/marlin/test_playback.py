@@ -63,7 +63,7 @@ class Played:
 
     def track(self) -> tuple[Array, Array, Array]:
         """Return the first samples of the windows, lateness (s) in each, and residuals, mm."""
-        late, _ = self.lateness(0, 0.0, 0.4)
+        late, _ = self.lateness(0, self.run.sets_out, 0.4)
         found, left, first = [], [], list(range(STEP, len(self.command) - WINDOW, STEP))
         for start in first:
             late, off = self.lateness(start, late, 0.1)

@@ -135,7 +135,7 @@ class Klipper:
         peak = math.sqrt(a * NUDGE + end * end / 2.0)
         return Rejoined(text.encode(), to, end, (2.0 * peak - end) / a)
 
-    def reset_extruder(self) -> bytes:
+    def reset_extruder(self, filament: float) -> bytes:
         return b""  # Klipper counts in doubles
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:

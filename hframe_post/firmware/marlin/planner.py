@@ -33,6 +33,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.firmware import ramps
 
+SLOWEST = 120.0  # steps/s, before the development branch
 ROUNDS = 3  # of the rates' dependence on their neighbours'
 FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make up for its ramps
 MOST_LOST = 0.01  # share of time that rounding can lose
@@ -94,7 +95,7 @@ def _released_times(
 ) -> Array:
     """Return block times of 2.0 and 2.1; ahead: share of the first interval, see the table."""
     n, _, a, _ = blocks
-    begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), 120.0), rate) for w in (begin, end))
+    begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), SLOWEST), rate) for w in (begin, end))
     rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
     up, down = _fitting(n, np.ceil(rise), np.floor(fall), np.ceil(meet))
     shares = timer.interrupts(rate)
@@ -203,10 +204,15 @@ class SteppedPlanner:
 
     fixed_time = False
 
+    @property
+    def stall(self) -> float:
+        """Return the seconds of the first step from rest."""
+        return 0.0 if self.development else 1.0 / SLOWEST
+
     def possible_times(self, blocks: Blocks, T: Array, before: float) -> Array:
         """Return times (k,) as near to T (k,) as blocks can last; before: see ``Player``."""
         n = blocks.n
-        T = np.minimum(T, n / (1.0 if self.development else 120.0))
+        T = np.minimum(T, n / (1.0 if self.development else SLOWEST))
         for _ in range(ROUNDS):
             shortest = self._times(blocks, FASTEST * n / T, before)
             if (shortest <= T).all():
@@ -272,6 +278,7 @@ class FixedTimePlanner:
     """The planner of fixed-time motion: exact trapezoids in time; see ``SteppedPlanner``."""
 
     fixed_time = True
+    stall = 0.0
 
     def possible_times(self, blocks: Blocks, T: Array, before: float) -> Array:
         return np.minimum(T, blocks.n)

@@ -30,6 +30,7 @@ JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its o
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 SPARED = 0.9  # of the lines that a board can take in a second; at all of them it stutters
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
+TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +76,23 @@ class Marlin:
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
         a, v = plain(self._acceleration, 0), plain(velocity, 0)
         start = [
-            "M400", "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+            "M400", "M593 F0", "M900 K0", motion, TRAPEZOIDS, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
             f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self._corners(False)}",
         ]  # fmt: skip
-        return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
+        start += ["G90", "M83", *coordinates(offset, at)]
+        return [line.encode() for line in [*start, *self._filling_lines(float(at[Z]))]]
+
+    def _filling_lines(self, z: float) -> list[str]:
+        """Return moves of z, up and down again, while which fixed-time motion fills its queue.
+
+        It plans 128 ms ahead. With an empty queue it would plan to stop at the end of each line.
+        """
+        if not self.planner.fixed_time:
+            return []
+        steps = self.table.min_steps_per_segment
+        way, seconds = steps * self.steps.z, 0.25
+        feed = plain(60.0 * way / seconds, 2)
+        return [f"G1 Z{plain(z + way, 5)} F{feed}", f"G1 Z{plain(z, 5)} F{feed}"]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table = self.table
@@ -125,12 +139,14 @@ class Marlin:
     def rejoin(self, at: Array, way: Array, T: float) -> None:
         return None
 
-    def reset_extruder(self) -> bytes:
-        return b"G92 E0\n"  # Marlin counts in floats: large ones lose the smallest moves
+    def reset_extruder(self, filament: float) -> bytes:
+        # Marlin counts in floats: large ones lose the smallest moves. It rounds to whole steps,
+        # of which the fraction must stay.
+        return b"G92 E%s\n" % plain(filament % self.steps.e, 5).encode()
 
     def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
-        # standstill is left out, and motion makes up for the time that a stroke was late
-        return (b"", seconds) if next_to is Dwelling.MOTION else None
+        # standstill is left out, and what follows makes up for it
+        return (b"", 0.0) if next_to is Dwelling.MOTION else None
 
     def lift_corner(self, at: Array, speed: float) -> float:
         return 0.0
@@ -211,7 +227,7 @@ class Marlin:
         apart = 1.0 / (TS * SPARED * self.table.lines_per_second)
         ends = segment_ends(
             motor_steps(cells, self.kinematics), self.table.min_steps_per_segment,
-            max(1, int(np.ceil(round(apart, 6)))), last,
+            max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
         )  # fmt: skip
         at = points[ends]
         at[:, :Z] = cells[ends] * self.steps.belt

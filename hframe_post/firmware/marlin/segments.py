@@ -7,7 +7,6 @@ import numpy as np
 from hframe_post.arrays import Integers
 from hframe_post.model.kinematics import Kinematics
 
-MARGIN = 6  # steps beyond the least, for segments in motion
 IDLE = 24  # samples without a step, more of which are a standstill
 
 
@@ -21,7 +20,9 @@ def most_steps(steps: Integers) -> Integers:
     return np.asarray(np.maximum(*np.abs(steps).T))  # by columns: rows take ten times as long
 
 
-def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integers:
+def segment_ends(
+    steps: Integers, least: int, apart: int, stall: int, last: bool
+) -> Integers:  # fmt: skip
     """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
     steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
@@ -30,10 +31,10 @@ def segment_ends(steps: Integers, least: int, apart: int, last: bool) -> Integer
     """
     path = np.concatenate([[0], np.cumsum(most_steps(steps))])
     n = len(steps)
-    following = np.searchsorted(path, path + least + MARGIN)
+    following = np.searchsorted(path, path + least)
     following = np.maximum(following, np.arange(n + 1) + apart)
     places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
-    turns = [_turns(place, least) for place in places.T]
+    turns = [_turns(place, least, stall) for place in places.T]
     stops = np.unique(np.concatenate([_edges_of_standstill(path), *turns, [n]]))
     stop = np.minimum(np.searchsorted(stops, np.arange(n + 1), side="right"), len(stops) - 1)
     ends = _chain(np.minimum(following, stops[stop]))
@@ -49,7 +50,7 @@ def _edges_of_standstill(path: Integers) -> Integers:
     return np.unique(np.stack([first[idle], after[idle] - 1]))
 
 
-def _turns(place: Integers, least: int) -> Integers:
+def _turns(place: Integers, least: int, stall: int) -> Integers:
     """Return the samples at which a motor turns with ``least`` steps before and after it.
 
     place (n + 1,): of the motor, in steps. A segment across a turn would cut it off, or make so
@@ -57,7 +58,8 @@ def _turns(place: Integers, least: int) -> Integers:
     """
     moving = np.flatnonzero(np.diff(place))
     onward = np.sign(np.diff(place)[moving])
-    turns = moving[1:][onward[1:] != onward[:-1]]
+    turned = np.flatnonzero(onward[1:] != onward[:-1])
+    turns = np.maximum(moving[turned] + 1, moving[turned + 1] - stall)
     while len(turns):
         legs = np.abs(np.diff(place[np.concatenate([[0], turns, [len(place) - 1]])]))
         short = legs < least

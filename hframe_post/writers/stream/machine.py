@@ -102,7 +102,7 @@ class Machine:
     def commands(self, chunks: Iterable[Samples]) -> Iterator[Command]:
         """Yield the commands in order."""
         if self._inside:
-            yield Text(self._player.reset_extruder())
+            yield self._count()
         for chunk in chunks:
             yield from self._chunk(chunk)
         yield from self._stop()
@@ -213,12 +213,17 @@ class Machine:
     def _enter(self) -> Iterator[Command]:
         """Yield the change to the stream's limits if the user's hold, and a new count of E."""
         assert self._at is not None
-        if not self._inside:
-            self._inside = True
+        entering, self._inside = not self._inside, True
+        if entering:
             begin = self._player.begin(self._offset, self._at / self._units.per_mm)
             yield Text(b"".join(line + b"\n" for line in begin))
-        if self.ledger.is_count_due():
-            yield Text(self._player.reset_extruder())
+        if entering or self.ledger.is_count_due():
+            yield self._count()
+
+    def _count(self) -> Text:
+        """Return the line after which the firmware counts filament from 0, if it needs one."""
+        assert self._at is not None
+        return Text(self._player.reset_extruder(self._at[E] / self._units.per_mm[E]))
 
     def _release(self, action: Passthrough) -> Settings:
         end: list[bytes] = []
