@@ -6,8 +6,8 @@ import os
 import platform
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -174,12 +174,13 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
 
 
 def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
-    days = (time.time() - path.stat().st_mtime) / 86400.0
+    written = datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
+    days = (datetime.now(UTC).date() - (profile.measured or written)).days
     if not profile.invented and days > OLD:
+        how = "measured" if profile.measured else "written"
         findings.note(
-            f"{path} was written {days:.0f} days ago, and printers change: a resonance of one "
-            "moved from 52 to 85 Hz within a year. Record and identify again, or measure what "
-            "compensation brings with 'hframe-post verify'"
+            f"{path} was {how} {days} days ago, and printers change: a resonance of one moved from "
+            "52 to 85 Hz within a year. Run 'hframe-post check', or record and identify again"
         )
 
 

@@ -20,7 +20,7 @@ from hframe_post.cli.options import (
     page_option,
     position,
 )
-from hframe_post.cli.sweep import FILE
+from hframe_post.cli.sweep import FILE, recorded_on
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
@@ -194,7 +194,8 @@ def identify(
             raise IdentificationError(report.identified.refusal or NO_WINDOW)
         if file is not None:
             windows, error = report.compensation.windows, round(report.identified.model_error, 4)
-            written = with_plant(source, report.plant, windows, report.origin(), error, text)
+            day = recorded_on([*files_in(recordings), *pairs])
+            written = with_plant(source, report.plant, windows, report.origin(), error, text, day)
             file.write(written.encode())
             if report.plant.Gxtheta is not None and profile.kinematics.type == "corexy":
                 click.echo(

@@ -1,4 +1,4 @@
-"""``hframe-post sweep``, and what identify and verify share with it.
+"""``hframe-post sweep``, and what identify, check and verify share with it.
 
 SciPy takes a second to import, so these commands import `identification` when they run: their
 help is there at once.
@@ -7,6 +7,8 @@ help is there at once.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,6 +80,11 @@ def write_for_marlin(
             outputs.open(Path(f"{named}.gcode")).write("\n".join([*lines, ""]).encode())
             outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
     return [run for run, _ in done]
+
+
+def recorded_on(files: Iterable[Path]) -> date:
+    """Return the day on which the latest of the recordings was written."""
+    return datetime.fromtimestamp(max(path.stat().st_mtime for path in files), UTC).date()
 
 
 @click.command()

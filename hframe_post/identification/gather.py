@@ -120,6 +120,7 @@ def from_folders(
             used.append(record)
     if not runs:
         reasons = "; ".join(f"{one.label}: {one.reason}" for one in aside[:3])
+        reasons = reasons or "The files are commands, without their recordings"
         more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
         raise IdentificationError(f"no recording can be used. {reasons}{more}")
     return Gathered(runs, used, aside)

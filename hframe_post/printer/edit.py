@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from datetime import date
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,14 +40,14 @@ def with_windows(
 
 def with_plant(
     name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
-    uncertainty: float | None = None, text: str | None = None,
+    uncertainty: float | None = None, text: str | None = None, measured: date | None = None,
 ) -> str:  # fmt: skip
     """Return a profile's text with this plant, these windows, and notes as comments.
 
     A shipped profile is extended, not copied. The plant counts as measured, and a profile that
     compensated nothing compensates racking. uncertainty: share by which the printer may differ
-    from the plant, if known. text: of the profile, if it is in no file. Raises PrinterError if the
-    text cannot be changed safely.
+    from the plant, if known. text: of the profile, if it is in no file. measured: day of the
+    recordings. Raises PrinterError if the text cannot be changed safely.
     """
     source = _text_and_newline(name_or_path) if text is None else (text, "\n")
     before = parse(source[0], name_or_path)
@@ -53,20 +55,60 @@ def with_plant(
     tables = {"compensation": {**_settings(windows), **strategy}}
     if plant.Gxtheta is not None and before.kinematics.type == "corexy":
         tables["kinematics"] = {"type": "hbot"}  # which Klipper calls corexy, too
-    table = _plant(plant, notes, uncertainty)
+    table = _plant(plant, notes, uncertainty, measured)
     return _changed(name_or_path, tables, table, ("plant", "verified"), source)
 
 
-def with_verification(name_or_path: str, date: str, reduction: float) -> str:
+def with_check(
+    name_or_path: str,
+    moved: Mapping[str, TransferFunction],
+    uncertainty: float,
+    measured: date | None,
+) -> str:
+    """Return a profile's text with transfer functions that drifted; comments and the rest stay.
+
+    moved: by Gxx and Gyy. measured: day of the recordings; None leaves that of the profile. The
+    mark of `verify` stays: a check moves a model no farther than printers drift. Raises
+    PrinterError if the text cannot be changed safely.
+    """
+    text, newline = _text_and_newline(name_or_path)
+    table: dict[str, Any] = {"uncertainty": uncertainty}
+    if measured is not None:
+        table["measured"] = measured.isoformat()
+    table |= _functions(moved)
+    changed = _changed(name_or_path, {"plant": table}, source=(text, "\n"))
+    if parse(text, name_or_path).verified is not None:
+        mark = {"verified": {"model": model_digest(changed)}}
+        changed = _changed(name_or_path, mark, source=(changed, "\n"))
+    return changed.replace("\n", newline)
+
+
+def _functions(moved: Mapping[str, TransferFunction]) -> dict[str, Any]:
+    tables = dict[str, Any]()
+    for name, G in moved.items():
+        roots = {"zeros": G.zeros + 0.0, "poles": G.poles + 0.0}
+        lists = {key: np.column_stack([r.real, r.imag]).tolist() for key, r in roots.items()}
+        tables[name] = {"gain": G.gain, **lists}
+    return tables
+
+
+def with_verification(
+    name_or_path: str, date: str, reduction: float,
+    corrected: Mapping[str, TransferFunction] = MappingProxyType({}),
+) -> str:  # fmt: skip
     """Return a profile's text with the mark of `verify`.
 
-    Raises PrinterError if the text cannot be changed safely.
+    corrected: transfer functions that it changed, by Gxx and Gyy. Raises PrinterError if the text
+    cannot be changed safely.
     """
-    text, _ = _text_and_newline(name_or_path)
+    text, newline = _text_and_newline(name_or_path)
+    if corrected:
+        text = _changed(name_or_path, {"plant": _functions(corrected)}, source=(text, "\n"))
     firmware = parse(text, name_or_path).firmware.dialect
     mark = {"date": date, "reduction": round(reduction, 4), "firmware": firmware,
             "model": model_digest(text)}  # fmt: skip
-    changed = _changed(name_or_path, {}, tomlkit.dumps({"verified": mark}), ("verified",))
+    table = tomlkit.dumps({"verified": mark})
+    changed = _changed(name_or_path, {}, table, ("verified",), (text, newline))
     if parse(changed, name_or_path).verified is None:
         raise PrinterError("the mark does not fit this model", "verified", name_or_path)
     return changed
@@ -121,13 +163,7 @@ def _edited(text: str, tables: Settings, appended: str, dropped: Sequence[str]) 
     for name, settings in tables.items():
         if name not in document:
             document.append(name, tomlkit.table())
-        table: Any = document[name]
-        for key, value in settings.items():
-            if isinstance(value, list) and len(table.get(key, ())) == len(value):
-                for k, number in enumerate(value):  # one by one, so that comments between them stay
-                    table[key][k] = number
-            else:
-                table[key] = value
+        _set(document[name], settings)
     if not appended:
         return document.as_string()
     for name in dropped:
@@ -135,7 +171,20 @@ def _edited(text: str, tables: Settings, appended: str, dropped: Sequence[str]) 
     return f"{document.as_string().rstrip()}\n\n{appended}"
 
 
-def _plant(plant: Plant, notes: Sequence[str], uncertainty: float | None) -> str:
+def _set(table: Any, settings: Mapping[str, Any]) -> None:
+    for key, value in settings.items():
+        if isinstance(value, dict) and key in table:
+            _set(table[key], value)
+        elif isinstance(value, list) and len(table.get(key, ())) == len(value):
+            for k, one in enumerate(value):  # one by one, so that comments between them stay
+                table[key][k] = one
+        else:
+            table[key] = value
+
+
+def _plant(
+    plant: Plant, notes: Sequence[str], uncertainty: float | None, measured: date | None
+) -> str:
     """Return the table ``plant`` with notes, and its transfer functions.
 
     Without racking it has a gain of zero, since the profile that is extended may rack.
@@ -144,6 +193,7 @@ def _plant(plant: Plant, notes: Sequence[str], uncertainty: float | None) -> str
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
+    known += "" if measured is None else f'measured = "{measured}"\n'
     head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     return head + "".join(_transfer_function(name, G) for name, G in functions.items())
 

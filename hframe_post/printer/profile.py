@@ -6,6 +6,7 @@ import hashlib
 import re
 import tomllib
 from dataclasses import replace
+from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +35,7 @@ from hframe_post.printer.settings import (
 )
 
 T = TypeVar("T")
+PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured")
 LARGEST_FILE = 1 << 20  # bytes of a profile
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
@@ -163,9 +165,17 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Speed, document.get("speed", {}), "speed"),
         optional_table(Retraction),
         uncertainty,
+        _day(document["plant"].get("measured"), "plant.measured"),
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
+
+
+def _day(value: Any, key: str) -> date | None:
+    try:
+        return None if value is None else date.fromisoformat(value)
+    except (TypeError, ValueError):
+        raise PrinterError(f'must be a day such as "2026-01-31", it is {value!r}', key) from None
 
 
 def _verified(document: dict[str, Any]) -> Verified | None:
@@ -177,7 +187,8 @@ def _verified(document: dict[str, Any]) -> Verified | None:
 
 
 def _model_digest(document: dict[str, Any]) -> str:
-    deciding = repr((document["plant"], document["compensation"]))
+    plant = {key: value for key, value in document["plant"].items() if key != "measured"}
+    deciding = repr((plant, document["compensation"]))
     return hashlib.sha256(deciding.encode()).hexdigest()[:12]
 
 
@@ -212,7 +223,7 @@ def check_identified(printer: Printer) -> None:
 
 
 def _plant(table: dict[str, Any]) -> Plant:
-    known_keys(table, ("Ts", "x_c", "invented", "uncertainty", "Gxx", "Gyy", "Gxtheta"), "plant")
+    known_keys(table, (*PLANT, "Gxx", "Gyy", "Gxtheta"), "plant")
     for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
         if key not in table:
             raise PrinterError("the key is missing", f"plant.{key}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from datetime import date
 
 from hframe_post.errors import ArgumentError
 from hframe_post.model.kinematics import Kinematics
@@ -22,6 +23,10 @@ LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and c
 HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
 SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper records at most 1000 s
 QUIET = 0.1  # s; a shorter rest does not separate the parts of a sweep
+# share by which printers differ from their model a day after it was measured, and the exponent of
+# its growth with the days: the figures are in docs/identify.md
+DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
+MOST_DRIFT = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +234,8 @@ class Printer:
 
     digest: identifies the contents, apart from ``verified``. verified: None unless this plant and
     window were verified. invented: the plant was not measured on this printer. uncertainty: share
-    by which the printer may differ from its plant; None if it was not measured.
+    by which the printer may differ from its plant; None if it was not measured. measured: day of
+    the recordings, if known.
     """
 
     name: str
@@ -249,6 +255,13 @@ class Printer:
     speed: Speed = Speed()
     retraction: Retraction | None = None
     uncertainty: float | None = None
+    measured: date | None = None
+
+    def uncertainty_on(self, day: date) -> float:
+        """Return the uncertainty of the plant on a later day, at least the one it has."""
+        days = max((day - self.measured).days, 0) if self.measured else 0
+        drifted: float = min(DRIFT_IN_A_DAY * days**DRIFT_GROWTH, MOST_DRIFT)
+        return max(self.uncertainty or 0.0, drifted)
 
     def warnings(self) -> list[str]:
         """Return what must be known before a print that is compensated with this plant."""

@@ -124,6 +124,10 @@ def test_doctor_notes_an_old_model(machine: Path, tmp_path: Path) -> None:
     _, printed = findings(folder)
     assert "note     " in printed
     assert "was written 200 days ago" in printed
+    profile.write_text(
+        measured.replace("invented = false", 'invented = false\nmeasured = "2020-01-31"')
+    )
+    assert "was measured" in findings(folder)[1]
 
 
 def test_doctor_lists_each_difference_from_printer_cfg(tmp_path: Path) -> None:

@@ -12,14 +12,16 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.identification.recordings.accelerometer import oriented
+from hframe_post.identification.verification.correction import corrections
 from hframe_post.identification.verification.motion import runs
 from hframe_post.identification.verification.verdict import Verdict, judge
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
+from tests.identification.drifting import STEP
 from tests.page.pages import data_of
-from tests.random_printers import printer, traced
+from tests.random_printers import judged, printer, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
 
@@ -28,6 +30,7 @@ STRANGER = Machine(
     Axis((Mode(38.0, 0.08),), delay=0.0013),
     racking=2e-8,
 )
+STIFF = replace(STRANGER, racking=0.0, kinematics="corexy")  # its gantry does not rack
 CHIP = Chip(gains=(1.03, 0.97, 1.0))
 
 
@@ -201,3 +204,51 @@ def test_usage(tmp_path: Path) -> None:
     assert "--report page.html" in removed.output
     assert invoked().exit_code == 2
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1
+
+
+# ---------------------------------------------------------------------- correction
+
+
+def corrected(machine: Machine, profile: Printer, seed: int) -> tuple[Printer, set[str]]:
+    """Return the profile after a verification, and the transfer functions that it corrected."""
+    both = [
+        (run.command, oriented(CHIP.record(machine, run.command, seed + k, STEP), quiet=0.5))
+        for k, run in enumerate(runs(profile))
+    ]
+    found = corrections(profile, *both)
+    plant = replace(profile.plant, **{name: one.G for name, one in found.items()})  # type: ignore[arg-type]
+    return replace(profile, plant=plant), set(found)
+
+
+@pytest.mark.parametrize("fault", ["", "friction", "play", "third"])
+def test_a_verification_corrects_what_drifted_and_nothing_more(fault: str) -> None:
+    """The second round finds nothing, and no round makes the rectangle worse."""
+    size = {"friction": 150.0, "play": 0.006, "third": 0.02}
+    axes = [
+        replace(axis, modes=tuple(replace(m, hz=factor * m.hz) for m in axis.modes))
+        for axis, factor in ((STIFF.x, 1.04), (STIFF.y, 0.96))
+    ]
+    if fault:
+        axes = [replace(axis, **{fault: size[fault]}) for axis in axes]  # type: ignore[arg-type]
+    now = replace(STIFF, x=axes[0], y=axes[1])
+    old = replace(printer(STIFF), plant=STIFF.exact())
+    once, first = corrected(now, old, 50)
+    twice, _ = corrected(now, once, 60)
+    errors = [judged(now, one).compensated for one in (old, once, twice)]
+    assert first
+    assert errors[1] < 0.95 * errors[0]
+    assert errors[2] < 1.03 * errors[1]
+
+
+def test_a_model_that_is_right_is_not_corrected() -> None:
+    right = replace(printer(STIFF), plant=STIFF.exact())
+    assert corrected(STIFF, right, 70)[1] == set()
+
+
+def test_a_motion_away_from_the_middle_corrects_nothing() -> None:
+    """Modes may move along x, and the motion that shows racking is not in its middle."""
+    right = replace(printer(STRANGER), plant=STRANGER.exact())
+    off = replace(
+        STRANGER, x=replace(STRANGER.x, modes=(Mode(31.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)))
+    )
+    assert corrected(off, right, 80)[1] == set()

@@ -58,6 +58,14 @@ SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}} \
 SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
 
+[gcode_macro HFRAME_CHECK]
+description: Home if needed and print check.gcode, for 'hframe-post check'
+gcode:
+    {{% if printer.toolhead.homed_axes != "xyz" %}}
+    G28
+    {{% endif %}}
+    SDCARD_PRINT_FILE FILENAME={{params.FILENAME|default("check.gcode")}}
+
 # stream: velocity and acceleration of the converted file that is paused
 [gcode_macro _HFRAME_LEAVE]
 description: If the limits of a converted file are in force, note them and restore the printer's

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg, optimize
@@ -69,6 +70,16 @@ class Parameters:
     delay: float
 
 
+class Expectation(Protocol):
+    """What is known of a model before its recording is seen."""
+
+    def rows(self, structure: Structure, parameters: Parameters) -> tuple[Array, Array]:
+        """Return rows (r, coefficients), and what they give (r,) for the expected printer.
+
+        In units of standard deviations.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class Prior:
     """What every printer does below its lowest resonance, for recordings that do not show it.
@@ -80,8 +91,8 @@ class Prior:
 
     resonance_hz: float
 
-    def rows(self, structure: Structure, parameters: Parameters) -> Array:
-        """Return rows (r, coefficients) that are 0 for a printer that behaves so."""
+    def rows(self, structure: Structure, parameters: Parameters) -> tuple[Array, Array]:
+        """Return rows (r, coefficients) that are 0 (r,) for a printer that behaves so."""
         n = structure.modes
         r = np.linspace(0.05, 1.0 / 3.0, 12)
         at_rest = np.concatenate([np.ones(n), np.zeros(n * structure.speed)])
@@ -91,7 +102,8 @@ class Prior:
         late = np.zeros(n)
         if structure.speed:
             late = np.append(late, 1.0 / parameters.omega)
-        return np.vstack([follows, late / 5e-5, np.eye(len(at_rest)) / 3.0])
+        rows = np.vstack([follows, late / 5e-5, np.eye(len(at_rest)) / 3.0])
+        return rows, np.zeros(len(rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +111,8 @@ class Data:
     """The response H (k,) to fit, with weight (k,), one over its standard deviation.
 
     mode_range_hz, delay_bounds (s): bounds of modes and delay. sensor: mean and standard deviation
-    of the gain that is expected. damping: bounds of damping ratios. prior: of recordings that
-    do not show how the printer follows its command.
+    of the gain that is expected. damping: bounds of damping ratios. prior: what is known without
+    the recording.
     """
 
     hz: Array
@@ -110,7 +122,7 @@ class Data:
     delay_bounds: tuple[float, float]
     sensor: tuple[float, float] = SENSOR
     damping: tuple[float, float] = DAMPING
-    prior: Prior | None = None
+    prior: Expectation | None = None
 
     def thinned(self, count: int) -> Data:
         """Return every k-th frequency, so that at least ``count`` remain."""
@@ -303,12 +315,12 @@ def _solve(data: Data, structure: Structure, parameters: Parameters) -> tuple[Ar
     n, k = structure.modes, structure.lags
     at_rest = np.concatenate([np.ones(n), np.zeros(n * structure.speed), np.ones(k)])
     racks = structure.zeros_at_rest > 0
-    expected, sd = data.sensor
+    gain, sd = data.sensor
     rows = np.vstack([rows, at_rest * (0.0 if racks else 1.0 / sd)])
-    wanted = np.append(wanted, 0.0 if racks else expected / sd)
+    wanted = np.append(wanted, 0.0 if racks else gain / sd)
     if data.prior is not None:
-        more = data.prior.rows(structure, parameters)
-        rows, wanted = np.vstack([rows, more]), np.append(wanted, np.zeros(len(more)))
+        more, expected = data.prior.rows(structure, parameters)
+        rows, wanted = np.vstack([rows, more]), np.append(wanted, expected)
     free = free_directions(structure, parameters, at_rest)
     reduced = rows @ free
     scale = np.maximum(np.sqrt(np.einsum("ij,ij->j", reduced, reduced)), 1e-300)

@@ -240,6 +240,11 @@ def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement |
     fitting = [c for c in commands if not name.certain and c.lasts_as_long_as(one.recording)]
     stem = ENDINGS.sub("", one.path.name)
     named = [c for c in fitting if stem.endswith(c.run)]
+    meant = [c for c in commands if not name.certain and stem.endswith(c.run)]
+    if meant and not fitting:
+        lasts, needed = float(np.ptp(one.recording.t)), TS * len(meant[0].motion)
+        cause = f"it lasts {lasts:.1f} s, but its motion, {meant[0].path.name}, {needed:.1f} s"
+        return Aside(one.label, f"{cause}: it was cut off, or is of another run")
     longest = max((len(c.run) for c in named), default=0)
     along = [c for c in fitting if name.direction and c.direction == name.direction]
     possible = [c for c in named if len(c.run) == longest] or along

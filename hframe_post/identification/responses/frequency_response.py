@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import signal
+from scipy.fft import rfft, rfftfreq
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from hframe_post.arrays import TS, Array, Complex, Flags
@@ -55,7 +56,10 @@ class FrequencyResponse:
 
     def within(self, band_hz: tuple[float, float]) -> FrequencyResponse:
         """Return the part from ``band_hz[0]`` to ``band_hz[1]``, both included."""
-        kept = (self.hz >= band_hz[0]) & (self.hz <= band_hz[1])
+        return self.where((self.hz >= band_hz[0]) & (self.hz <= band_hz[1]))
+
+    def where(self, kept: Flags) -> FrequencyResponse:
+        """Return the part at the frequencies that are flagged (k,)."""
         return FrequencyResponse(
             self.hz[kept], self.H[kept], self.coherence[kept], self.power[kept], self.averages
         )
@@ -99,6 +103,19 @@ def estimate(u: Array, y: Array) -> FrequencyResponse:
     coherence = np.minimum(cross**2 / np.maximum(P_uu * P_yy, TINY), 1.0)
     H = cross / np.maximum(P_uu, TINY) * np.exp(1j * np.angle(P_uy))
     return FrequencyResponse(hz, H, coherence, P_uu, BANDWIDTH * n / segment)
+
+
+def whole_record(u: Array, y: Array, noise: float) -> FrequencyResponse:
+    """Return the response of y (n,) to u (n,) at 1 kHz, from the spectra of the whole record.
+
+    For a single short chirp, which has no parts to average: nothing leaks, but each frequency has
+    all its noise. noise: RMS of y at rest.
+    """
+    U, Y = rfft(u), rfft(y)
+    power = np.abs(U) ** 2
+    coherence = 1.0 / (1.0 + len(u) * noise**2 / np.maximum(np.abs(Y) ** 2, TINY))
+    hz, H = rfftfreq(len(u), 1.0 / RATE_HZ), Y / np.where(power > 0.0, U, 1.0)
+    return FrequencyResponse(hz[1:], H[1:], coherence[1:], power[1:])
 
 
 def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:

@@ -31,8 +31,9 @@ def path(printer: Printer) -> list[bytes]:
     (x0, x1), (y0, y1) = printer.travel.x, printer.travel.y
     width, height = (min(length, (high - low) / 3.0) for length, (low, high) in zip(
         LENGTHS, ((x0, x1), (y0, y1)), strict=True))  # fmt: skip
-    # off the middle, so that racking has a long lever arm
-    left, low = (x0 + x1) / 2.0 + (x1 - x0) / 6.0 - width / 2.0, (y0 + y1) / 2.0 - height / 2.0
+    # the model holds in the middle; away from it racking has a long lever arm
+    off = (x1 - x0) / 6.0 if printer.plant.Gxtheta is not None else 0.0
+    left, low = (x0 + x1) / 2.0 + off - width / 2.0, (y0 + y1) / 2.0 - height / 2.0
     speed = f"F{60.0 * printer.limits.velocity:g}"
     lines = ["G28", "G90", "M83", f"G1 X{left:.3f} Y{low:.3f} {speed}", "G4 P500"]
     for _ in range(LOOPS):

@@ -1,0 +1,141 @@
+"""``hframe-post check``: what has drifted since the profile was identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hframe_post.arrays import X, Y
+from hframe_post.cli.options import files_read, json_option, open_json, printer_option, say
+from hframe_post.cli.sweep import chips_option, recorded_on, write_motion
+from hframe_post.errors import IdentificationError, PrinterError
+from hframe_post.printer.edit import with_check
+from hframe_post.printer.profile import check_identified, load
+from hframe_post.writers.files import Outputs
+
+if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
+    from hframe_post.identification.gather import Gathered
+    from hframe_post.printer.settings import Printer
+
+
+@click.command()
+@click.argument(
+    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
+    type=click.Path(path_type=Path, exists=True),
+)  # fmt: skip
+@printer_option
+@click.option(
+    "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="CHECK.GCODE",
+    help="Write the run; the command of each axis is written next to it.",
+)  # fmt: skip
+@click.option(
+    "--axis", type=click.Choice(["x", "y"]),
+    help="With --gcode: this axis only, such as x of a printer whose bed moves in y.",
+)  # fmt: skip
+@click.option(
+    "--axes", metavar="MAP",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
+    "the recordings show.",
+)  # fmt: skip
+@chips_option
+@json_option
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
+    help="Write the profile with the model and the uncertainty of today.",
+)  # fmt: skip
+def check(
+    recordings: tuple[Path, ...], printer: str, gcode: Path | None, axis: str | None,
+    axes: str | None, chips: tuple[str, ...], json_file: Path | None, output: Path | None,
+) -> None:  # fmt: skip
+    """Measure in 20 s what drifted, before a print or once a week: first --gcode, then the files.
+
+    The run shakes each axis for 5 s, in the middle of the bed. Its file is written once. The
+    recordings then move the frequencies, damping ratios and contributions of the profile's modes.
+    A recording of another printer is refused with status 1. Without recordings, the age of the
+    model raises its uncertainty.
+
+    \b
+    Example:
+      hframe-post check -p my.toml --gcode check.gcode
+      hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
+    """
+    from hframe_post.identification.checking.motion import runs
+
+    profile = load(printer)
+    check_identified(profile)
+    if gcode is not None:
+        planned = runs(profile, [X, Y] if axis is None else ["xy".index(axis)])
+        write_motion(gcode, printer, profile, planned, chips, None)
+        say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
+    elif recordings:
+        _update(printer, profile, recordings, axes, json_file, output)
+    else:
+        _age(printer, profile, output)
+
+
+def _update(
+    printer: str, profile: Printer, recordings: tuple[Path, ...], axes: str | None,
+    json_file: Path | None, output: Path | None,
+) -> None:  # fmt: skip
+    from hframe_post.identification.checking.drift import drifts
+    from hframe_post.identification.checking.report import CheckReport
+    from hframe_post.identification.recordings.folder import files_in
+
+    files = files_in(recordings)
+    sources = [*files_read(printer), *files]
+    with Outputs(sources) as profiles:
+        file = profiles.open(output, Path(printer)) if output is not None else None
+        with Outputs([*sources, *([output] if output else [])]) as reports:
+            write_json = open_json(reports, json_file)
+            gathered = _gathered(recordings, profile, axes)
+            runs = list({run.axis: run for run in gathered.runs}.values())  # the last of each axis
+            labels = {label: path for path, label in files.items()}
+            day = recorded_on([labels[run.name] for run in runs])
+            if profile.measured is not None and day < profile.measured:
+                raise IdentificationError(
+                    f"the recordings are of {day}, older than the model, of {profile.measured}: "
+                    "print check.gcode and fetch the new files"
+                )
+            report = CheckReport(profile, drifts(profile.plant, runs), day)
+            write_json(report.as_json())
+        for one in gathered.aside:
+            say(f"left aside   {one.label}: {one.reason}")
+        click.echo(report.as_text(), err=str(json_file) == "-")
+        if file is not None:
+            measured = day if report.complete else None
+            file.write(with_check(printer, report.moved, report.uncertainty, measured).encode())
+
+
+def _gathered(recordings: tuple[Path, ...], profile: Printer, axes: str | None) -> Gathered:
+    """Return the runs, sorted by date, with recordings along the printer's axes."""
+    from hframe_post.identification.gather import along_printer, from_folders
+
+    found = from_folders(recordings, None, profile.travel)
+    found = replace(found, runs=[run for run in found.runs if run.calibrated])
+    if not found.runs:
+        raise IdentificationError(
+            "no recording of the run that 'hframe-post check --gcode' writes. Give its recordings "
+            "and its commands, such as check.check-x.csv"
+        )
+    return along_printer(found, axes)
+
+
+def _age(printer: str, profile: Printer, output: Path | None) -> None:
+    if profile.measured is None:
+        raise PrinterError(
+            'the profile does not say when it was measured. Write the day, such as "2026-01-31"',
+            "plant.measured", printer,
+        )  # fmt: skip
+    today: date = datetime.now(UTC).date()
+    now, before = profile.uncertainty_on(today), profile.uncertainty or 0.0
+    days = (today - profile.measured).days
+    click.echo(f"measured     {profile.measured}, {days} days ago")
+    click.echo(f"uncertainty  ±{100 * now:.1f} % ({100 * before:.1f} % in the profile)")
+    if output is not None:
+        with Outputs(files_read(printer)) as outputs:
+            file = outputs.open(output, Path(printer))
+            file.write(with_check(printer, {}, round(now, 4), None).encode())

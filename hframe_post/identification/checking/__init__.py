@@ -1,0 +1,1 @@
+"""What has drifted since a profile was identified, from a short run."""

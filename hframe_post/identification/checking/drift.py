@@ -1,0 +1,268 @@
+"""How far the modes of a profile have moved, from one short run of each axis.
+
+recording → response of the whole record → the known modes, moved → the profile's plant
+
+The fit begins at the profile's modes and expects them to have changed as printers do (`Known`). A
+recording that would move them farther is refused, and so is one that they do not explain: it is of
+another printer, or of one that was rebuilt. The second mark is not part of the fit: an axis moves
+only if its new model explains the answer to that better than the old one. A mark is fast, like a
+corner, so belts that stiffen on the long sine of a resonance do not pass as belts that drifted.
+
+Delays and racking stay: a short run at one place does not show them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+
+from hframe_post.arrays import TS, Array, Complex, X
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.checking.known import BAND_HZ, Known, as_modes, known_modes
+from hframe_post.identification.diagnosis.scatter import Uncertainty, with_noise
+from hframe_post.identification.fitting.dominant import INDEPENDENT_HZ, share_left
+from hframe_post.identification.fitting.fit import RINGS
+from hframe_post.identification.fitting.modal import Data, Modal, refine
+from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
+from hframe_post.identification.recordings.clock_sync import find_marks, moving_samples
+from hframe_post.identification.responses.frequency_response import (
+    NOISE_FLOOR,
+    FrequencyResponse,
+    delays,
+    weights,
+    whole_record,
+)
+from hframe_post.identification.responses.measured import Run
+from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.stream.running import one_blas_thread
+
+SAMPLES = 8  # of the response with noise added, from which uncertainties follow
+LATE = 3e-3  # s by which the delay may differ from that of the phase
+# farthest change: of frequency and damping ratio, relative, and of a mode's contribution
+FARTHEST_HZ, FARTHEST_DAMPING, FARTHEST_SHARE = 0.1, 2.0, 0.3
+OFF_PEAK = 0.4  # of the median answer, that an error is measured by where the answer is smaller
+MOST_LEFT = 0.6  # of what the printer does other than to follow its command
+LOWEST = 0.5  # times the lowest mode: below, the whole printer may rock on its table
+HIGHEST = 1.25  # times the highest mode
+LEAST_FREQUENCIES = 50
+EXCITED = 0.1  # of the median power of the command
+NOTICED = 2.0  # standard deviations
+STEPS_HZ, STEPS_DAMPING = 5e-4, 0.01  # relative, by which motor steps shift a mode in every run
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A mode before and now. sd: of the frequency and the damping ratio, relative."""
+
+    hz: tuple[float, float]
+    damping: tuple[float, float]
+    share: tuple[float, float]
+    sd: tuple[float, float]
+
+    @property
+    def certain(self) -> bool:
+        """Return whether the mode moved by more than its uncertainty."""
+        changes = (now / before - 1.0 for before, now in (self.hz, self.damping))
+        return any(abs(d) > NOTICED * sd for d, sd in zip(changes, self.sd, strict=True))
+
+    @property
+    def too_far(self) -> bool:
+        ratio = self.damping[1] / self.damping[0]
+        return (
+            abs(self.hz[1] / self.hz[0] - 1.0) > FARTHEST_HZ
+            or not 1.0 / FARTHEST_DAMPING <= ratio <= FARTHEST_DAMPING
+            or abs(self.share[1] - self.share[0]) > FARTHEST_SHARE
+        )
+
+    def as_text(self) -> str:
+        (f0, f1), (z0, z1) = self.hz, self.damping
+        return (
+            f"{f0:.2f} → {f1:.2f} Hz ({100 * (f1 / f0 - 1.0):+.1f} ± {200 * self.sd[0]:.1f} %), "
+            f"damping {z0:.3f} → {z1:.3f} (± {2.0 * self.sd[1] * z1:.3f})"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """A transfer function as it is now.
+
+    modes: those that ring. left: share of the unseen answer that the old and the new
+    model leave. uncertainty: of the new one, as ``plant.uncertainty``.
+    """
+
+    G: TransferFunction
+    modes: list[Moved]
+    left: tuple[float, float]
+    uncertainty: float
+
+    @property
+    def seen(self) -> bool:
+        """Return whether a mode moved, as far as the fitted motion shows."""
+        return any(mode.certain for mode in self.modes)
+
+    @property
+    def certain(self) -> bool:
+        """Return whether the new model is also better where it was not fitted."""
+        return self.seen and self.left[1] < self.left[0]
+
+
+@one_blas_thread()
+def drifts(plant: Plant, runs: Sequence[Run]) -> dict[str, Drift]:
+    """Return what drifted, by Gxx and Gyy, from at most one run of each axis.
+
+    runs: with recordings along the printer's axes. Raises IdentificationError.
+    """
+    found = {}
+    for run in runs:
+        name, G = ("Gxx", plant.Gxx) if run.axis == X else ("Gyy", plant.Gyy)
+        try:
+            found[name] = drift(G, _recorded(run))
+        except IdentificationError as error:
+            raise IdentificationError(f"{run.name}: {error}") from None
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A motion along an axis: the response to fit, and command and answer (n,), mm/s², to judge."""
+
+    response: FrequencyResponse
+    unseen: tuple[Array, Array]
+
+
+def _recorded(run: Run) -> Recorded:
+    """Return what is before the second mark, when the sine's answer has died away, and the mark."""
+    u = acceleration(run.command[:, run.axis])
+    marks = find_marks(u, moving_samples(u))
+    if marks is None or run.nozzle is None:
+        raise IdentificationError("not a run of 'hframe-post check --gcode'")
+    one = aligned(u, run.nozzle, run.axis)
+    a = turned(one.acceleration, heading(u, one.acceleration, run.axis))[:, run.axis]
+    noise = float(a[: marks.first].std())
+    end = marks.second
+    return Recorded(whole_record(u[:end], a[:end], noise), (u[end:], a[end:]))
+
+
+def drift(G: TransferFunction, recorded: Recorded) -> Drift:
+    """Return how a transfer function changed.
+
+    Raises IdentificationError if the recording is not of its printer.
+    """
+    old = as_modes(G)
+    known = known_modes(G)
+    if not known:
+        raise IdentificationError("the profile's model does not ring, so there is nothing to check")
+    part = recorded.response.within((LOWEST * known[0], min(HIGHEST * known[-1], BAND_HZ[1])))
+    part = part.where(part.power > EXCITED * np.median(part.power))
+    if len(part.hz) < LEAST_FREQUENCIES:
+        raise IdentificationError("the motion is too short to show the modes")
+    new, sd = _moved(old, part)
+    omega, zeta = _uncertainty(new, part, sd, old)
+    size = np.abs(new.c) + np.abs(new.d)
+    importance = size * (new.parameters.zeta < RINGS) / size.max()
+    share = Uncertainty(tuple(omega), tuple(zeta), tuple(importance), 0.0).share
+    modes = [
+        Moved(
+            _pair(old.parameters.omega, new.parameters.omega, k, 2.0 * np.pi),
+            _pair(old.parameters.zeta, new.parameters.zeta, k),
+            (float(old.c[k] / old.gain), float(new.c[k] / new.gain)),
+            (float(omega[k]), float(zeta[k])),
+        )
+        for k in np.argsort(old.parameters.omega).tolist()
+        if old.parameters.zeta[k] < RINGS
+    ]
+    _check(new, modes, part)
+    u, a = recorded.unseen
+    left = [_left(model, u, a, (part.hz[0], part.hz[-1])) for model in (old, new)]
+    return Drift(new.discrete(old.delay, new.gain), modes, (left[0], left[1]), share)
+
+
+def _left(model: Modal, u: Array, a: Array, band_hz: tuple[float, float]) -> float:
+    """Return the share of the answer a (n,) to u (n,) that a model leaves.
+
+    The model's answer is cut off where the recording ends.
+    """
+    n = 4 * len(u)
+    answer = irfft(model.response(rfftfreq(n, TS)) * rfft(u, n), n)[: len(u)]
+    measured, modelled = (whole_record(u, one, 0.0).within(band_hz) for one in (a, answer))
+    return share_left(modelled.H, measured, measured.power)
+
+
+def _pair(old: Array, new: Array, k: int, unit: float = 1.0) -> tuple[float, float]:
+    return float(old[k]) / unit, float(new[k]) / unit
+
+
+def _moved(old: Modal, part: FrequencyResponse) -> tuple[Modal, Array]:
+    """Return the model moved to a response, and that one's standard deviation (k,), relative."""
+    new = _in_time(old, part)
+    sd = np.hypot(part.noise, NOISE_FLOOR)
+    for _ in range(2):
+        new = _refined(part, sd, new, old)
+        sd = _scatter(part, new)
+    return new, sd
+
+
+def _scatter(part: FrequencyResponse, model: Modal) -> Array:
+    """Return the standard deviation (k,) of a response about its model, relative.
+
+    Noise and motor steps differ from one frequency to the next. What no mode explains, since a
+    printer is not quite linear, is wrong alike at neighbouring frequencies, and counts as often.
+    """
+    size = np.abs(part.H)
+    usual = np.hypot(size, OFF_PEAK * np.median(size))
+    off = (part.H - model.response(part.hz)) / usual
+    alike = max(int(INDEPENDENT_HZ * len(part.hz) / np.ptp(part.hz)), 2)
+    blocks = off[: len(off) // alike * alike].reshape(-1, alike)
+    means = blocks.mean(axis=1)
+    white = float((np.abs(blocks - means[:, None]) ** 2).mean()) * alike / (alike - 1.0)
+    common = max(float((np.abs(means) ** 2).mean()) - white / alike, 0.0)
+    noise = part.noise * size / usual
+    more = max(white - float((noise**2).mean()), 0.0) + alike * common
+    return np.asarray(np.sqrt(noise**2 + max(more, NOISE_FLOOR**2)) * usual / size)
+
+
+def _in_time(model: Modal, part: FrequencyResponse) -> Modal:
+    """Return the model with the delay of a response."""
+    early, late = delays([replace(part, H=model.response(part.hz)), part])
+    delay = model.delay + float(late - early)
+    return replace(model, parameters=replace(model.parameters, delay=delay))
+
+
+def _refined(part: FrequencyResponse, sd: Array, start: Modal, old: Modal) -> Modal:
+    known = np.concatenate([old.parameters.omega, old.parameters.corner]) / (2.0 * np.pi)
+    reach = 0.5 * float(known.min()), 2.0 * float(known.max())
+    delay = start.delay - LATE, start.delay + LATE
+    exact = replace(part, coherence=np.ones(len(part.hz)))  # sd holds the noise
+    data = Data(part.hz, part.H, weights(exact, sd), reach, delay, prior=Known(old))
+    return refine(data, start.structure, start.parameters)
+
+
+def _uncertainty(new: Modal, part: FrequencyResponse, sd: Array, old: Modal) -> tuple[Array, Array]:
+    """Return standard deviations of frequencies and damping ratios (modes,), relative."""
+    doubtful = replace(part, coherence=1.0 / (1.0 + sd**2), averages=1.0)
+    rng = np.random.default_rng(0)
+    drawn = [_refined(with_noise(doubtful, rng), sd, new, old).parameters for _ in range(SAMPLES)]
+    omega = np.std([one.omega for one in drawn], axis=0) / new.parameters.omega
+    zeta = np.std([one.zeta for one in drawn], axis=0) / new.parameters.zeta
+    return np.hypot(omega, STEPS_HZ), np.hypot(zeta, STEPS_DAMPING)
+
+
+def _check(new: Modal, modes: Sequence[Moved], part: FrequencyResponse) -> None:
+    """Raise IdentificationError if a recording is not of the printer of this model."""
+    stiff: Complex = (np.sinc(part.hz * TS) ** 2).astype(complex)
+    left = share_left(new.response(part.hz), part, part.power)
+    if left > MOST_LEFT * share_left(stiff, part, part.power):
+        raise IdentificationError(
+            f"the profile's modes leave {100 * left:.0f} % of this recording "
+            "unexplained: it is of another printer, or of one that was rebuilt. Identify again"
+        )
+    for mode in modes:
+        if mode.too_far:
+            raise IdentificationError(
+                f"a mode would move farther than printers drift: {mode.as_text()}. Is it another "
+                "printer, or was a belt, the head or the bed changed? Identify again"
+            )

@@ -1,0 +1,72 @@
+"""What the plain motion of a verification changes in the model, judged by the compensated one.
+
+A print moves less than a sweep, and in strokes, so a printer that is not linear answers it a little
+otherwise. The known modes are fitted to the plain motion, as by `check`. An axis is corrected only
+if that foresees the compensated motion, which was not fitted, clearly better: else nothing is left
+that a linear model could gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hframe_post.arrays import Array, X, Y
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.checking.drift import Drift, Recorded, drift
+from hframe_post.identification.identified import AXIS
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.responses.frequency_response import whole_record
+from hframe_post.identification.verification.motion import QUIET
+from hframe_post.identification.verification.pairing import Run
+from hframe_post.identification.verification.verdict import Measured, measured_run
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.running import one_blas_thread
+
+NEAR = 25.0  # mm
+GAINED = 0.97  # of what the old model leaves, that the new one leaves at most
+
+
+@one_blas_thread()
+def corrections(printer: Printer, plain: Run, compensated: Run) -> dict[str, Drift]:
+    """Return the axes that the recordings of a verification correct, by Gxx and Gyy.
+
+    Modes may move along x, so only a motion near its middle corrects, where the model holds.
+    """
+    middle = sum(printer.travel.x) / 2.0
+    if abs(float(plain[0][:, X].mean()) - middle) > NEAR:
+        return {}
+    seen, unseen = (measured_run(printer, *run) for run in (plain, compensated))
+    found = {}
+    for axis, name, G in ((X, "Gxx", printer.plant.Gxx), (Y, "Gyy", printer.plant.Gyy)):
+        u, a = acceleration(plain[0][:, axis]), _along(seen, axis)
+        response = whole_record(u, a, float(np.std(a[200 : QUIET - 200])))
+        judging = acceleration(compensated[0][:, axis]), _along(unseen, axis)
+        try:
+            one = drift(G, Recorded(response, judging))
+        except IdentificationError:  # too far for a correction
+            continue
+        if one.certain and one.left[1] < GAINED * one.left[0]:
+            found[name] = one
+    return found
+
+
+def as_text(found: Mapping[str, Drift]) -> str:
+    """Return what was corrected, and how much of the compensated motion was not foreseen."""
+    if not found:
+        return "correction  none: in the middle of x no other modes foresee this motion better"
+    lines = [
+        f"correction  {AXIS[name]} {mode.as_text()}"
+        for name, one in found.items()
+        for mode in one.modes
+    ]
+    for name, one in found.items():
+        old, new = (f"{100 * left:.0f} %" for left in one.left)
+        lines.append(f"correction  unexplained in {AXIS[name]}, compensated: {old} → {new}")
+    return "\n".join(lines)
+
+
+def _along(run: Measured, axis: int) -> Array:
+    """Return the measured acceleration (m,) along an axis without racking, mm/s²."""
+    return np.asarray(run.a[:, axis] - (run.a_racking if axis == Y else 0.0))

@@ -1,0 +1,220 @@
+"""``hframe-post check``: drift is found, and nothing else is taken for drift."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from datetime import date, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from hframe_post.arrays import X
+from hframe_post.cli.main import main
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.checking.motion import runs
+from hframe_post.printer.edit import with_plant, with_verification
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from tests.identification.drifting import STEP, checked, drifted, moved
+from tests.random_printers import drawn, judged, printer
+from tests.recordings import write_klipper
+from tests.simulator import Axis, Chip, Machine, Mode
+
+MACHINE = Machine(
+    Axis((Mode(32.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)), delay=0.0013),
+    Axis((Mode(41.0, 0.08),), delay=0.0013),
+    kinematics="corexy",
+)
+CHIP = Chip(gains=(1.03, 0.97, 1.0), rate_error=0.01)
+PROFILE = replace(printer(MACHINE), plant=MACHINE.exact())
+MEASURED = date(2026, 6, 1)
+
+
+def changed(machine: Machine, **first: float) -> Machine:
+    """Return the machine with changes to the first mode of x."""
+    main, *others = machine.x.modes
+    modes = [replace(main, **first), *others]
+    whole = sum(mode.share for mode in modes)
+    return replace(
+        machine, x=replace(machine.x, modes=tuple(replace(m, share=m.share / whole) for m in modes))
+    )
+
+
+@pytest.mark.parametrize("noise", [1.0, 20.0])
+@pytest.mark.parametrize("percent", [-5.0, -1.0, 1.0, 3.0])
+def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: float) -> None:
+    hz = 32.0 * (1.0 + percent / 100.0)
+    found = checked(changed(MACHINE, hz=hz), replace(CHIP, noise=noise), PROFILE, 3)
+    main, other = found["Gxx"].modes
+    assert found["Gxx"].certain
+    assert main.hz[1] == pytest.approx(hz, rel=1e-3)
+    assert main.damping[1] == pytest.approx(0.05, rel=0.03)
+    assert other.hz[1] == pytest.approx(70.0, rel=3e-3)
+    assert found["Gyy"].modes[0].hz[1] == pytest.approx(41.0, rel=1e-3)
+
+
+def test_damping_and_contribution_are_found() -> None:
+    found = checked(changed(MACHINE, damping=0.06), CHIP, PROFILE, 4)["Gxx"]
+    assert found.modes[0].damping[1] == pytest.approx(0.06, rel=0.03)
+    lighter = changed(MACHINE, share=0.6)
+    found = checked(lighter, CHIP, PROFILE, 5)["Gxx"]
+    assert found.certain or found.modes[0].share[1] < 0.79
+    assert found.modes[0].share[1] == pytest.approx(0.75, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", [8, 10, 16])
+def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> None:
+    machine, chip, _ = drawn(seed)
+    profile = replace(printer(machine), plant=machine.exact())
+    now = drifted(machine, 0.05, seed)
+    plant = moved(profile.plant, checked(now, chip, profile, seed))
+    old, new, exact = (
+        judged(now, replace(profile, plant=one)).compensated
+        for one in (profile.plant, plant, now.exact())
+    )
+    assert old > 1.2 * exact
+    assert new < 1.15 * exact
+
+
+def test_belts_that_stiffen_do_not_pass_as_drift() -> None:
+    """On the long sine the resonance is higher than in a print, where it moves less."""
+    machine = replace(MACHINE, x=replace(MACHINE.x, third=0.05))
+    found = checked(machine, CHIP, PROFILE, 6, axes=[X])["Gxx"]
+    assert found.modes[0].hz[1] > 32.2
+    assert not found.certain
+
+
+@pytest.mark.parametrize("other", [2, 6, 12])
+def test_another_printer_is_refused(other: int) -> None:
+    machine, chip, _ = drawn(other)
+    with pytest.raises(IdentificationError, match="dentify again"):
+        checked(machine, chip, PROFILE, other)
+
+
+def test_uncertainty_grows_with_age() -> None:
+    profile = replace(PROFILE, uncertainty=0.02, measured=MEASURED)
+    grown = [profile.uncertainty_on(MEASURED + timedelta(days)) for days in (0, 1, 70, 10_000)]
+    assert grown == [0.02, 0.03, pytest.approx(0.07, abs=0.001), pytest.approx(0.19, abs=0.01)]
+    assert replace(profile, uncertainty=0.05).uncertainty_on(MEASURED + timedelta(1)) == 0.05
+
+
+def test_the_run_takes_less_than_20_seconds(paper: Printer) -> None:
+    both = runs(replace(paper, plant=PROFILE.plant), [0, 1])
+    assert sum(run.seconds + 2.0 for run in both) < 20.0
+
+
+# ---------------------------------------------------------------------- the command line
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a profile of MACHINE, measured in June, and the run."""
+    windows = load("paper").compensation.windows
+    text = with_plant("example-corexy", MACHINE.exact(), windows, ["My printer"], 0.05, None,
+                      MEASURED)  # fmt: skip
+    (tmp_path / "my.toml").write_text(text.replace("gain =", "# of x and y\ngain ="))
+    (tmp_path / "my.toml").write_text(
+        with_verification(str(tmp_path / "my.toml"), "2026-06-02", 0.9)
+    )
+    done = invoked("-p", tmp_path / "my.toml", "--gcode", tmp_path / "check.gcode")
+    assert done.exit_code == 0, done.output
+    return tmp_path
+
+
+def invoked(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["check", *map(str, arguments)])
+
+
+def record(folder: Path, machine: Machine, axes: str = "xy", day: str = "2026-07-01") -> None:
+    """Write what the sensor records of the run, upside down."""
+    for k, axis in enumerate(axes):
+        rows = np.loadtxt(folder / f"check.check-{axis}.csv", delimiter=",", skiprows=1)
+        made = CHIP.record(machine, rows[:, 1:], k, STEP)
+        turned = replace(made, a=made.a[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+        path = write_klipper(folder / f"adxl345-check-{axis}.csv", turned)
+        at = datetime.fromisoformat(f"{day}T12:00:00+00:00").timestamp()
+        os.utime(path, (at, at))
+
+
+def test_a_check_moves_the_profile_and_keeps_the_rest(folder: Path) -> None:
+    mine = folder / "my.toml"
+    before = mine.read_text()
+    record(folder, changed(MACHINE, hz=33.0))
+    done = invoked("-p", mine, folder, "-o", mine)
+    assert done.exit_code == 0, done.output
+    assert "32.00 → 33.0" in done.output
+    profile = load(str(mine))
+    assert (profile.measured, profile.uncertainty) == (date(2026, 7, 1), 0.02)
+    assert profile.verified is not None
+    assert (profile.plant.Gyy.poles == MACHINE.exact().Gyy.poles).all()  # which did not drift
+    after = mine.read_text()
+    kept = [line for line in before.splitlines() if "#" in line or "effort" in line]
+    assert [line for line in after.splitlines() if "#" in line or "effort" in line] == kept
+    done = invoked("-p", mine, folder, "-o", mine)
+    assert "nothing drifted" in done.output
+    assert mine.read_text() == after
+
+
+def test_one_axis_moves_alone(folder: Path) -> None:
+    record(folder, changed(MACHINE, hz=33.0), "x")
+    done = invoked("-p", folder / "my.toml", folder, "-o", folder / "my.toml")
+    assert "y was not recorded" in done.output
+    profile = load(str(folder / "my.toml"))
+    assert profile.measured == MEASURED
+    assert profile.uncertainty == pytest.approx(0.0592, abs=1e-4)  # of its age
+    assert abs(np.log(profile.plant.Gxx.poles[0])) * 1e3 / (2.0 * np.pi) > 32.9
+
+
+@pytest.mark.parametrize(
+    ("case", "message"),
+    [
+        ("another printer", "Identify again"),
+        ("cut off", "was cut off"),
+        ("none", "without their recordings"),
+        ("stale", "older than the model"),
+        ("exchanged", "does not follow the command"),
+    ],
+)
+def test_a_recording_that_tells_nothing_of_the_printer_is_refused(
+    folder: Path, case: str, message: str
+) -> None:
+    mine = folder / "my.toml"
+    before = mine.read_bytes()
+    x, y = folder / "adxl345-check-x.csv", folder / "adxl345-check-y.csv"
+    if case != "none":
+        record(folder, drawn(2)[0] if case == "another printer" else MACHINE,
+               day="2026-05-01" if case == "stale" else "2026-07-01")  # fmt: skip
+    if case == "cut off":
+        y.unlink()
+        x.write_text("".join(x.read_text().splitlines(keepends=True)[:12_000]))
+    if case == "exchanged":
+        x.rename(folder / "kept")
+        y.rename(x)
+        (folder / "kept").rename(y)
+    done = invoked("-p", mine, folder, "-o", mine)
+    assert done.exit_code == 1
+    assert message in done.output, done.output
+    assert mine.read_bytes() == before
+
+
+def test_without_recordings_age_raises_the_uncertainty(folder: Path) -> None:
+    mine = folder / "my.toml"
+    old = mine.read_text().replace("2026-06-01", "2020-06-01")
+    mine.write_text(old)
+    done = invoked("-p", mine, "-o", mine)
+    assert done.exit_code == 0, done.output
+    profile = load(str(mine))
+    assert profile.uncertainty is not None
+    assert profile.uncertainty > 0.13
+    assert profile.measured == date(2020, 6, 1)
+    mine.write_text(old.replace('measured = "2020-06-01"\n', ""))
+    assert "measured" in invoked("-p", mine).output
+
+
+def test_a_plant_that_was_not_measured_is_refused(tmp_path: Path) -> None:
+    done = invoked("-p", "example-corexy", "--gcode", tmp_path / "check.gcode")
+    assert done.exit_code == 1
+    assert not list(tmp_path.iterdir())
