@@ -62,7 +62,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 @old_option("--figure", "use --report page.html", removed=True)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
-    help="Write the profile, marked as verified and corrected, if the verdict is good.",
+    help="Write the profile, marked as verified, if the verdict is good.",
 )  # fmt: skip
 def verify(
     recordings: tuple[Path, ...], printer: str, gcode: Path | None, motion: Path | None,
@@ -73,8 +73,8 @@ def verify(
     """Check on the printer what a profile does: first --gcode, then both recordings.
 
     Put the recordings into one folder with the commands that --gcode wrote. Exits with status 1 if
-    compensation does not help as the profile's model predicts. Otherwise the plain motion corrects
-    the model, where that foresees the compensated motion better.
+    compensation does not help as the profile's model predicts. Otherwise it says whether the
+    printer's modes have moved since they were measured, which 'hframe-post check' corrects.
 
     \b
     Example:
@@ -124,7 +124,7 @@ def _judge(
     axes: str | None, report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     from hframe_post.identification.report import verification_page
-    from hframe_post.identification.verification.correction import as_text, corrections
+    from hframe_post.identification.verification.drifted import as_text, drifted
     from hframe_post.identification.verification.pairing import along_printer, sorted_out
     from hframe_post.identification.verification.verdict import judge
 
@@ -138,9 +138,9 @@ def _judge(
             first, second = (along_printer(run, axes) for run in given)
             plain, compensated, notes = sorted_out(profile, first, second)
             verdict = judge(profile, plain, compensated)
-            better = {} if verdict.fault else corrections(profile, plain, compensated)
-            corrected = {name: list(one.left) for name, one in better.items()}
-            write_json({**verdict.as_json(), "corrected": corrected, "notes": notes})
+            moved = {} if verdict.fault else drifted(profile, plain, compensated)
+            left = {name: list(one.left) for name, one in moved.items()}
+            write_json({**verdict.as_json(), "drifted": left, "notes": notes})
             if html is not None:
                 setup = [("recordings", ", ".join(path.name for path in recorded))]
                 setup += [("note", note) for note in notes]
@@ -151,8 +151,7 @@ def _judge(
         click.echo(verdict.as_text(), err=str(json_file) == "-")
         if verdict.fault is not None:
             raise IdentificationError(f"the profile is not verified: {verdict.fault}")
-        click.echo(as_text(better), err=str(json_file) == "-")
+        click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
             day = recorded_on(recorded).isoformat()
-            moved = {name: one.G for name, one in better.items()}
-            file.write(with_verification(printer, day, verdict.reduction, moved).encode())
+            file.write(with_verification(printer, day, verdict.reduction).encode())

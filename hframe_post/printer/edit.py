@@ -6,7 +6,6 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -92,18 +91,12 @@ def _functions(moved: Mapping[str, TransferFunction]) -> dict[str, Any]:
     return tables
 
 
-def with_verification(
-    name_or_path: str, date: str, reduction: float,
-    corrected: Mapping[str, TransferFunction] = MappingProxyType({}),
-) -> str:  # fmt: skip
+def with_verification(name_or_path: str, date: str, reduction: float) -> str:
     """Return a profile's text with the mark of `verify`.
 
-    corrected: transfer functions that it changed, by Gxx and Gyy. Raises PrinterError if the text
-    cannot be changed safely.
+    Raises PrinterError if the text cannot be changed safely.
     """
     text, newline = _text_and_newline(name_or_path)
-    if corrected:
-        text = _changed(name_or_path, {"plant": _functions(corrected)}, source=(text, "\n"))
     firmware = parse(text, name_or_path).firmware.dialect
     mark = {"date": date, "reduction": round(reduction, 4), "firmware": firmware,
             "model": model_digest(text)}  # fmt: skip

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.verification.correction import corrections
+from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.motion import runs
 from hframe_post.identification.verification.verdict import Verdict, judge
 from hframe_post.printer.edit import with_plant, with_verification
@@ -206,22 +206,22 @@ def test_usage(tmp_path: Path) -> None:
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1
 
 
-# ---------------------------------------------------------------------- correction
+# ---------------------------------------------------------------------- drift
 
 
 def corrected(machine: Machine, profile: Printer, seed: int) -> tuple[Printer, set[str]]:
-    """Return the profile after a verification, and the transfer functions that it corrected."""
+    """Return the profile with the modes found, and the transfer functions that drifted."""
     both = [
         (run.command, oriented(CHIP.record(machine, run.command, seed + k, STEP), quiet=0.5))
         for k, run in enumerate(runs(profile))
     ]
-    found = corrections(profile, *both)
+    found = drifted(profile, *both)
     plant = replace(profile.plant, **{name: one.G for name, one in found.items()})  # type: ignore[arg-type]
     return replace(profile, plant=plant), set(found)
 
 
 @pytest.mark.parametrize("fault", ["", "friction", "play", "third"])
-def test_a_verification_corrects_what_drifted_and_nothing_more(fault: str) -> None:
+def test_a_verification_finds_what_drifted_and_nothing_more(fault: str) -> None:
     """The second round finds nothing, and no round makes the rectangle worse."""
     size = {"friction": 150.0, "play": 0.006, "third": 0.02}
     axes = [
@@ -240,12 +240,12 @@ def test_a_verification_corrects_what_drifted_and_nothing_more(fault: str) -> No
     assert errors[2] < 1.03 * errors[1]
 
 
-def test_a_model_that_is_right_is_not_corrected() -> None:
+def test_a_model_that_is_right_has_not_drifted() -> None:
     right = replace(printer(STIFF), plant=STIFF.exact())
     assert corrected(STIFF, right, 70)[1] == set()
 
 
-def test_a_motion_away_from_the_middle_corrects_nothing() -> None:
+def test_a_motion_away_from_the_middle_tells_nothing() -> None:
     """Modes may move along x, and the motion that shows racking is not in its middle."""
     right = replace(printer(STRANGER), plant=STRANGER.exact())
     off = replace(

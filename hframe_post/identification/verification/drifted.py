@@ -1,9 +1,8 @@
-"""What the plain motion of a verification changes in the model, judged by the compensated one.
+"""Whether the modes have moved, by the plain motion of a verification and the compensated one.
 
-A print moves less than a sweep, and in strokes, so a printer that is not linear answers it a little
-otherwise. The known modes are fitted to the plain motion, as by `check`. An axis is corrected only
-if that foresees the compensated motion, which was not fitted, clearly better: else nothing is left
-that a linear model could gain.
+The known modes are fitted to the plain motion, as by `check`. An axis has drifted if that foresees
+the compensated motion, which was not fitted, clearly better. The profile stays as it is: a print
+moves in strokes, and on a printer that is not linear a model of this motion can make others worse.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ GAINED = 0.97  # of what the old model leaves, that the new one leaves at most
 
 
 @one_blas_thread()
-def corrections(printer: Printer, plain: Run, compensated: Run) -> dict[str, Drift]:
-    """Return the axes that the recordings of a verification correct, by Gxx and Gyy.
+def drifted(printer: Printer, plain: Run, compensated: Run) -> dict[str, Drift]:
+    """Return the axes whose modes have moved, by Gxx and Gyy.
 
-    Modes may move along x, so only a motion near its middle corrects, where the model holds.
+    Modes may move along x, so only a motion near its middle tells, where the model holds.
     """
     middle = sum(printer.travel.x) / 2.0
     if abs(float(plain[0][:, X].mean()) - middle) > NEAR:
@@ -45,7 +44,7 @@ def corrections(printer: Printer, plain: Run, compensated: Run) -> dict[str, Dri
         judging = acceleration(compensated[0][:, axis]), _along(unseen, axis)
         try:
             one = drift(G, Recorded(response, judging))
-        except IdentificationError:  # too far for a correction
+        except IdentificationError:  # farther than printers drift
             continue
         if one.certain and one.left[1] < GAINED * one.left[0]:
             found[name] = one
@@ -53,18 +52,18 @@ def corrections(printer: Printer, plain: Run, compensated: Run) -> dict[str, Dri
 
 
 def as_text(found: Mapping[str, Drift]) -> str:
-    """Return what was corrected, and how much of the compensated motion was not foreseen."""
+    """Return what has moved, and how much of the compensated motion is not foreseen."""
     if not found:
-        return "correction  none: in the middle of x no other modes foresee this motion better"
+        return "drift       none: no other modes foresee this motion better"
     lines = [
-        f"correction  {AXIS[name]} {mode.as_text()}"
+        f"drift       {AXIS[name]} {mode.as_text()}"
         for name, one in found.items()
         for mode in one.modes
     ]
     for name, one in found.items():
         old, new = (f"{100 * left:.0f} %" for left in one.left)
-        lines.append(f"correction  unexplained in {AXIS[name]}, compensated: {old} → {new}")
-    return "\n".join(lines)
+        lines.append(f"drift       unexplained in {AXIS[name]}, compensated: {old} → {new}")
+    return "\n".join([*lines, "            to correct the profile: hframe-post check"])
 
 
 def _along(run: Measured, axis: int) -> Array:
