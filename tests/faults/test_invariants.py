@@ -104,7 +104,7 @@ def test_filament_that_is_not_where_it_was(
 
     def faulty(*of: Any) -> Any:
         made = right(*of)
-        at, k = made.at.copy(), len(made.T)
+        at, k = made.at.copy(), len(made.at)
         at[int(first * k) : max(int(last * k), int(first * k) + 1), 3] -= 2000
         return replace(made, at=at)
 
