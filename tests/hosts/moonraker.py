@@ -159,6 +159,8 @@ class Printer(Server):
     def stop(self) -> None:
         for name in list(self._processes):
             self.kill(name)
+        # Moonraker's reader of metadata has a session of its own and outlives it
+        subprocess.run(["pkill", "-KILL", "-f", str(self.components)], check=False)
 
     # ------------------------------------------------------------------ requests
 
