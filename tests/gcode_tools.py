@@ -82,8 +82,8 @@ def layers(name: str, last: int) -> list[bytes]:
     return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
-def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 2e-2) -> None:
-    """Assert equality within 2 µm and 2 % of F, which 2 µm are of the shortest segments."""
+def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 1e-3) -> None:
+    """Assert equality within 2 µm and 0.1 % of the feed rate: C libraries round differently."""
     rows = list(zip(now.splitlines(), then.splitlines(), strict=True))
     for a, b in rows:
         if not a.startswith(b"G1"):

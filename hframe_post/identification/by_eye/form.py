@@ -11,7 +11,7 @@ from hframe_post.identification.by_eye.tower import LAYER, LAYERS, SIDE
 from hframe_post.identification.by_eye.waves import Band, PrintedMode, Reading, printed_mode
 
 WALLS = {"x": "right wall", "y": "back wall"}
-LEAST_UNCERTAINTY, MOST_UNCERTAINTY = 0.1, 0.3  # second modes are not seen; a ruler is no worse
+LEAST_UNCERTAINTY, MOST_UNCERTAINTY = 0.1, 0.3  # second modes are not seen; a ruler reads no worse
 HEAD = """\
 # What the tower shows. Hold it so that light falls along a wall, and look at the waves behind the
 # corner, beginning with the second: mm from crest to crest with a ruler, over how many waves that

@@ -32,7 +32,7 @@ def known_modes(G: TransferFunction) -> list[float]:
 def as_modes(G: TransferFunction) -> Modal:
     """Return a transfer function that `identify` found as the modes that it was made of.
 
-    Raises IdentificationError if it is no sum of modes behind a delay.
+    Raises IdentificationError if it is not a sum of modes behind a delay.
     """
     upper, real = upper_and_real(G.poles)
     lags = real[real.real > DELAY].real
@@ -64,7 +64,7 @@ class Known:
     model: Modal
 
     def rows(self, structure: Structure, parameters: Parameters) -> tuple[Array, Array]:
-        """Return rows (r, coefficients) and what they give (r,) for a printer that is as it was."""
+        """Return rows (r, coefficients) and what they give (r,) for an unchanged printer."""
         old, before = self.model.coefficients, self.model.parameters
         along = np.outer(old, old) / (old @ old)
         shares = (np.eye(len(old)) - along) / (CHANGE_SHARE * np.abs(old).max())
