@@ -100,11 +100,11 @@ def moved(plant: Plant, command: Array, at: float | None) -> BSpline:
 
     at: None on the nozzle, otherwise the x (mm) of its place on the bridge.
     """
-    motion = Response(plant, command[0]).motion(command)
+    nozzle, turns = Response(plant, command[0]).motion(command)
     if at is None:
-        return spline(motion[:, 0], motion[:, 1])
-    without = Response(Plant(plant.Gxx, plant.Gyy, None, plant.x_c), command[0]).run(command)
-    y = without[:, 1] + (at - plant.x_c) * motion[:, 2]
+        return spline(*nozzle.T)
+    without = Response(plant.decoupled(), command[0]).run(command)
+    y = without[:, 1] + (at - plant.x_c) * turns[:, 0]
     return spline(np.zeros(len(y)), y)
 
 

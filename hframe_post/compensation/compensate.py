@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, X, Z
+from hframe_post.arrays import TS, Array, Z
 from hframe_post.model.strategies import Compensator, StrategyState, strategy
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import join, part, stretches
@@ -79,23 +80,21 @@ class _States:
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
     """Return the samples of standstill in which any command leads and settles, to 0.01 mm.
 
-    They are those of the fastest start and stop, in x and y at once, at the longest lever arm.
+    They are those of the fastest start and stop, in x and y at once, from the bed's corners.
     """
     long = 4096  # samples of standstill in which any stable command settles
-    plant = compensator.plant
-    lever = max(abs(edge - plant.x_c) for edge in travel.x)
     ramp = np.arange(0.0, limits.velocity + 1e-9, limits.acceleration * TS)
     cruise = np.full(long // 8, limits.velocity)
     moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
     path = np.pad(moving, long, mode="edge")
     path[:long] = 0.0
     xyze = np.column_stack([path, path, np.zeros((len(path), 2))])
-    xyze[:, X] += plant.x_c + lever
-    samples = Samples(0, xyze, np.zeros(len(path), dtype=np.int64))
-    commanded = compensate([samples], compensator, ("racking",))
-    off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
-    beyond = np.flatnonzero(np.abs(off).max(axis=1) > 0.01)
-    if not len(beyond):
-        return 1
-    stopped = long + len(moving)
-    return max(int(beyond[-1]) - stopped, long - int(beyond[0]), 1)
+    line, stopped, needed = np.zeros(len(path), dtype=np.int64), long + len(moving), [1]
+    for x, y in product(travel.x, travel.y):
+        samples = Samples(0, xyze + np.array([x, y, 0.0, 0.0]), line)
+        commanded = compensate([samples], compensator, ("racking",))
+        off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
+        beyond = np.flatnonzero(np.abs(off).max(axis=1) > 0.01)
+        if len(beyond):
+            needed += [int(beyond[-1]) - stopped, long - int(beyond[0])]
+    return max(needed)

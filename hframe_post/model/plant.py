@@ -1,14 +1,16 @@
-"""The linear plant of an H-frame printer, and the nozzle's response to a command.
+"""The linear plant of a printer, and the nozzle's response to a command.
 
-The printer moves as (eq. 1, 2 and Fig. 2b of the paper)
+The printer of the paper moves as (eq. 1, 2 and Fig. 2b)
 
     x = Gxx·x_d        θ = Gxθ·x_d        y = Gyy·y_d + (x − x_c)·θ
+
+θ is one coupling: what a command adds to the nozzle's place, beyond its own axis' part. A plant
+may have others, each the same all over the bed or with a lever arm as θ has.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,20 +20,48 @@ from hframe_post.native import kernel
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """What a command in one axis adds to the nozzle in one axis: lever·G·command.
+
+    answer, command: the axes. along: axis of the lever arm, which is the nozzle's distance from
+    ``centre`` (mm) without any coupling; None: lever is 1, and G the same all over the bed.
+    """
+
+    answer: int
+    command: int
+    G: TransferFunction
+    along: int | None = None
+    centre: float = 0.0
+
+    def lever(self, place: Array) -> Array | float:
+        """Return the lever arm (n,) at places (n, 2) on the bed, mm."""
+        return 1.0 if self.along is None else np.asarray(place[:, self.along] - self.centre)
+
+
+@dataclass(frozen=True)
 class Plant:
     """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
 
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
-    does not move the nozzle.
+    does not move the nozzle. cross: couplings other than racking.
     """
 
     Gxx: TransferFunction
     Gyy: TransferFunction
     Gxtheta: TransferFunction | None
     x_c: float
+    cross: tuple[Coupling, ...] = ()
 
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """Return all couplings, racking first."""
+        if self.Gxtheta is None:
+            return self.cross
+        return Coupling(Y, X, self.Gxtheta, X, self.x_c), *self.cross
 
-NO_RACKING = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
+    def decoupled(self) -> Plant:
+        """Return the plant without couplings."""
+        return replace(self, Gxtheta=None, cross=())
 
 
 class Filter:
@@ -51,36 +81,54 @@ class Filter:
             return np.zeros(0)
         from scipy.signal import sosfilt  # takes long to import
 
-        y, self.state = sosfilt(self.sections, u, zi=self.state)
+        y, self.state[:] = sosfilt(self.sections, u, zi=self.state)
         return np.asarray(y)
 
 
 class Response:
-    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,)."""
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
+
+    state (sections, 2): of Gxx, Gyy and the couplings, in turn.
+    """
 
     def __init__(self, plant: Plant, origin: Array) -> None:
-        self._origin, self._x_c = origin, plant.x_c
-        functions = plant.Gxx, plant.Gyy, plant.Gxtheta or NO_RACKING
-        self.filters = tuple(Filter(G) for G in functions)
+        self._origin, self._couplings = origin, plant.couplings
+        functions = plant.Gxx, plant.Gyy, *(coupling.G for coupling in self._couplings)
+        self._filters = [Filter(G) for G in functions]
+        self._sections = np.concatenate([f.sections for f in self._filters])
+        self._counts = np.array([len(f.sections) for f in self._filters])
+        self.state = np.zeros((len(self._sections), 2))
+        for f, state in zip(self._filters, self._states(), strict=True):
+            f.state = state
+        axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in self._couplings]
+        self._axes = np.array(axes, np.int64).reshape(-1, 3)
+        self._centres = np.array([coupling.centre for coupling in self._couplings])
+
+    def _states(self) -> list[Array]:
+        return np.split(self.state, np.cumsum(self._counts)[:-1])
 
     def run(self, command: Array) -> Array:
         """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
-        return self._motion(command, 2)
+        return self._motion(command, 0)
 
-    def motion(self, command: Array) -> Array:
-        """Return the nozzle's x, y and the gantry's θ, (n, 3), likewise: eq. 1 and 2."""
-        return self._motion(command, 3)
+    def motion(self, command: Array) -> tuple[Array, Array]:
+        """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
+        both = self._motion(command, len(self._couplings))
+        return both[:, :2], both[:, 2:]
 
-    def _motion(self, command: Array, columns: int) -> Array:
+    def _motion(self, command: Array, shown: int) -> Array:
         if (compiled := kernel("response")) is not None:
-            command, motion = np.ascontiguousarray(command), np.empty((len(command), columns))
-            filters = ((f.sections, len(f.sections), f.state) for f in self.filters)
-            places = *self._origin.tolist(), self._x_c
-            compiled(*chain(*filters), *places, command, len(command), motion, columns)
+            command, motion = np.ascontiguousarray(command), np.empty((len(command), 2 + shown))
+            compiled(
+                self._sections, len(self._sections), self.state, self._counts, len(self._counts),
+                self._axes, self._centres, self._origin, command, len(command), motion, 2 + shown,
+            )  # fmt: skip
             return motion
-        Gxx, Gyy, Gxtheta = self.filters
         u = command - self._origin
-        x = Gxx.run(u[:, X]) + self._origin[X]
-        theta = Gxtheta.run(u[:, X])
-        y = Gyy.run(u[:, Y]) + self._origin[Y] + (x - self._x_c) * theta
-        return np.column_stack([x, y, theta][:columns])
+        Gxx, Gyy, *others = self._filters
+        place = np.column_stack([Gxx.run(u[:, X]), Gyy.run(u[:, Y])]) + self._origin
+        nozzle, outputs = place.copy(), []
+        for coupling, G in zip(self._couplings, others, strict=True):
+            outputs.append(G.run(u[:, coupling.command]))
+            nozzle[:, coupling.answer] += coupling.lever(place) * outputs[-1]
+        return np.column_stack([nozzle, *outputs[:shown]])

@@ -7,16 +7,18 @@ part plus a matrix times the weights ``p`` of these. Symbols are those of ``mode
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.model.linear import power, product, pseudo_inverse
-from hframe_post.model.plant import NO_RACKING, Plant, Response
+from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import AFTER, BEFORE, BESIDE, BEYOND, Stop, judged_in_hold
 from hframe_post.model.transfer_function import TransferFunction
 
+NO_RACKING = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
 State = tuple[Array, ...]  # of the filters x, y and θ, each (sections, 2)
 INPUTS = X, Y, X  # of the command, to each filter
 
@@ -28,8 +30,10 @@ class Filters:
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
+        # stops know of racking only
+        plant = replace(plant, Gxtheta=plant.Gxtheta or NO_RACKING, cross=())
         self._plant, self._N_before, self._N_after = plant, N_before, N_after
-        functions = plant.Gxx, plant.Gyy, plant.Gxtheta or NO_RACKING
+        functions = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
         self._all = tuple(_AroundHold(G) for G in functions)
         self.rest = self.at_rest(np.zeros(2))
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
@@ -44,10 +48,9 @@ class Filters:
     def after(self, z: State, command: Array) -> State:
         """Return the state after the next samples of the command (n, 2)."""
         response = Response(self._plant, np.zeros(2))
-        for filter_, state in zip(response.filters, z, strict=True):
-            filter_.state = state.copy()
+        response.state[:] = np.concatenate(z)
         response.run(command)
-        return tuple(filter_.state for filter_ in response.filters)
+        return tuple(np.split(response.state, np.cumsum([len(state) for state in z])[:-1]))
 
     def known(self, command: Array, z: State, stop: Stop, x: Array) -> tuple[Array, Array]:
         """Return the nozzle (r, 2) without p, and θ's lever arm (r,), at the judged samples.

@@ -1,4 +1,4 @@
-"""Compensation strategies: none, filtered B-splines, and filtered B-splines with racking.
+"""Compensation strategies: none, filtered B-splines, and filtered B-splines with couplings.
 
 To add a strategy, write a class with ``feed`` and ``finish`` (see ``StrategyState``) and add a row
 to ``STRATEGIES``. Profiles, the command line, reports and figures take their choices from there.
@@ -11,12 +11,14 @@ symbol      meaning                                                          sou
 ``θ``       Gxθ x_dm, known exactly once x_dm is final                       eq. 13
 ``y_dm``    command whose filtered splines follow y_d − (x_d − x_c)·θ        eq. 19
 ==========  ===============================================================  ==========
+
+Racking is one coupling; others are subtracted likewise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
@@ -25,7 +27,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import Filter, Plant
+from hframe_post.model.plant import Coupling, Filter, Plant
 
 
 class Compensator:
@@ -79,37 +81,73 @@ class _Uncompensated:
 
 
 class FilteredSplines:
-    """Solves x, derives θ from it, then solves y, less the racking if asked."""
+    """Solves the axes in turn, each for its target less what couplings add, if asked.
 
-    def __init__(self, racking: bool, compensator: Compensator, origin: Array) -> None:
-        plant = compensator.plant
-        self._origin, self._x_c = origin, plant.x_c
-        self._x, self._y = _Axis(compensator.x), _Axis(compensator.y)
-        self._theta = Filter(plant.Gxtheta) if racking and plant.Gxtheta else None
-        self._desired = np.zeros((0, 2))  # from the origin; x_dm is not final for these samples
-        self._x_dm = np.zeros(0)  # y_dm is not final for these samples
+    The rows (n, 4) between the stages are x_d, y_d and the latest x_dm, y_dm, from the origin; at
+    first these are the path.
+    """
+
+    def __init__(self, coupled: bool, compensator: Compensator, origin: Array) -> None:
+        couplings = compensator.plant.couplings if coupled else ()
+        self._origin, solvers = origin, (compensator.x, compensator.y)
+        self._stages = [
+            _Stage(axis, solvers[axis], [c for c in couplings if c.answer == axis], origin)
+            for axis in order(couplings)
+        ]
 
     def feed(self, xy: Array) -> Array:
         relative = xy - self._origin
-        self._desired = np.concatenate([self._desired, relative])
-        return self._command(self._y.feed(self._y_target(self._x.feed(relative[:, X]))))
+        rows = np.hstack([relative, relative])
+        for stage in self._stages:
+            rows = stage.feed(rows)
+        return np.asarray(rows[:, 2:] + self._origin)
 
     def finish(self) -> Array:
-        y_dm = self._y.feed(self._y_target(self._x.finish()))
-        return self._command(np.concatenate([y_dm, self._y.finish()]))
+        rows = np.zeros((0, 4))
+        for stage in self._stages:
+            rows = np.concatenate([stage.feed(rows), stage.finish()])
+        return np.asarray(rows[:, 2:] + self._origin)
 
-    def _y_target(self, x_dm: Array) -> Array:
-        """Return what y must follow (eq. 19) at the next final samples of x_dm, both (k,)."""
-        now, self._desired = self._desired[: len(x_dm)], self._desired[len(x_dm) :]
-        self._x_dm = np.concatenate([self._x_dm, x_dm])
-        if self._theta is None or not len(x_dm):
-            return now[:, Y]
-        lever = now[:, X] + self._origin[X] - self._x_c
-        return np.asarray(now[:, Y] - lever * self._theta.run(x_dm))
 
-    def _command(self, y_dm: Array) -> Array:
-        x_dm, self._x_dm = self._x_dm[: len(y_dm)], self._x_dm[len(y_dm) :]
-        return np.column_stack([x_dm, y_dm]) + self._origin
+def order(couplings: Sequence[Coupling]) -> tuple[int, ...]:
+    """Return the axes to solve in turn.
+
+    An axis that couplings act on comes after the one whose command they act by. Where x and y act
+    on each other or on themselves, a second round meets what the first one changed.
+    """
+    acting = {(coupling.command, coupling.answer) for coupling in couplings}
+    if acting <= {(X, Y)}:
+        return X, Y
+    return (Y, X) if acting == {(Y, X)} else (X, Y, X, Y)
+
+
+class _Stage:
+    """Solves one axis, from rows whose commands the couplings on it depend on."""
+
+    def __init__(
+        self, axis: int, lpfbs: Lpfbs, couplings: Sequence[Coupling], origin: Array
+    ) -> None:
+        self._axis, self._origin, self._solver = axis, origin, _Axis(lpfbs)
+        self._couplings = [(coupling, Filter(coupling.G)) for coupling in couplings]
+        self._waiting = np.zeros((0, 4))  # for the axis' command
+
+    def feed(self, rows: Array) -> Array:
+        """Take rows (n, 4); return those whose command is final in this axis, (k, 4)."""
+        target = rows[:, self._axis]
+        for coupling, G in self._couplings:  # eq. 19, with the lever arm of Remark 2.1
+            lever = coupling.lever(rows[:, :2] + self._origin)
+            target = target - lever * G.run(rows[:, 2 + coupling.command])
+        self._waiting = np.concatenate([self._waiting, rows])
+        return self._final(self._solver.feed(target))
+
+    def finish(self) -> Array:
+        """Return the remaining rows."""
+        return self._final(self._solver.finish())
+
+    def _final(self, command: Array) -> Array:
+        rows, self._waiting = self._waiting[: len(command)].copy(), self._waiting[len(command) :]
+        rows[:, 2 + self._axis] = command
+        return rows
 
 
 class _Axis:
@@ -155,7 +193,7 @@ STRATEGIES = {
         Strategy("none", "no compensation", "#888888", _Uncompensated, lambda plant: None),
         Strategy(
             "fbs", "ringing only (fbs)", "#c05020",
-            partial(FilteredSplines, False), lambda plant: replace(plant, Gxtheta=None),
+            partial(FilteredSplines, False), Plant.decoupled,
         ),
         Strategy("racking", "ringing and racking", "#2060a0", partial(FilteredSplines, True)),
     )

@@ -11,7 +11,7 @@
 
 #include "arguments.h"
 
-#define BUILT_FOR 6 /* as in __init__.py: raised whenever a signature changes */
+#define BUILT_FOR 7 /* as in __init__.py: raised whenever a signature changes */
 
 enum { X, Y, Z, E, COLUMNS }; /* of a position */
 

@@ -23,6 +23,13 @@ static inline double next(struct cascade f, double value)
     return value;
 }
 
+/* The cascade of so many sections that follows another in memory. */
+static inline struct cascade after(struct cascade f, int64_t count)
+{
+    struct cascade following = {f.sections + COEFFICIENTS * f.count, count, f.state + STATES * f.count};
+    return following;
+}
+
 /* u, y (n): input and output of one transfer function. */
 static int64_t filtered(const double *sections, int64_t count, double *state, const double *u,
                         int64_t n, double *y)
@@ -36,27 +43,39 @@ static int64_t filtered(const double *sections, int64_t count, double *state, co
 LOOP(filtered, FLOATS(0, COEFFICIENTS * WHOLE(1)), WHOLE(1), OUT_FLOATS(2, STATES * WHOLE(1)),
      FLOATS(3, WHOLE(4)), WHOLE(4), OUT_FLOATS(5, WHOLE(4)))
 
-/* command (n, 2) from a standstill at ox, oy; motion (n, columns): x, y and, in a third, theta. */
-static int64_t response(const double *x_sections, int64_t x_count, double *x_state,
-                        const double *y_sections, int64_t y_count, double *y_state,
-                        const double *t_sections, int64_t t_count, double *t_state, double ox,
-                        double oy, double x_c, const double *command, int64_t n, double *motion,
+/* The nozzle (n, 2) under a command (n, 2) from a standstill at origin. The filters, each of so many
+ * of the sections: Gxx, Gyy, and one for each coupling. axes (couplings, 3): where it answers, the
+ * command, and along which axis its lever arm is, or -1. Further columns of motion are what the
+ * first couplings' filters give. */
+static int64_t response(const double *sections, int64_t total, double *state, const int64_t *counts,
+                        int64_t filters, const int64_t *axes, const double *centre,
+                        const double *origin, const double *command, int64_t n, double *motion,
                         int64_t columns)
 {
-    struct cascade Gxx = {x_sections, x_count, x_state}, Gyy = {y_sections, y_count, y_state},
-                   Gxtheta = {t_sections, t_count, t_state};
-    for (int64_t i = 0; i < n; i++) {
-        double u = command[2 * i] - ox, v = command[2 * i + 1] - oy;
-        double x = next(Gxx, u) + ox, theta = next(Gxtheta, u);
-        double *row = motion + columns * i;
-        row[0] = x, row[1] = next(Gyy, v) + oy + (x - x_c) * theta;
-        if (columns > 2)
-            row[2] = theta;
+    const struct cascade Gxx = {sections, counts[X], state}, Gyy = after(Gxx, counts[Y]);
+    (void)total;
+    for (int64_t i = 0; i < n; i++, command += 2, motion += columns) {
+        double u = command[X] - origin[X], v = command[Y] - origin[Y];
+        double x = next(Gxx, u) + origin[X], y = next(Gyy, v) + origin[Y];
+        double nozzle_x = x, nozzle_y = y;
+        struct cascade G = Gyy;
+        for (int64_t k = 2; k < filters; k++) {
+            const int64_t *axis = axes + 3 * (k - 2);
+            G = after(G, counts[k]);
+            double output = next(G, axis[1] == X ? u : v);
+            double lever = axis[2] < 0 ? 1.0 : (axis[2] == X ? x : y) - centre[k - 2];
+            if (axis[0] == X)
+                nozzle_x += lever * output;
+            else
+                nozzle_y += lever * output;
+            if (k < columns)
+                motion[k] = output;
+        }
+        motion[X] = nozzle_x, motion[Y] = nozzle_y;
     }
     return n;
 }
 
-#define CASCADE(k)                                                                            \
-    FLOATS(k, COEFFICIENTS * WHOLE(k + 1)), WHOLE(k + 1), OUT_FLOATS(k + 2, STATES * WHOLE(k + 1))
-LOOP(response, CASCADE(0), CASCADE(3), CASCADE(6), REAL(9), REAL(10), REAL(11),
-     FLOATS(12, 2 * WHOLE(13)), WHOLE(13), OUT_FLOATS(14, WHOLE(15) * WHOLE(13)), WHOLE(15))
+LOOP(response, FLOATS(0, COEFFICIENTS * WHOLE(1)), WHOLE(1), OUT_FLOATS(2, STATES * WHOLE(1)),
+     INTEGERS(3, WHOLE(4)), WHOLE(4), INTEGERS(5, 3 * (WHOLE(4) - 2)), FLOATS(6, WHOLE(4) - 2),
+     FLOATS(7, 2), FLOATS(8, 2 * WHOLE(9)), WHOLE(9), OUT_FLOATS(10, WHOLE(11) * WHOLE(9)), WHOLE(11))

@@ -16,9 +16,9 @@ from tomlkit.items import Item
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.profile import model_digest, parse, shipped, text_of
+from hframe_post.printer.profile import AXES, model_digest, parse, shipped, text_of
 from hframe_post.printer.setup import Known, Tables
 
 Windows = tuple[Window, Window]
@@ -188,13 +188,22 @@ def _plant(
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
     known += "" if measured is None else f'measured = "{measured}"\n'
     head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
-    return head + "".join(_transfer_function(name, G) for name, G in functions.items())
+    tables = [f"\n[plant.{name}]\n{_transfer_function(G)}" for name, G in functions.items()]
+    return "".join([head, *tables, *map(_coupling, plant.cross)])
 
 
-def _transfer_function(name: str, G: TransferFunction) -> str:
+def _coupling(coupling: Coupling) -> str:
+    names = {axis: name for name, axis in AXES.items()}
+    axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
+    if coupling.along is not None:
+        axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
+    return f"\n[[plant.cross]]\n{axes}{_transfer_function(coupling.G)}"
+
+
+def _transfer_function(G: TransferFunction) -> str:
     roots = {"zeros": G.zeros, "poles": G.poles}
     lists = "".join(f"{key} = [{_pairs(values)}]\n" for key, values in roots.items())
-    return f"\n[plant.{name}]\ngain = {G.gain!r}\n{lists}"
+    return f"gain = {G.gain!r}\n{lists}"
 
 
 def _pairs(roots: Complex) -> str:

@@ -11,10 +11,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hframe_post.arrays import TS
+from hframe_post.arrays import TS, X, Y
 from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.decoding import decoded
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
@@ -35,7 +35,10 @@ from hframe_post.printer.settings import (
 )
 
 T = TypeVar("T")
-PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured")
+PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross")
+FUNCTION = ("zeros", "poles", "gain")
+AXES = {"x": X, "y": Y}
+MOST_CROSS = 16
 LARGEST_FILE = 1 << 20  # bytes of a profile
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
@@ -238,21 +241,57 @@ def _plant(table: dict[str, Any]) -> Plant:
         if not abs((gain := functions[key].dc_gain) - 1.0) <= 1e-4:
             raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
     racking = functions.get("Gxtheta")
-    if racking is not None and not abs(racking.dc_gain) <= 1e-9:
-        raise PrinterError(
-            "gain at rest must be 0: a gantry at rest does not rack", "plant.Gxtheta"
-        )
+    if racking is not None:
+        _check_at_rest(racking, "plant.Gxtheta")
     if racking is not None and racking.gain == 0.0:
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
-    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
+    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
+
+
+def _check_at_rest(G: TransferFunction, key: str) -> None:
+    if not abs(G.dc_gain) <= 1e-9:
+        cause = "gain at rest must be 0: a printer at rest stands at its command"
+        raise PrinterError(cause, key)
+
+
+def _cross(tables: Any) -> tuple[Coupling, ...]:
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise PrinterError("must be tables, each below [[plant.cross]]", "plant.cross")
+    if len(tables) > MOST_CROSS:
+        raise PrinterError(f"must be at most {MOST_CROSS}, they are {len(tables)}", "plant.cross")
+    return tuple(
+        _coupling(table, f"plant.cross[{number}]") for number, table in enumerate(tables, 1)
+    )
+
+
+def _coupling(table: dict[str, Any], key: str) -> Coupling:
+    known_keys(table, ("answer", "command", "along", "centre", *FUNCTION), key)
+    needed = ("answer", "command", *(("centre",) if "along" in table else ()))
+    for name in needed:
+        if name not in table:
+            raise PrinterError("the key is missing", f"{key}.{name}")
+    axes = {
+        name: AXES[checked_value(str, table[name], {"choices": tuple(AXES)}, f"{key}.{name}")]
+        for name in ("answer", "command", "along")
+        if name in table
+    }
+    if "along" not in axes and "centre" in table:
+        raise PrinterError("needs along, the axis of the lever arm", f"{key}.centre")
+    if "along" not in axes and axes["answer"] == axes["command"]:
+        cause = "is part of Gxx or Gyy, unless it has a lever arm: add along and centre"
+        raise PrinterError(cause, key)
+    centre = checked_value(float, table.get("centre", 0.0), PLACES, f"{key}.centre")
+    G = _transfer_function({name: table[name] for name in FUNCTION if name in table}, key)
+    _check_at_rest(G, key)
+    return Coupling(axes["answer"], axes["command"], G, axes.get("along"), centre)
 
 
 def _transfer_function(table: Any, key: str) -> TransferFunction:
     if not isinstance(table, dict):
         raise PrinterError("must be a table of zeros, poles and gain", key)
-    known_keys(table, ("zeros", "poles", "gain"), key)
-    for name in ("zeros", "poles", "gain"):
+    known_keys(table, FUNCTION, key)
+    for name in FUNCTION:
         if name not in table:
             raise PrinterError("the key is missing", f"{key}.{name}")
     zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))

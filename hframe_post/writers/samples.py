@@ -40,9 +40,10 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
                 continue
             command = chunk.commands[strategy]
             response = response or Response(plant, chunk.xyze[0, :Z])
-            x, y, theta = response.motion(command).T
+            nozzle, turns = response.motion(command)
+            theta = turns[:, 0] if plant.Gxtheta else np.zeros(len(command))
             t = np.arange(chunk.first + 1, chunk.end + 1) * TS
-            yield np.column_stack([t, chunk.xyze[:, :Z], command, chunk.xyze[:, Z:], theta, x, y])
+            yield np.column_stack([t, chunk.xyze[:, :Z], command, chunk.xyze[:, Z:], theta, nozzle])
 
 
 def as_csv(tables: Iterable[Array]) -> Iterator[bytes]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
@@ -26,6 +25,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
 from hframe_post.stream.types import Plan, Samples, Standing
 from tests.conftest import SAMPLES
+from tests.coupled import coupled_plant
 from tests.native.comparing import in_numpy, same, seeds, thorough
 
 
@@ -77,16 +77,18 @@ def test_guard(paper: Printer, compiled: None, seed: int, odd: float, in_z: bool
     assert outcome() == in_numpy(outcome)
 
 
-@pytest.mark.parametrize("racks", [True, False])
-def test_response(paper: Printer, compiled: None, racks: bool) -> None:
-    """The nozzle, and θ for the compensation, in pieces of any length."""
-    plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
+@pytest.mark.parametrize("coupled", ["not", "racking", "all"])
+def test_response(paper: Printer, compiled: None, coupled: str) -> None:
+    """The nozzle, and what couplings give for the compensation, in pieces of any length."""
+    own = paper.plant
+    plant = {"not": own.decoupled(), "racking": own, "all": coupled_plant(1, racks=True)}[coupled]
     command = np.array([200.0, 80.0]) + walk(np.random.default_rng(1), 3000)
     pieces = np.split(command, [1, 40, 40, 2000])
 
     def motions() -> list[Array]:
         response, theta = Response(plant, command[0]), Filter(plant.Gxtheta or plant.Gxx)
-        return [*map(response.motion, pieces), *(theta.run(piece[:, 0]) for piece in pieces)]
+        both = [array for piece in pieces for array in response.motion(piece)]
+        return [*both, *(theta.run(piece[:, 0]) for piece in pieces)]
 
     for one, other in zip(motions(), in_numpy(motions), strict=True):
         same(one, other)

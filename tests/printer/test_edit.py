@@ -15,6 +15,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.printer.edit import with_plant, with_windows
 from hframe_post.printer.profile import load, parse, shipped
+from tests.coupled import coupled_plant
 
 PAPER = shipped()["paper"]
 KEYS = ("L", "n_C", "n_up", "effort")
@@ -181,6 +182,18 @@ def test_a_plant_replaces_the_old_one_wherever_it_is_written(mine: Path, text: s
     assert "theirs" in after
     assert "# found today" in after
     assert "old" not in after
+
+
+def test_couplings_are_written_as_they_are_read(mine: Path) -> None:
+    plant = coupled_plant(1, racks=True)
+    mine.write_text('extends = "paper"\n')
+    found = parse(with_plant(str(mine), plant, pair(), []), "mine").plant
+    assert len(found.cross) == len(plant.cross) == 4
+    for one, other in zip(found.couplings, plant.couplings, strict=True):
+        assert (one.answer, one.command) == (other.answer, other.command)
+        assert (one.along, one.centre, one.G.gain) == (other.along, other.centre, other.G.gain)
+        np.testing.assert_array_equal(one.G.poles, other.G.poles)
+        np.testing.assert_array_equal(one.G.zeros, other.G.zeros)
 
 
 def test_a_file_that_was_spoiled_meanwhile_is_told_about(mine: Path) -> None:

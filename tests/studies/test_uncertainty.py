@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 from hframe_post.studies.simulation.uncertainty import draws, perturbed
+from tests.coupled import coupled_plant
 
 PLANT = profile.load("paper").plant
 CARTESIAN = profile.load("example-cartesian").plant
@@ -53,6 +55,17 @@ def unit(share: float, count: int) -> Array:
             axes.append([frequency, s.real / s_0.real / frequency])
         rows.append(axes)
     return np.array(rows)
+
+
+def test_couplings_move_too_and_leave_the_axes_alone() -> None:
+    coupled = replace(PLANT, cross=coupled_plant(1).cross)
+    for one, other in zip(draws(coupled, 0.1, 8, 1), draws(PLANT, 0.1, 8, 1), strict=True):
+        assert same(one, other)
+        for moved, own in zip(one.cross, coupled.cross, strict=True):
+            assert moved.G.dc_gain == 0.0
+            off = np.abs(np.log(moved.G.poles[:4])) / np.abs(np.log(own.G.poles[:4]))
+            assert np.allclose(off, off[0])
+            assert 0.9 <= off[0] <= 1.1
 
 
 def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:

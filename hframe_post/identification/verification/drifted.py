@@ -67,5 +67,5 @@ def as_text(found: Mapping[str, Drift]) -> str:
 
 
 def _along(run: Measured, axis: int) -> Array:
-    """Return the measured acceleration (m,) along an axis without racking, mm/s²."""
-    return np.asarray(run.a[:, axis] - (run.a_racking if axis == Y else 0.0))
+    """Return the measured acceleration (m,) along an axis without couplings, mm/s²."""
+    return np.asarray(run.a[:, axis] - run.a_coupled[:, axis])

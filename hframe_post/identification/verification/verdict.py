@@ -132,13 +132,15 @@ class Verdict:
 class Measured:
     """A run as measured: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
 
-    a_racking (m,): the part of a_predicted in y that is due to racking. noise: of a place, mm.
+    a_coupled (m, 2), a_racking (m,): the parts of a_predicted that are due to couplings, and in y
+    to racking. noise: of a place, mm.
     """
 
     place: Array
     predicted: Array
     a: Array
     a_predicted: Array
+    a_coupled: Array
     a_racking: Array
     noise: float
 
@@ -200,8 +202,10 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     off = _integrated_twice(a - a_predicted)
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
+    coupled = predicted - Response(printer.plant.decoupled(), command[0]).run(command)
+    a_coupled = np.column_stack([acceleration(coupled[:, k]) for k in (X, Y)])
     a_racking = acceleration(predicted[:, Y] - without[:, Y])
-    return Measured(predicted + off, predicted, a, a_predicted, a_racking, noise)
+    return Measured(predicted + off, predicted, a, a_predicted, a_coupled, a_racking, noise)
 
 
 def _racking(runs: Sequence[Measured], part: slice) -> tuple[float, float] | None:

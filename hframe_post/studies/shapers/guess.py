@@ -2,7 +2,7 @@
 
 A shaper shifts and averages the path in time, so it commutes with the plant: the nozzle follows the
 shaped path as the same average of its shifted motion on the unshaped one. Across the path its
-deviation is therefore linear in the impulses a (eq. 1 and 2, with the lever x_d − x_c):
+deviation is therefore linear in the impulses a (eq. 1 and 2, with lever arms at x_d, y_d):
 
     e = A·[a_x; a_y],    mean of e² = [a_x; a_y]ᵀ·Q·[a_x; a_y],    Q = AᵀA/n
 
@@ -41,15 +41,15 @@ def _across(plant: Plant, path: Array, counted: Flags) -> Array:
     length = np.hypot(*forward.T)
     at = np.flatnonzero(counted & (length > 0.0))[::EVERY]
     normal = np.column_stack([-forward[:, Y], forward[:, X]])[at] / length[at, None]
-    x, y, theta = Response(plant, path[0]).motion(path).T
-    y = y - (x - plant.x_c) * theta
     shifted = at[:, None] - STEP * np.arange(-REACH, REACH + 1)
     shifted = np.clip(shifted, 0, len(path) - 1)
-    lever = path[at, X, None] - plant.x_c
-    along_x, along_y = x[shifted] - path[at, X, None], y[shifted] - path[at, Y, None]
-    return np.hstack(
-        [normal[:, :1] * along_x + normal[:, 1:] * lever * theta[shifted], normal[:, 1:] * along_y]
-    )
+    nozzle = Response(plant.decoupled(), path[0]).run(path)
+    across = [normal[:, k, None] * (nozzle[shifted, k] - path[at, k, None]) for k in (X, Y)]
+    _, outputs = Response(plant, path[0]).motion(path)
+    for coupling, output in zip(plant.couplings, outputs.T, strict=True):
+        lever = np.reshape(coupling.lever(path[at]), (-1, 1))
+        across[coupling.command] += normal[:, coupling.answer, None] * lever * output[shifted]
+    return np.hstack(across)
 
 
 def guess(Q: Array, name: str) -> Shaping:

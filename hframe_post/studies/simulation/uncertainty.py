@@ -3,7 +3,7 @@
 Frequency and damping of each transfer function's roots, in the s-plane s = ln(z)/Ts, are scaled by
 random factors. Poles and zeros move together, as they do when a belt gets tighter or a carriage
 heavier, so that a slow pole keeps the zero that almost cancels it. Gxx(1) = Gyy(1) = 1 stays: a
-nozzle at rest is where its steps put it. Only the gain of racking is random.
+nozzle at rest is where its steps put it. Only the gains of couplings are random.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Complex
+from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
@@ -28,20 +28,33 @@ def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
         raise ArgumentError(f"a model error is a share from 0 to below 1, not {share:g}")
     rng = np.random.default_rng(seed)
     units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
+    cross = rng.uniform(-1.0, 1.0, (count, len(plant.cross), 3))
+    units = np.concatenate([units, cross], axis=1)
     return [perturbed(plant, 1.0 + share * unit) for unit in units]
 
 
-def perturbed(plant: Plant, factors: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Plant:
-    """Return the plant with factors (3, 3) on frequency, damping and gain of Gxx, Gyy, Gxθ."""
-    (fx, dx, _), (fy, dy, _), (ft, dt, gain) = factors
+def perturbed(plant: Plant, factors: Array) -> Plant:
+    """Return the plant with factors (k, 3) on frequency, damping and gain.
+
+    They are those of Gxx, Gyy, Gxθ and, if any, the other couplings.
+    """
+    (fx, dx, _), (fy, dy, _), theta, *others = factors.tolist()
     Gxx, Gyy = _moved(plant.Gxx, fx, dx), _moved(plant.Gyy, fy, dy)
     Gxx, Gyy = (replace(G, gain=G.gain / G.dc_gain) for G in (Gxx, Gyy))
-    if plant.Gxtheta is None:
-        return Plant(Gxx, Gyy, None, plant.x_c)
-    slope = _slope(plant.Gxtheta)
-    Gxtheta = _moved(plant.Gxtheta, ft, dt)
-    scale = gain * slope / _slope(Gxtheta)
-    return Plant(Gxx, Gyy, replace(Gxtheta, gain=Gxtheta.gain * scale), plant.x_c)
+    Gxtheta = plant.Gxtheta and _moved_coupling(plant.Gxtheta, *theta)
+    cross = (
+        replace(coupling, G=_moved_coupling(coupling.G, *each))
+        for coupling, each in zip(plant.cross, others, strict=True)
+    )
+    return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=tuple(cross))
+
+
+def _moved_coupling(
+    G: TransferFunction, frequency: float, damping: float, gain: float
+) -> TransferFunction:
+    slope, moved = _slope(G), _moved(G, frequency, damping)
+    scale = gain * slope / _slope(moved)
+    return replace(moved, gain=moved.gain * scale)
 
 
 def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:

@@ -1,0 +1,105 @@
+"""Couplings: what a command in one axis does to the nozzle in the other, over the bed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import Array, X, Y
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Coupling, Plant, Response
+from hframe_post.model.strategies import STRATEGIES, Compensator, order
+from hframe_post.printer.profile import load
+from tests.compensation.test_compensate import stroke
+from tests.coupled import coupled_plant
+
+WINDOW = Window(5, 88, 44, 30.0)
+ORIGIN = np.array([100.0, 120.0])
+
+
+def strokes() -> Array:
+    """Return diagonal strokes of 30 mm and back, one of them in x alone, (n, 2)."""
+    x, y = (stroke(30.0, speed, 600) for speed in (100.0, 150.0))
+    n = max(len(x), len(y))
+    x, y = (np.pad(each, (0, n - len(each)), mode="edge") for each in (x, y))
+    back = np.column_stack([np.concatenate([x, x[::-1]]), np.concatenate([y, np.full(n, y[-1])])])
+    return np.asarray(ORIGIN + back)
+
+
+def commanded(plant: Plant, strategy: str = "racking", cuts: tuple[int, ...] = ()) -> Array:
+    state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
+    return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
+
+
+def left(plant: Plant, command: Array) -> float:
+    """Return the RMS deviation from the path, mm."""
+    off = Response(plant, ORIGIN).run(command) - strokes()
+    return float(np.sqrt(np.square(off).mean()))
+
+
+def test_racking_is_one_coupling_of_many() -> None:
+    """The same bits, in prediction and compensation, whether it has its own name or not."""
+    paper = load("paper").plant
+    assert paper.Gxtheta is not None
+    unnamed = replace(
+        paper, Gxtheta=None, cross=(Coupling(Y, X, paper.Gxtheta, X, paper.x_c),)
+    )  # fmt: skip
+    command = commanded(paper)
+    np.testing.assert_array_equal(commanded(unnamed), command)
+    one, other = (Response(plant, ORIGIN).run(command) for plant in (paper, unnamed))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_couplings_without_a_lever_arm_superpose() -> None:
+    plant = replace(coupled_plant(1), cross=coupled_plant(1).cross[::2])
+    assert all(coupling.along is None for coupling in plant.cross)
+    u, v = np.random.default_rng(0).normal(size=(2, 400, 2))
+    at_zero = [Response(plant, np.zeros(2)).run(command) for command in (u, v, u + v)]
+    np.testing.assert_allclose(at_zero[0] + at_zero[1], at_zero[2], atol=1e-12)
+
+
+@pytest.mark.parametrize("along", [X, Y])
+def test_a_lever_arm_grows_with_the_distance_from_its_centre(along: int) -> None:
+    whole = coupled_plant(2)
+    G = whole.cross[1].G
+    plant = replace(whole, cross=(Coupling(Y, X, G, along, 50.0),))
+    wave = np.zeros((300, 2))
+    wave[:, X] = 1e-6 * np.sin(np.arange(300) / 5.0)  # so small that the lever stays
+
+    def added(place: float) -> Array:
+        origin = np.zeros(2)
+        origin[along] = place
+        response = Response(plant, origin)
+        without = Response(plant.decoupled(), origin)
+        return response.run(origin + wave)[:, Y] - without.run(origin + wave)[:, Y]
+
+    np.testing.assert_allclose(added(50.0), 0.0, atol=1e-10)
+    np.testing.assert_allclose(added(250.0), -2.0 * added(-50.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("answer", [X, Y])
+def test_a_coupling_one_way_leaves_no_more_than_the_axes_alone(answer: int) -> None:
+    whole = coupled_plant(2)
+    plant = replace(whole, cross=tuple(c for c in whole.cross[::2] if c.answer == answer))
+    assert order(plant.couplings) == (1 - answer, answer)
+    alone = left(plant.decoupled(), commanded(plant.decoupled()))
+    assert left(plant, commanded(plant, "fbs")) > 3.0 * alone
+    assert left(plant, commanded(plant)) < 1.1 * alone
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("racks", [False, True])
+def test_coupled_compensation_of_random_printers(seed: int, racks: bool) -> None:
+    plant = coupled_plant(seed, most=0.2, racks=racks)
+    decoupled = left(plant, commanded(replace(plant, cross=())))
+    alone = left(plant.decoupled(), commanded(plant.decoupled()))
+    assert left(plant, commanded(plant)) < alone + 0.3 * (decoupled - alone)
+
+
+def test_equal_bits_however_the_stream_is_cut() -> None:
+    plant = coupled_plant(4, racks=True)
+    whole = commanded(plant)
+    for cuts in ((1, 2, 2, 700), tuple(range(7, 2000, 7))):
+        np.testing.assert_array_equal(commanded(plant, cuts=cuts), whole)
