@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z
+from hframe_post.model.plant import Response
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, NEAREST, Stop, Surroundings
-from hframe_post.model.stop_plant import State
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
@@ -147,12 +147,12 @@ class _Stretch:
 class _Track:
     """One strategy's command (n, 2) in the window, from the origin.
 
-    state: of the strategy's plant before sample ``reached``.
+    before: the response of the strategy's plant to all before sample ``reached``.
     """
 
     solver: StopSolver
     command: Array
-    state: State
+    before: Response
     reached: int
 
 
@@ -168,7 +168,9 @@ class _Window:
         self._path = np.zeros((BEFORE, 2))
         self._extruding = np.zeros(BEFORE, dtype=bool)
         self._tracks = {
-            name: _Track(solver, np.zeros((BEFORE, 2)), solver.filters.rest, self._first)
+            name: _Track(
+                solver, np.zeros((BEFORE, 2)), solver.around.at_rest(np.zeros(2)), self._first
+            )
             for name, solver in solvers.items()
         }
 
@@ -221,15 +223,14 @@ class _Window:
         n = self._first
         local = replace(stop, a=stop.a - n, b=stop.b - n, ends=stop.ends - n)
         for track in self._tracks.values():
-            z = self._state_before(stop.a - BESIDE, track)
-            track.command[changed] = track.solver.solve(around, track.command, z, local)
+            before = self._response_before(stop.a - BESIDE, track)
+            track.command[changed] = track.solver.solve(around, track.command, before, local)
 
-    def _state_before(self, k: int, track: _Track) -> State:
-        """Return the state of a track's plant before sample k, before which all is final."""
-        filters = track.solver.filters
+    def _response_before(self, k: int, track: _Track) -> Response:
+        """Return the response of a track's plant before sample k, before which all is final."""
         if track.reached < k - REMEMBERED:
             track.reached = k - REMEMBERED
-            track.state = filters.at_rest(track.command[track.reached - self._first])
-        passed = track.command[self._rows(track.reached, k)]
-        track.state, track.reached = filters.after(track.state, passed), k
-        return track.state
+            track.before = track.solver.around.at_rest(track.command[track.reached - self._first])
+        track.before.run(track.command[self._rows(track.reached, k)])
+        track.reached = k
+        return track.before

@@ -84,6 +84,14 @@ class Filter:
         y, self.state[:] = sosfilt(self.sections, u, zi=self.state)
         return np.asarray(y)
 
+    def settle(self, u: float) -> None:
+        """Take the state that a constant input leads to."""
+        for (b0, b1, b2, _, a1, a2), state in zip(self.sections.tolist(), self.state, strict=True):
+            y = u * (b0 + b1 + b2) / (1.0 + a1 + a2)
+            state[1] = b2 * u - a2 * y
+            state[0] = b1 * u - a1 * y + state[1]
+            u = y
+
 
 class Response:
     """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
@@ -106,6 +114,13 @@ class Response:
 
     def _states(self) -> list[Array]:
         return np.split(self.state, np.cumsum(self._counts)[:-1])
+
+    def settle(self, command: Array) -> None:
+        """Come to rest under a command (2,)."""
+        u = (command - self._origin).tolist()
+        axes = X, Y, *(coupling.command for coupling in self._couplings)
+        for f, axis in zip(self._filters, axes, strict=True):
+            f.settle(u[axis])
 
     def run(self, command: Array) -> Array:
         """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""

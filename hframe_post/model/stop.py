@@ -19,7 +19,6 @@ symbol          meaning
 ``W``           root of each sample's weight, see ``model.stop_cost``
 ``D, λ``        second difference, across the hold too; effort
 ``E, B``        roots of weights that keep the belts and the bed's edges within bounds
-``z``           state of the plant's filters
 ==============  =============================================================================
 
 The plant is linear and θ's lever arm is that of the path (Remark 2.1 of the paper), so this is a
@@ -39,12 +38,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers, X
+from hframe_post.arrays import TS, Array, X
 from hframe_post.model.linear import product
 from hframe_post.model.lpfbs import bsplines
-from hframe_post.model.plant import Plant
-from hframe_post.model.stop_cost import BESIDE, Rows, Stop, Surroundings
-from hframe_post.model.stop_plant import Filters, State
+from hframe_post.model.plant import Plant, Response
+from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings
+from hframe_post.model.stop_plant import AroundStops
 from hframe_post.model.stop_problem import Problem, Splines
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
@@ -73,50 +72,43 @@ class StopSolver:
         self._bed = np.array(bed)
         away, self._reach = _graded_splines()
         self._N_before, self._N_after = away[::-1, ::-1], away
-        self.filters = Filters(plant, self._N_before, self._N_after)
+        self.around = AroundStops(plant, self._N_before, self._N_after)
         self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
-    def solve(self, around: Surroundings, command: Array, z: State, stop: Stop) -> Array:
+    def solve(self, around: Surroundings, command: Array, before: Response, stop: Stop) -> Array:
         """Return the command (n, 2) of samples a − BESIDE … b + BESIDE − 1, from the origin.
 
-        command: of the whole stretch, so far; z: the filters' state before the first of these
-        samples. The path must be known for NEAREST samples more on either side, and for BEYOND
-        after.
+        command: of the whole stretch, so far; before: the plant's response to all that precedes
+        the first of these samples. The path must be known for NEAREST samples more on either side,
+        and for BEYOND after.
         """
-        a, b = stop.a, stop.b
-        rows = Rows.from_stop(around, stop)
+        rows, n = Rows.from_stop(around, stop), stop.b - stop.a
+        command = command[stop.a - BESIDE - 2 : stop.b + BESIDE + BEYOND].copy()
+        command[BESIDE + 2 : BESIDE + 2 + n] = command[BESIDE + 2]
         path_x = around.path[rows.index, X] + around.origin[X]
-        known, lever = self.filters.known(command, z, stop, path_x)
+        known, lever = self.around.known(before, command[2:], path_x, n)
+        reach = self._reach.searchsorted([stop.before, stop.after], side="right").tolist()
+        splines = self._splines(*reach, stop.movable, n)
         # with two samples more on either side for second differences, and a shortened hold
-        hold = np.repeat(command[a : a + 1], min(b - a, HOLD_ROWS), axis=0)
-        sequence = np.vstack([command[a - BESIDE - 2 : a], hold, command[b : b + BESIDE + 2]])
-        limit = np.full(len(sequence) - 2, self._limit)
-        limit[BESIDE : len(limit) - BESIDE] *= AT_HOLD
-        before, after = self._reach.searchsorted([stop.before, stop.after], side="right")
-        splines, by_p, first = self._splines(int(before), int(after), stop.movable, b - a)
+        hold = command[BESIDE + 2 :][: min(n, HOLD_ROWS)]
+        later = command[BESIDE + 2 + n :][: BESIDE + 2]
+        sequence = np.concatenate([command[: BESIDE + 2], hold, later])
+        bed = self._bed - around.origin[:, None]
         problem = Problem(
-            rows, known, lever, by_p, first, splines, sequence, self._effort, self._belts, limit,
-            self._limit, self._bed - around.origin[:, None],
-        )  # fmt: skip
-        return self._changed(command, stop, splines.columns, problem.solution())
+            rows, known, lever, splines, sequence, self._effort, self._belts, self._limit, bed
+        )
+        sequence += product(splines.N, problem.solution())
+        command = command[2 : 2 + n + 2 * BESIDE]
+        command[:BESIDE] = sequence[2 : BESIDE + 2]
+        command[BESIDE : BESIDE + n] = sequence[BESIDE + 2]
+        command[BESIDE + n :] = sequence[-BESIDE - 2 : -2]
+        return command
 
-    def _changed(self, command: Array, stop: Stop, columns: Integers, p: Array) -> Array:
-        a, b, k = stop.a, stop.b, len(self._reach)
-        added = np.zeros((2 * k + 1, 2))
-        added[columns] = p
-        changed = command[a - BESIDE : b + BESIDE].copy()
-        changed[:BESIDE] += product(self._N_before, added[:k])
-        changed[BESIDE : len(changed) - BESIDE] = command[a] + added[k]
-        changed[len(changed) - BESIDE :] += product(self._N_after, added[k + 1 :])
-        return changed
+    def _usable_splines(self, before: int, after: int, movable: bool, n: int) -> Splines:
+        """Return the splines of a stop.
 
-    def _usable_splines(
-        self, before: int, after: int, movable: bool, n: int
-    ) -> tuple[Splines, Array, Integers]:
-        """Return the splines of a stop, what they do to the nozzle, and from which row on.
-
-        before, after: how many splines it may use on either side; movable: whether its own place
-        may change; n: samples of the hold.
+        before, after: how many it may use on either side; movable: whether its own place may
+        change; n: samples of the hold.
         """
         k, hold = len(self._reach), min(n, HOLD_ROWS)
         usable = [range(k - before, k), [k] if movable else [], range(k + 1, k + 1 + after)]
@@ -125,10 +117,9 @@ class StopSolver:
         N[2 : 2 + BESIDE, :k] = self._N_before
         N[2 + BESIDE : 2 + BESIDE + hold, k] = 1.0
         N[2 + BESIDE + hold : -2, k + 1 :] = self._N_after
-        by_p = np.ascontiguousarray(self.filters.by_splines(n)[..., columns])
-        acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
-        first = np.minimum.accumulate(acts[::-1])[::-1].copy()
-        return Splines.from_matrix(columns, np.ascontiguousarray(N[:, columns])), by_p, first
+        limit = np.full(len(N) - 2, self._limit)
+        limit[BESIDE:-BESIDE] *= AT_HOLD
+        return Splines.from_matrices(N[:, columns], self.around.by_splines(n)[..., columns], limit)
 
 
 def _graded_splines() -> tuple[Array, Array]:

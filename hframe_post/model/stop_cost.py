@@ -6,6 +6,7 @@ Symbols are those of ``model.stop``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,9 +37,14 @@ BEFORE = BESIDE - 1 - BEFORE  # counted from sample a − BESIDE
 AFTER, COUNTED_AFTER = _thinned(BESIDE + BEYOND)  # counted from sample b
 
 
-def judged_in_hold(n: int) -> list[int]:
-    """Return which samples of a hold of n are judged: as the nozzle swings, and the last one."""
-    return [*range(3, min(n, 64) - 1, 4), n - 1] if n else []
+@lru_cache(maxsize=128)
+def judged(n: int) -> Integers:
+    """Return which samples around a hold of n are judged, counted from BESIDE before it.
+
+    In the hold these are some while the nozzle swings, and the last one.
+    """
+    hold = BESIDE + np.array([*range(3, min(n, 64) - 1, 4), n - 1] if n else [], np.int64)
+    return np.concatenate([BEFORE, hold, BESIDE + n + AFTER])
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,18 +89,19 @@ class Rows:
     @classmethod
     def from_stop(cls, around: Surroundings, stop: Stop) -> Rows:
         """Return the rows of a stop with their first weights."""
-        a, b = stop.a, stop.b
-        held = slice(len(BEFORE), len(BEFORE) + len(judged_in_hold(b - a)))
-        hold = np.full(held.stop - held.start, a)
-        index = np.concatenate([a - BESIDE + BEFORE, hold, b + AFTER])
+        a, n = stop.a, stop.b - stop.a
+        index = a - BESIDE + judged(n)
+        held = slice(len(BEFORE), len(index) - len(AFTER))
+        standing = np.full(held.stop - held.start, STANDING)
         after = COUNTED_AFTER if stop.after else 0.0 * COUNTED_AFTER
-        weight = np.concatenate([COUNTED_BEFORE, 1.0 * hold, after])
+        weight = np.concatenate([COUNTED_BEFORE, standing, after])
         extruding = around.extruding[index]
+        extruding[held] = False
         weight[~extruding] *= TRAVELLING
         weight[(index >= stop.ends) | (index < a - stop.before)] = 0.0
         extruding &= weight > 0.0
-        extruding[held], weight[held] = False, STANDING
-        if len(hold) and around.extruding[b : b + SOON].any():
+        weight[held] = standing
+        if n and around.extruding[stop.b : stop.b + SOON].any():
             weight[held.stop - 1] = ARRIVING
         return cls(around.path, index, held, weight, extruding)
 

@@ -32,73 +32,74 @@ CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 class Splines:
     """The usable ones of all splines and the hold.
 
-    columns: which these are; N (q, k): the command by p, from two samples before to two after;
-    D (q − 2, k): its second differences; bands (q, 2): each row of N has nonzero
-    values from one column to before another.
+    N (q, k): the command by p, from two samples before to two after; D (q − 2, k): its second
+    differences; bands (q, 2): each row of N has nonzero values from one column to before another;
+    by_p (3, r, k): x, y and θ by a half of p; first (k,): the row at which each spline begins to
+    act; limit (q − 2,): bounds of the belts' second difference.
     """
 
-    columns: Integers
     N: Array
     D: Array
     bands: Integers
+    by_p: Array
+    first: Integers
+    limit: Array
 
     @classmethod
-    def from_matrix(cls, columns: Integers, N: Array) -> Splines:
-        D = np.diff(N, n=2, axis=0)
+    def from_matrices(cls, N: Array, by_p: Array, limit: Array) -> Splines:
+        N, by_p = np.ascontiguousarray(N), np.ascontiguousarray(by_p)
         first, last = (N != 0.0).argmax(axis=0), (N[::-1] != 0.0).argmax(axis=0)
         row = np.arange(len(N))
         over = np.searchsorted(np.sort(len(N) - last), row, side="right")
         begun = np.searchsorted(np.sort(first), row, side="right")
-        bands = np.column_stack([over, begun])
-        return cls(columns, N, D, np.ascontiguousarray(bands))
+        bands = np.ascontiguousarray(np.column_stack([over, begun]))
+        acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
+        first = np.minimum.accumulate(acts[::-1])[::-1].copy()
+        return cls(N, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
     """A stop's least squares.
 
-    known (r, 2): the nozzle without p; lever (r,): of θ; by_p (3, r, k): x, y and θ by a half of
-    p; first (k,): the row at which each spline begins to act; command (q, 2): without p; effort
-    (2,); belts (2, 2): from x, y; limit (q − 2,), full_limit: bounds of the belts' second
-    difference; bed (2, 2): least and greatest command.
+    known (r, 2): the nozzle without p; lever (r,): of θ; command (q, 2): without p; effort (2,);
+    belts (2, 2): from x, y; full_limit: of theirs, where nothing lowers it; bed (2, 2): least and
+    greatest command.
     """
 
     rows: Rows
     known: Array
     lever: Array
-    by_p: Array
-    first: Integers
     splines: Splines
     command: Array
     effort: Array
     belts: Array
-    limit: Array
     full_limit: float
     bed: Array
 
     def solution(self) -> Array:
         """Return p (k, 2)."""
-        if not len(self.first):
+        if not len(self.splines.first):
             return np.zeros((0, 2))
         compiled = kernel("least_squares")
         return _solution(self) if compiled is None else self._by(compiled)
 
     def _by(self, compiled: Kernel) -> Array:
-        rows, splines, p = self.rows, self.splines, np.empty((len(self.first), 2))
+        rows, splines, p = self.rows, self.splines, np.empty((len(self.splines.first), 2))
         bed = self.bed.T.ravel()
         bounds = np.concatenate([self.effort, self.belts.ravel(), bed, [self.full_limit]])
         fits = compiled(
             rows.path, rows.index, len(rows.index), rows.held.start, rows.held.stop, rows.weight,
-            rows.extruding, self.known, self.lever, self.by_p, self.first, len(p), self.command,
-            len(self.command), splines.N, splines.D, splines.bands, self.limit, bounds,
-            np.empty(ROOM), p,
+            rows.extruding, self.known, self.lever, splines.by_p, splines.first, len(p),
+            self.command, len(self.command), splines.N, splines.D, splines.bands, splines.limit,
+            bounds, np.empty(ROOM), p,
         )  # fmt: skip
         assert fits
         return p
 
     def nozzle(self, p: Array) -> Array:
         """Return the nozzle at the rows, (r, 2)."""
-        (x, y, theta), (p_x, p_y) = self.by_p, p.T
+        (x, y, theta), (p_x, p_y) = self.splines.by_p, p.T
         moved_y = _times(p_y, y.T) + self.lever * _times(p_x, theta.T)
         return np.asarray(self.known + np.column_stack([_times(p_x, x.T), moved_y]))
 
@@ -106,7 +107,7 @@ class Problem:
 def _solution(problem: Problem) -> Array:
     path = _Path.from_rows(problem.rows)
     weight, bounds = problem.rows.weight, _BoundWeights.initial(problem)
-    p = best = np.zeros((len(problem.first), 2))
+    p = best = np.zeros((len(problem.splines.first), 2))
     least = np.inf
     for search in range(SEARCHES + EMPHASES):
         foot, t = path.nearest(problem.nozzle(p)) if search else (path.place, path.direction)
@@ -158,7 +159,7 @@ class _Path:
 
 def _squares(problem: Problem, weight: Array, place: Array, foot: Array, t: Array) -> Array:
     """Return H and g of ½pᵀHp + gᵀp, the weighted squares, as [H g]."""
-    (x, y, theta), k = problem.by_p, len(problem.first)
+    (x, y, theta), k = problem.splines.by_p, len(problem.splines.first)
     normal, lever = np.sqrt(weight), problem.lever
     along = np.full(len(weight), np.sqrt(ALONG))
     along[problem.rows.held] = 1.0
@@ -183,11 +184,11 @@ def _bounded(
     N, D, known = problem.splines.N, problem.splines.D, problem.command
     rates, low, high = np.diff(known, n=2, axis=0), *problem.bed.T
     hardest = HARDEST * problem.full_limit
-    best, kept, least = np.zeros((len(problem.first), 2)), weights, (np.inf, np.inf)
+    best, kept, least = np.zeros((len(problem.splines.first), 2)), weights, (np.inf, np.inf)
     for _ in range(TRIALS):
         p = -_solved(weights.added(squares, problem, rates)).reshape(-1, 2)
         acceleration = np.abs(_times(rates + _times(D, p), problem.belts.T)).max(axis=1)
-        share = acceleration / problem.limit
+        share = acceleration / problem.splines.limit
         place = known + _times(N, p)
         outside = np.abs(np.minimum(np.maximum(place, low), high) - place)
         excess = max(float(share.max()), 1.0) + float(outside.max())

@@ -1,7 +1,8 @@
 /* The least squares of one stop: model/stop_problem.py, with its symbols and its order of sums.
  *
  * The columns are those of p, x and y in turn, and then the residual. A row in time has a prefix of
- * columns that are not zero, and these are ``begun`` at it; products skip the rest. */
+ * columns that are not zero, and these are ``begun`` at it; products skip the rest. Rows of a matrix
+ * begin at multiples of LINE, and loops along them may go on to one. */
 
 #include <string.h>
 
@@ -10,7 +11,8 @@
 enum {
     SEARCHES = 2, EMPHASES = 3, TRIALS = 10, NEAREST = 24, PIECES = 2 * NEAREST,
     MOST_SPLINES = 39, MOST_ROWS = 147, MOST_SAMPLES = 206,
-    TILE = 4, WIDTH = 80 /* columns, in whole tiles */
+    TOGETHER = 4, /* rows of which products are added */
+    LINE = 8, WIDTH = 80 /* columns, in whole lines */
 };
 #define ALONG 0.01
 #define FAR_OFF 0.05
@@ -51,7 +53,8 @@ struct bound_weights {
 };
 
 struct room {
-    double J[2 * MOST_ROWS][WIDTH], squares[WIDTH][WIDTH], solved[WIDTH][WIDTH];
+    double J[2 * MOST_ROWS + TOGETHER][WIDTH]; /* and some of zeros */
+    double squares[WIDTH][WIDTH], gradient[WIDTH], solved[WIDTH][WIDTH];
     vector nozzle[MOST_ROWS], foot[MOST_ROWS], direction[MOST_ROWS], t[MOST_ROWS];
     double weight[MOST_ROWS], off[MOST_ROWS];
     vector rates[MOST_SAMPLES], place[MOST_SAMPLES], outside[MOST_SAMPLES];
@@ -59,30 +62,30 @@ struct room {
     struct bound_weights weights, kept;
 };
 
-static double clipped(double value, double low, double high)
+INSIDE double clipped(double value, double low, double high)
 {
     return lesser(greater(value, low), high);
 }
 
-static double reweighted(double ratio, double gain, double most)
+INSIDE double reweighted(double ratio, double gain, double most)
 {
     return ratio > 1.0 ? lesser(gain * (ratio * ratio), most) : 1.0;
 }
 
-static void unit(double x, double y, const vector otherwise, vector out)
+INSIDE void unit(double x, double y, const vector otherwise, vector out)
 {
     double length = sqrt(x * x + y * y);
     out[0] = length > 1e-7 ? x / length : otherwise[0];
     out[1] = length > 1e-7 ? y / length : otherwise[1];
 }
 
-static int held(const struct problem *q, int64_t row)
+INSIDE int held(const struct problem *q, int64_t row)
 {
     return row >= q->held_from && row < q->held_to;
 }
 
 /* The nozzle at a row. */
-static void moved(const struct problem *q, int64_t row, const vector *p, vector at)
+INSIDE void moved(const struct problem *q, int64_t row, const vector *p, vector at)
 {
     const double *by_x = q->x + row * q->k, *by_y = q->y + row * q->k;
     const double *by_theta = q->theta + row * q->k;
@@ -97,7 +100,7 @@ static void moved(const struct problem *q, int64_t row, const vector *p, vector 
 }
 
 /* The path's nearest point to the nozzle, and the path's step there. */
-static void nearest(const struct problem *q, int64_t row, const vector at, vector foot, vector step)
+INSIDE void nearest(const struct problem *q, int64_t row, const vector at, vector foot, vector step)
 {
     const vector *path = q->path + q->index[row];
     double dx[PIECES], dy[PIECES], along[PIECES], squared[PIECES];
@@ -125,7 +128,7 @@ static void nearest(const struct problem *q, int64_t row, const vector at, vecto
 }
 
 /* J: two rows for each sample, across the path and along it. */
-static void jacobian(const struct problem *q, struct room *room)
+INSIDE void jacobian(const struct problem *q, struct room *room)
 {
     int64_t begun = 0, k = q->k;
     for (int64_t row = 0; row < q->r; row++) {
@@ -152,34 +155,36 @@ static void jacobian(const struct problem *q, struct room *room)
     }
 }
 
-/* Add the products of TILE columns of a with as many of b to sum, row by row; or subtract them. */
-static inline void tile(const double *a, const double *b, int64_t rows, double sign, double *sum)
+/* Add to sum the products of column i with the columns from low to before high, of TOGETHER rows;
+ * or subtract them. */
+INSIDE void add_products(const double *rows, int64_t i, int64_t low, int64_t high, double sign,
+                         double *restrict sum)
 {
-    double total[TILE][TILE];
-    for (int i = 0; i < TILE; i++)
-        memcpy(total[i], sum + i * WIDTH, sizeof total[i]);
-    for (int64_t row = 0; row < rows; row++, a += WIDTH, b += WIDTH)
-        for (int i = 0; i < TILE; i++)
-            for (int j = 0; j < TILE; j++)
-                total[i][j] += sign * a[i] * b[j];
-    for (int i = 0; i < TILE; i++)
-        memcpy(sum + i * WIDTH, total[i], sizeof total[i]);
+    const double *a = rows, *b = a + WIDTH, *c = b + WIDTH, *d = c + WIDTH;
+    double a_i = sign * a[i], b_i = sign * b[i], c_i = sign * c[i], d_i = sign * d[i];
+    for (int64_t j = low; j < high; j++)
+        sum[j] = (((sum[j] + a_i * a[j]) + b_i * b[j]) + c_i * c[j]) + d_i * d[j];
 }
 
-/* The upper triangle of [H g], in tiles. */
-static void sum_squares(const struct problem *q, struct room *room)
+/* The upper triangle of H, and g. */
+INSIDE void sum_squares(const struct problem *q, struct room *room)
 {
-    int64_t residual = 2 * q->k;
+    int64_t begun = 0, rows = 2 * q->r;
     memset(room->squares, 0, sizeof room->squares);
-    for (int64_t i = 0; i < residual; i += TILE)
-        for (int64_t j = i; j <= residual; j += TILE) {
-            int64_t row = 2 * q->first[(j + TILE > residual ? i : j) / 2];
-            tile(room->J[row] + i, room->J[row] + j, 2 * q->r - row, 1.0, room->squares[i] + j);
-        }
+    memset(room->gradient, 0, sizeof room->gradient);
+    memset(room->J[rows], 0, sizeof room->J[0] * TOGETHER);
+    for (int64_t row = 0; row < rows; row += TOGETHER) {
+        while (begun < 2 * q->k && 2 * q->first[begun / 2] < row + TOGETHER)
+            begun++;
+        int64_t high = (begun + LINE - 1) / LINE * LINE;
+        for (int64_t i = 0; i < begun; i++)
+            add_products(room->J[row], i, i / LINE * LINE, high, 1.0, room->squares[i]);
+        add_products(room->J[row], 2 * q->k, 0, high, 1.0, room->gradient);
+    }
 }
 
 /* Add a row of weight w to the squares of one axis, of splines from low to before high. */
-static void add_row(const double *by_p, int64_t low, int64_t high, double w, double residual,
+INSIDE void add_row(const double *by_p, int64_t low, int64_t high, double w, double residual,
                     double square[][MOST_SPLINES], double *gradient)
 {
     for (int64_t i = low; i < high; i++) {
@@ -190,7 +195,7 @@ static void add_row(const double *by_p, int64_t low, int64_t high, double w, dou
     }
 }
 
-static void add_squares(const struct problem *q, struct room *room, int axis, double factor,
+INSIDE void add_squares(const struct problem *q, struct room *room, int axis, double factor,
                         double square[][MOST_SPLINES], const double *gradient)
 {
     for (int64_t i = 0; i < q->k; i++) {
@@ -201,10 +206,12 @@ static void add_squares(const struct problem *q, struct room *room, int axis, do
 }
 
 /* [H g] with the effort and the cost of leaving the bed, into room->solved. */
-static void add_bounds(const struct problem *q, struct room *room)
+INSIDE void add_bounds(const struct problem *q, struct room *room)
 {
     double greatest = 0.0;
     memcpy(room->solved, room->squares, sizeof room->solved);
+    for (int64_t i = 0; i < 2 * q->k; i++)
+        room->solved[i][2 * q->k] = room->gradient[i];
     for (int axis = 0; axis < 2; axis++) {
         double square[MOST_SPLINES][MOST_SPLINES] = {{0.0}}, gradient[MOST_SPLINES] = {0.0};
         for (int64_t r = 0; r < q->q - 2; r++)
@@ -229,13 +236,11 @@ static void add_bounds(const struct problem *q, struct room *room)
 }
 
 /* p by Cholesky's method: [H g] in room->solved becomes [U y] with UᵀU = H. */
-static void solve(int64_t n, struct room *room, double *p)
+INSIDE void solve(int64_t n, struct room *room, double *p)
 {
     double(*U)[WIDTH] = room->solved;
-    for (int64_t top = 0; top < n; top += TILE) {
-        int64_t end = top + TILE < n ? top + TILE : n;
-        for (int64_t j = top; j <= n; j += TILE)
-            tile(U[0] + top, U[0] + j, top, -1.0, U[top] + j);
+    for (int64_t top = 0; top < n; top += TOGETHER) {
+        int64_t end = top + TOGETHER < n ? top + TOGETHER : n;
         for (int64_t i = top; i < end; i++) {
             double root = sqrt(U[i][i]);
             for (int64_t j = i; j <= n; j++)
@@ -244,6 +249,8 @@ static void solve(int64_t n, struct room *room, double *p)
                 for (int64_t j = row; j <= n; j++)
                     U[row][j] -= U[i][row] * U[i][j];
         }
+        for (int64_t row = end; row < n; row++)
+            add_products(U[top], row, row / LINE * LINE, WIDTH, -1.0, U[row]);
     }
     for (int64_t i = 0; i < n; i++)
         p[i] = -U[i][n];
@@ -255,7 +262,7 @@ static void solve(int64_t n, struct room *room, double *p)
 }
 
 /* ½pᵀHp + gᵀp */
-static double cost_of(int64_t n, const struct room *room, const double *p)
+INSIDE double cost_of(int64_t n, const struct room *room, const double *p)
 {
     double cost = 0.0;
     for (int64_t i = 0; i < n; i++) {
@@ -263,14 +270,14 @@ static double cost_of(int64_t n, const struct room *room, const double *p)
         double others = 0.0;
         for (int64_t j = i + 1; j < n; j++)
             others += p[j] * H[j];
-        cost += p[i] * (0.5 * H[i] * p[i] + others + H[n]);
+        cost += p[i] * (0.5 * H[i] * p[i] + others + room->gradient[i]);
     }
     return cost;
 }
 
 /* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
  * the accelerations, and of what is outside. */
-static void judge(const struct problem *q, struct room *room, const vector *p, double most[3])
+INSIDE void judge(const struct problem *q, struct room *room, const vector *p, double most[3])
 {
     most[0] = most[1] = most[2] = 0.0;
     for (int64_t r = 0; r < q->q - 2; r++) {
@@ -299,7 +306,7 @@ static void judge(const struct problem *q, struct room *room, const vector *p, d
         }
 }
 
-static void raise(const struct problem *q, struct room *room)
+INSIDE void raise(const struct problem *q, struct room *room)
 {
     struct bound_weights *w = &room->weights;
     for (int64_t r = 0; r < q->q - 2; r++) {
@@ -317,7 +324,7 @@ static void raise(const struct problem *q, struct room *room)
 }
 
 /* p (k) within the bounds of belts and bed; room->weights become those that this took. */
-static void bounded(const struct problem *q, struct room *room, vector *p)
+INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
 {
     vector tried[MOST_SPLINES];
     double least_hard = INFINITY, least_cost = INFINITY, most[3];
@@ -341,7 +348,7 @@ static void bounded(const struct problem *q, struct room *room, vector *p)
 }
 
 /* The greatest distance of the nozzle to the path while it extrudes; all of them in room->off. */
-static double peak_of(const struct problem *q, struct room *room, const vector *p)
+INSIDE double peak_of(const struct problem *q, struct room *room, const vector *p)
 {
     double peak = 0.0;
     for (int64_t row = 0; row < q->r; row++) {
@@ -358,7 +365,7 @@ static double peak_of(const struct problem *q, struct room *room, const vector *
     return peak;
 }
 
-static void begin(const struct problem *q, struct room *room)
+INSIDE void begin(const struct problem *q, struct room *room)
 {
     static const vector ahead = {1.0, 0.0};
     for (int64_t row = 0; row < q->r; row++) {
@@ -379,7 +386,7 @@ static void begin(const struct problem *q, struct room *room)
     }
 }
 
-static void search(const struct problem *q, struct room *room, vector *best)
+WIDE static void search(const struct problem *q, struct room *room, vector *best)
 {
     vector p[MOST_SPLINES];
     double least = INFINITY;
@@ -425,6 +432,7 @@ static int64_t least_squares(const double *path, const int64_t *index, int64_t r
     };
     if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
         return 0;
+    room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
     search(&problem, (struct room *)room, (vector *)p);
     return 1;
 }
@@ -434,5 +442,5 @@ LOOP(least_squares, FLOATS(0, 2 * PIECES), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOL
      FLOATS(9, 3 * WHOLE(2) * WHOLE(11)), INTEGERS(10, WHOLE(11)), WHOLE(11),
      FLOATS(12, 2 * WHOLE(13)), WHOLE(13), FLOATS(14, WHOLE(13) * WHOLE(11)),
      FLOATS(15, (WHOLE(13) - 2) * WHOLE(11)), INTEGERS(16, 2 * WHOLE(13)), FLOATS(17, WHOLE(13) - 2),
-     FLOATS(18, 11), OUT_FLOATS(19, (int64_t)(sizeof(struct room) / sizeof(double))),
+     FLOATS(18, 11), OUT_FLOATS(19, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
      OUT_FLOATS(20, 2 * WHOLE(11)))

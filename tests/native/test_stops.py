@@ -50,9 +50,10 @@ def test_stops(compiled: None, solver: StopSolver, seed: int, hold: int, movable
     around = Surroundings(path, rng.choice([0.5, 100.0], 2), rng.random(len(path)) < rng.random())
     before, after = rng.integers(0, 101, 2).tolist()
     stop = Stop(a, a + hold, before, after, movable and hold > 0, a + hold + after + 1)
-    z = solver.filters.after(solver.filters.rest, path[: a - 100])
-    solved = solver.solve(around, path, z, stop)
+    before = solver.around.at_rest(np.zeros(2))
+    before.run(path[: a - 100])
+    solved = solver.solve(around, path, before, stop)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stop_problem, "_times", product)
         patch.setattr(stop_problem, "_solved", by_cholesky)
-        same(solved, in_numpy(solver.solve, around, path, z, stop))
+        same(solved, in_numpy(solver.solve, around, path, before, stop))
