@@ -23,6 +23,7 @@ from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samp
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
+MEASURED_TOGETHER = 4096  # moves
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 
@@ -126,42 +127,61 @@ class PathMeter:
 
     def __init__(self, limits: Limits, paced: bool = False) -> None:
         self._limits = limits
-        self.summary = PathSummary(paced=paced)
+        self._summary = PathSummary(paced=paced)
+        self._waiting: list[Moves] = []
+        self._count = 0  # of moves that wait to be measured together
+
+    @property
+    def summary(self) -> PathSummary:
+        """Return what is known of the items so far."""
+        self._measure()
+        return self._summary
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         for item in items:
             if isinstance(item, Moves):
-                self._add_moves(item)
+                self._waiting.append(item)
+                self._count += len(item.line)
+                if self._count >= MEASURED_TOGETHER:
+                    self._measure()
             elif isinstance(item, Passthrough) and item.cause:
                 self._add_uncompensated(item)
             yield item
 
-    def _add_moves(self, moves: Moves) -> None:
-        limits, summary = self._limits, self.summary
-        delta = np.diff(moves.points, axis=0)
+    def _measure(self) -> None:
+        if not self._waiting:
+            return
+        limits, summary, waiting = self._limits, self._summary, self._waiting
+        delta = np.concatenate([np.diff(moves.points, axis=0) for moves in waiting])
         path = lengths(delta[:, :E])
         summary.path += float(path.sum())
         summary.filament += float(np.maximum(delta[:, E], 0.0).sum())
         share = np.abs(delta[:, :E]) / path[:, None]
+        of_axes = [moves.limits.acceleration[:E] for moves in waiting]
         with np.errstate(divide="ignore"):
-            by_axis = (np.array(moves.limits.acceleration[:E]) / share).min(axis=1)
-        acceleration = np.minimum(moves.acceleration, by_axis)
+            counts = [len(moves.line) for moves in waiting]
+            by_axis = (np.repeat(of_axes, counts, axis=0) / share).min(axis=1)
+        speed, asked, corner = (
+            np.concatenate([getattr(moves, name) for moves in waiting])
+            for name in ("speed", "acceleration", "corner")
+        )
+        acceleration = np.minimum(asked, by_axis)
         summary.acceleration.add(acceleration < limits.acceleration, path, acceleration)
-        corner = limits.square_corner_velocity
-        summary.corner.add(moves.corner < corner, path, moves.corner)
+        summary.corner.add(corner < limits.square_corner_velocity, path, corner)
         velocity = np.full(len(path), limits.velocity)
-        summary.speed.add(moves.speed > limits.velocity, path, velocity)
+        summary.speed.add(speed > limits.velocity, path, velocity)
+        self._waiting, self._count = [], 0
 
     def _add_uncompensated(self, move: Passthrough) -> None:
-        causes = self.summary.uncompensated
+        causes = self._summary.uncompensated
         known = move.cause in causes or len(causes) < 200  # bounds the memory of odd files
         part = causes.setdefault(move.cause if known else "others", Uncompensated())
         part.moves += 1
         part.path += move.path
-        self.summary.path += move.path
+        self._summary.path += move.path
         if move.path:
             part.filament += max(move.filament, 0.0)
-            self.summary.filament += max(move.filament, 0.0)
+            self._summary.filament += max(move.filament, 0.0)
 
 
 # ---------------------------------------------------------------------- the commands

@@ -2,6 +2,97 @@
 
 #include "kernels.h"
 
+struct limited { /* a move; the deviation is that of its junctions */
+    double length, cruise, acceleration, deviation;
+};
+enum { OF_MOVE = 4 };
+
+struct rules { /* those of the printer, and of the file for each axis */
+    double cruise, travel_cruise, acceleration, travel_acceleration, z_cruise, retraction, melted,
+        z_acceleration, e_acceleration, corner, deviation, axis_velocity[COLUMNS],
+        axis_acceleration[COLUMNS];
+};
+
+/* points (n + 1, 4); asked (n) for speed, acceleration and speed of corners. */
+static int64_t limit_moves(const double *points, const double *speed, const double *acceleration,
+                           const double *corner, int64_t n, const struct rules *rules,
+                           struct limited *moves)
+{
+    for (int64_t k = 0; k < n; k++, points += COLUMNS) {
+        double delta[COLUMNS], share[COLUMNS];
+        for (int c = 0; c < COLUMNS; c++)
+            delta[c] = points[COLUMNS + c] - points[c];
+        double length = sqrt(delta[X] * delta[X] + delta[Y] * delta[Y] + delta[Z] * delta[Z]);
+        for (int c = 0; c < COLUMNS; c++)
+            share[c] = fabs(delta[c]) / length;
+        int travels = delta[E] == 0.0;
+        double cruise = lesser(speed[k], travels ? rules->travel_cruise : rules->cruise);
+        double a = lesser(acceleration[k], travels ? rules->travel_acceleration : rules->acceleration);
+        double retracting = delta[E] < 0.0 ? share[E] : 0.0, extruding = share[E] - retracting;
+        for (int c = 0; c < COLUMNS; c++) {
+            cruise = lesser(cruise, rules->axis_velocity[c] / share[c]);
+            a = lesser(a, rules->axis_acceleration[c] / share[c]);
+        }
+        cruise = lesser(cruise, rules->z_cruise / share[Z]);
+        cruise = lesser(cruise, rules->retraction / retracting);
+        cruise = lesser(cruise, rules->melted / extruding);
+        a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
+        double squared = lesser(corner[k], rules->corner);
+        double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a;
+        moves[k] = (struct limited){length, cruise, a, lesser(deviation, rules->deviation)};
+    }
+    return n;
+}
+
+LOOP(limit_moves, FLOATS(0, COLUMNS * (WHOLE(4) + 1)), FLOATS(1, WHOLE(4)), FLOATS(2, WHOLE(4)),
+     FLOATS(3, WHOLE(4)), WHOLE(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
+     (struct limited *)OUT_FLOATS(6, OF_MOVE * WHOLE(4)))
+
+/* Return the greatest speed between two moves, as model/constant_acceleration.py finds it. */
+static double junction_speed(const double *one, const double *other, struct limited a,
+                             struct limited b, double extruder_corner)
+{
+    double one_scale = 1.0 / a.length, other_scale = 1.0 / b.length, along[E];
+    for (int c = 0; c < E; c++)
+        along[c] = (one[c] * one_scale) * (other[c] * other_scale);
+    double cosine = lesser(greater(-(along[X] + along[Y] + along[Z]), -1.0), 1.0);
+    double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
+    double turn = lesser(a.deviation * a.acceleration, b.deviation * b.acceleration);
+    double fit = lesser(0.5 * a.length * a.acceleration, 0.5 * b.length * b.acceleration);
+    double v2 = fmin(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
+    return fmin(sqrt(v2), extruder_corner / fabs(other[E] / b.length - one[E] / a.length));
+}
+
+static int is_steep(const double *delta, double steep)
+{
+    return delta[Z] * delta[Z] > steep * steep * (delta[X] * delta[X] + delta[Y] * delta[Y]);
+}
+
+/* Fill caps (n + 1), the greatest speed at each vertex of points (n + 1, 4). */
+static int64_t junctions(const double *points, const struct limited *moves, int64_t n,
+                         double extruder_corner, double below_cruise, double steep, double creep,
+                         double *caps)
+{
+    double delta[2][COLUMNS];
+    for (int64_t k = 0; k < n; k++, points += COLUMNS) {
+        double *now = delta[k % 2], *before = delta[1 - k % 2], cruise = below_cruise * moves[k].cruise;
+        for (int c = 0; c < COLUMNS; c++)
+            now[c] = points[COLUMNS + c] - points[c];
+        caps[k] = caps[k + 1] = cruise;
+        if (k == 0)
+            continue;
+        double v = junction_speed(before, now, moves[k - 1], moves[k], extruder_corner);
+        if (is_steep(before, steep) || is_steep(now, steep) || v < creep)
+            v = 0.0;
+        caps[k] = lesser(v, lesser(below_cruise * moves[k - 1].cruise, cruise));
+    }
+    return n;
+}
+
+LOOP(junctions, FLOATS(0, COLUMNS * (WHOLE(2) + 1)),
+     (const struct limited *)FLOATS(1, OF_MOVE * WHOLE(2)), WHOLE(2), REAL(3), REAL(4), REAL(5),
+     REAL(6), OUT_FLOATS(7, WHOLE(2) + 1))
+
 /* Return the greatest speed reached from v0 within a length. */
 static double reachable(double v0, double length, double a, double jerk)
 {
@@ -17,27 +108,90 @@ static double reachable(double v0, double length, double a, double jerk)
     return v0 + lesser(u * u, least);
 }
 
+struct run {
+    double length, acceleration;
+};
+
 /* Lower speed (r + 1) along the chain of runs to what can be reached from its start, or its end. new
  * (r + 1), all set: from which speeds that must be found. They are taken in rounds as numpy takes
  * them, since rounding may find a slightly higher speed from a lower one. */
-static int64_t lower(double *speed, const double *length, const double *acceleration, int64_t r,
-                     double jerk, int64_t from_end, uint8_t *new)
+static void lower(double *speed, const struct run *runs, int64_t r, double jerk, int from_end,
+                  uint8_t *new)
 {
     int64_t step = from_end ? -1 : 1, count = r;
+    for (int64_t k = 0; k <= r; k++)
+        new[k] = 1;
     while (count) {
         count = 0;
         for (int64_t i = r - 1; i >= 0; i--) {
             int64_t k = from_end ? r - i : i, run = from_end ? k - 1 : k;
             if (!new[k])
                 continue;
-            double top = reachable(speed[k], length[run], acceleration[run], jerk);
+            double top = reachable(speed[k], runs[run].length, runs[run].acceleration, jerk);
             new[k] = 0;
             if (top < speed[k + step])
                 speed[k + step] = top, new[k + step] = 1, count++;
         }
     }
-    return r;
 }
 
-LOOP(lower, OUT_FLOATS(0, WHOLE(3) + 1), FLOATS(1, WHOLE(3)), FLOATS(2, WHOLE(3)), WHOLE(3), REAL(4),
-     WHOLE(5), OUT_BYTES(6, WHOLE(3) + 1))
+/* Find the squares of speed v2 (n + 1) at which braking and accelerating fit, at constant acceleration.
+ * caps2: of the caps; reach2: what v2 could gain since the start. */
+static void fit_squares(const double *caps2, const double *reach2, int64_t n, double *v2)
+{
+    double least = INFINITY;
+    for (int64_t k = n; k >= 0; k--) {
+        least = lesser(least, caps2[k] + reach2[k]);
+        v2[k] = lesser(least - reach2[k], caps2[k]);
+    }
+    least = INFINITY;
+    for (int64_t k = 0; k <= n; k++) {
+        least = lesser(least, v2[k] - reach2[k]);
+        v2[k] = lesser(greater(least + reach2[k], 0.0), caps2[k]);
+    }
+    v2[0] = caps2[0];
+}
+
+/* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
+ * (n + 1); s: path length at the vertices. room (6, n + 1). */
+static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
+                         double last, double feasible, int64_t plateau, double *room, double *s,
+                         int64_t *ends, double *speed)
+{
+    double *caps2 = room, *reach2 = caps2 + n + 1, *v2 = reach2 + n + 1;
+    struct run *runs = (struct run *)(v2 + n + 1);
+    int64_t r = 0;
+    s[0] = reach2[0] = 0.0;
+    for (int64_t k = 0; k < n; k++) {
+        s[k + 1] = s[k] + moves[k].length;
+        reach2[k + 1] = reach2[k] + 2.0 * (feasible * moves[k].acceleration) * moves[k].length;
+        caps2[k] = caps[k] * caps[k];
+    }
+    caps2[n] = last * last;
+    fit_squares(caps2, reach2, n, v2);
+    double rounding = 1e-15 * reach2[n];
+    for (int64_t k = 0; k <= n; k++) {
+        if (k > 0 && k < n) {
+            struct limited one = moves[k - 1], other = moves[k];
+            int slowed = k % plateau == 0 || caps[k] < (1.0 - 2e-4) * lesser(one.cruise, other.cruise);
+            int reached = v2[k] >= (1.0 - 1e-6) * caps2[k] - rounding;
+            int change = one.cruise != other.cruise || one.acceleration != other.acceleration;
+            if (!(slowed && reached) && !change)
+                continue;
+        }
+        if (r > 0)
+            runs[r - 1].length = s[k] - s[ends[r - 1]];
+        if (k < n)
+            runs[r].acceleration = feasible * moves[k].acceleration;
+        speed[r] = sqrt(v2[k]), ends[r++] = k;
+    }
+    uint8_t *new = (uint8_t *)(runs + n + 1);
+    lower(speed, runs, r - 1, jerk, 1, new);
+    speed[0] = caps[0]; /* final before, with the share of feasible to spare */
+    lower(speed, runs, r - 1, jerk, 0, new);
+    return r - 1;
+}
+
+LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * WHOLE(2)), FLOATS(1, WHOLE(2) + 1), WHOLE(2),
+     REAL(3), REAL(4), REAL(5), WHOLE(6), OUT_FLOATS(7, 6 * (WHOLE(2) + 1)), OUT_FLOATS(8, WHOLE(2) + 1),
+     OUT_INTEGERS(9, WHOLE(2) + 1), OUT_FLOATS(10, WHOLE(2) + 1))

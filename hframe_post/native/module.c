@@ -14,12 +14,14 @@
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \
     EACH(filtered)                                                                            \
+    EACH(find_runs)                                                                           \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(junctions)                                                                           \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feed_rates)                                                                  \
     EACH(least_squares)                                                                       \
-    EACH(lower)                                                                               \
+    EACH(limit_moves)                                                                         \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \

@@ -87,30 +87,32 @@ class _Queue:
         while self.count >= self._want:
             moves = _joined(self._moves)
             batch = moves.part(0, self._want)
-            caps = _junction_speeds(batch, self._limits)
-            caps[0] = self._speed
+            caps = self._caps(batch)
             stopping = _runs(batch, caps, self._limits.jerk, 0.0)
             rolling = _runs(batch, caps, self._limits.jerk, float(caps[-1]))
             final = _agreement(stopping, rolling)
             if final or self._want >= self._longest:
-                ends, speed = stopping
+                s, ends, speed = stopping
                 cut = final or len(ends) // 2
                 self._moves = [moves.part(int(ends[cut]), len(moves.line))]
                 self._want = self._batch
-                return self._take(batch, ends[: cut + 1], speed[: cut + 1])
+                return self._take(batch, s, ends[: cut + 1], speed[: cut + 1])
             self._want *= 2
         return None
 
     def stop(self) -> Iterator[Plan]:
         if self.count:
             moves = _joined(self._moves)
-            caps = _junction_speeds(moves, self._limits)
-            caps[0] = self._speed
-            ends, speed = _runs(moves, caps, self._limits.jerk, 0.0)
+            runs = _runs(moves, self._caps(moves), self._limits.jerk, 0.0)
             self._moves, self._want = [], self._batch
-            yield self._take(moves, ends, speed)
+            yield self._take(moves, *runs)
 
-    def _take(self, moves: _Limited, ends: Integers, speed: Array) -> Plan:
+    def _caps(self, moves: _Limited) -> Array:
+        caps = _junction_speeds(moves, self._limits.extruder_corner_velocity)
+        caps[0] = self._speed
+        return caps
+
+    def _take(self, moves: _Limited, s: Array, ends: Integers, speed: Array) -> Plan:
         """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""
         n = int(ends[-1])
         whole = n == self.count
@@ -118,55 +120,66 @@ class _Queue:
         self._marks = [Mark(m.index - n, m.text) for m in self._marks[len(marks) :]]
         self._speed = float(speed[-1])
         self.count -= n
-        first = ends[:-1]
+        _, cruise, acceleration, _ = moves.limits[ends[:-1]].T
         return Plan(
-            moves.line[:n], moves.points[: n + 1], moves.s[: n + 1], ends, speed,
-            moves.cruise[first], moves.acceleration[first], marks,
+            moves.line[:n], moves.points[: n + 1], s[: n + 1],
+            ends, speed, cruise, acceleration, marks,
         )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class _Limited:
-    """Moves with the limits of each: cruise, acceleration (n,), junction deviation (n,)."""
+    """Moves; their ``limits`` (n, 4) are length, cruise, acceleration and junction deviation."""
 
     line: Integers
     points: Array
-    length: Array
-    cruise: Array
-    acceleration: Array
-    deviation: Array
-
-    @property
-    def s(self) -> Array:
-        return np.concatenate([[0.0], np.cumsum(self.length)])
+    limits: Array
 
     def part(self, start: int, stop: int) -> _Limited:
-        per_move = (self.length, self.cruise, self.acceleration, self.deviation)
-        cut = (column[start:stop] for column in per_move)
-        return _Limited(self.line[start:stop], self.points[start : stop + 1], *cut)
+        points = self.points[start : stop + 1]
+        return _Limited(self.line[start:stop], points, self.limits[start:stop])
 
 
 def _joined(parts: list[_Limited]) -> _Limited:
     if len(parts) == 1:
         return parts[0]
     points = [parts[0].points, *(p.points[1:] for p in parts[1:])]
-    columns = ("length", "cruise", "acceleration", "deviation")
     return _Limited(
         np.concatenate([p.line for p in parts]),
         np.concatenate(points),
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in columns),
+        np.concatenate([p.limits for p in parts]),
     )
 
 
 def _limited(moves: Moves, limits: Limits) -> _Limited:
     """Return the moves with the printer's limits, lowered by those of the file."""
+    rules = (
+        limits.velocity, limits.fastest, limits.acceleration, limits.hardest, limits.z_velocity,
+        limits.extruder_velocity, MELTED, Z_SHARE * limits.z_acceleration,
+        Z_SHARE * limits.extruder_acceleration, limits.square_corner_velocity,
+        limits.junction_deviation,
+    )  # fmt: skip
+    table = np.empty((len(moves.line), 4))
+    asked = moves.speed, moves.acceleration, moves.corner
+    if (compiled := kernel("limit_moves")) is not None:
+        of_file = *moves.limits.velocity, *moves.limits.acceleration
+        compiled(moves.points, *asked, len(table), np.array([*rules, *of_file]), table)
+    else:
+        table.T[:] = _least_limits(moves, *rules)
+    return _Limited(moves.line, moves.points, table)
+
+
+def _least_limits(
+    moves: Moves, velocity: float, fastest: float, accelerate: float, hardest: float,
+    z_velocity: float, retract: float, melted: float, z_acceleration: float,
+    e_acceleration: float, corner: float, deviation: float,
+) -> tuple[Array, ...]:  # fmt: skip
     delta = np.diff(moves.points, axis=0)
     length = lengths(delta[:, :E])
     share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
     travels = delta[:, E] == 0.0
-    cruise = np.minimum(moves.speed, np.where(travels, limits.fastest, limits.velocity))
-    most = np.where(travels, limits.hardest, limits.acceleration)
-    acceleration = np.minimum(moves.acceleration, most)
+    cruise = np.minimum(moves.speed, np.where(travels, fastest, velocity))
+    acceleration = np.minimum(moves.acceleration, np.where(travels, hardest, accelerate))
     retracting = np.where(delta[:, E] < 0.0, share[:, E], 0.0)
     extruding = share[:, E] - retracting
     with np.errstate(divide="ignore"):
@@ -176,60 +189,77 @@ def _limited(moves: Moves, limits: Limits) -> _Limited:
         for axis, asked in enumerate(moves.limits.acceleration):
             if math.isfinite(asked):
                 acceleration = np.minimum(acceleration, asked / share[:, axis])
-        cruise = np.minimum(cruise, limits.z_velocity / share[:, Z])
-        cruise = np.minimum(cruise, limits.extruder_velocity / retracting)
-        cruise = np.minimum(cruise, MELTED / extruding)
-        by_z = Z_SHARE * limits.z_acceleration / share[:, Z]
-        by_e = Z_SHARE * limits.extruder_acceleration / retracting
+        cruise = np.minimum(cruise, z_velocity / share[:, Z])
+        cruise = np.minimum(cruise, retract / retracting)
+        cruise = np.minimum(cruise, melted / extruding)
+        by_z, by_e = z_acceleration / share[:, Z], e_acceleration / retracting
     acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
-    corner = np.minimum(moves.corner, limits.square_corner_velocity)
-    deviation = junction_deviation(corner, acceleration)
-    deviation = np.minimum(deviation, limits.junction_deviation)
-    return _Limited(moves.line, moves.points, length, cruise, acceleration, deviation)
+    deviations = junction_deviation(np.minimum(moves.corner, corner), acceleration)
+    return length, cruise, acceleration, np.minimum(deviations, deviation)
 
 
-def _junction_speeds(moves: _Limited, limits: Limits) -> Array:
+def _junction_speeds(moves: _Limited, extruder_corner_velocity: float) -> Array:
     """Return the greatest speed at each vertex, (n + 1,), without limits at the ends."""
+    if (compiled := kernel("junctions")) is not None:
+        n = len(moves.line)
+        caps = np.empty(n + 1)
+        constants = extruder_corner_velocity, BELOW_CRUISE, STEEP, CREEP
+        compiled(moves.points, moves.limits, n, *constants, caps)
+        return caps
     delta = np.diff(moves.points, axis=0)
-    inner = junction_speeds(
-        delta, moves.length, moves.acceleration, moves.deviation, limits.extruder_corner_velocity
-    )
+    length, cruise, acceleration, deviation = moves.limits.T
+    inner = junction_speeds(delta, length, acceleration, deviation, extruder_corner_velocity)
     dx, dy, dz, _ = np.square(delta).T
     steep = dz > STEEP * STEEP * (dx + dy)
     inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0
-    cruise = BELOW_CRUISE * moves.cruise
+    cruise = BELOW_CRUISE * cruise
     inner = np.minimum(inner, np.minimum(cruise[:-1], cruise[1:]))
     return np.concatenate([cruise[:1], inner, cruise[-1:]])
 
 
-def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> tuple[Integers, Array]:
-    """Return the vertices that end runs, and the speeds there; ``last`` at the last vertex."""
+_Runs = tuple[Array, Integers, Array]
+
+
+def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> _Runs:
+    """Return the path length at each vertex, which vertices end runs, and the speeds there.
+
+    last: speed at the last vertex, mm/s.
+    """
+    n = len(moves.line)
+    if (compiled := kernel("find_runs")) is not None:
+        (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
+        constants = FEASIBLE * jerk, last, FEASIBLE, PLATEAU
+        r = compiled(moves.limits, caps, n, *constants, np.empty(6 * (n + 1)), s, ends, speed)
+        return s, ends[: r + 1], speed[: r + 1]
+    length, cruise, acceleration, _ = moves.limits.T
     caps2 = np.square(caps)
     caps2[-1] = last * last
-    a = FEASIBLE * moves.acceleration
-    reach2 = np.concatenate([[0.0], np.cumsum(2.0 * a * moves.length)])
+    a = FEASIBLE * acceleration
+    s, reach2 = _summed(length), _summed(2.0 * a * length)
     braking = np.minimum.accumulate((caps2 + reach2)[::-1])[::-1] - reach2
     v2 = np.minimum.accumulate(np.minimum(braking, caps2) - reach2) + reach2
     v2 = np.clip(v2, 0.0, caps2)
     v2[0] = caps2[0]
     rounding = 1e-15 * reach2[-1]  # of v2, whatever its size
-    ends = np.flatnonzero(_limiting(moves, caps, v2 >= (1.0 - 1e-6) * caps2 - rounding))
-    s = moves.s[ends]
-    speed = np.sqrt(v2[ends])
-    length, acceleration, j = np.diff(s), a[ends[:-1]], FEASIBLE * jerk
-    _lower(speed, length, acceleration, j, from_end=True)
+    reached = v2 >= (1.0 - 1e-6) * caps2 - rounding
+    ends = np.flatnonzero(_limiting(cruise, acceleration, caps, reached))
+    speed, by_run = np.sqrt(v2[ends]), (np.diff(s[ends]), a[ends[:-1]], FEASIBLE * jerk)
+    _lower(speed, *by_run, from_end=True)
     speed[0] = caps[0]  # final before, with the share of FEASIBLE to spare
-    _lower(speed, length, acceleration, j, from_end=False)
-    return ends, speed
+    _lower(speed, *by_run, from_end=False)
+    return s, ends, speed
 
 
-def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
+def _summed(terms: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(terms)])
+
+
+def _limiting(cruise: Array, a: Array, caps: Array, reached: Flags) -> Flags:
     """Return at which vertices a run must end (rule 3); ``reached``: where the cap is reached.
 
     At cruise speed every PLATEAU-th vertex ends a run, so that a long way becomes final in parts.
     """
     limiting = np.ones(len(caps), dtype=bool)
-    cruise, a = moves.cruise, moves.acceleration
     slowed = caps[1:-1] < (1.0 - 2e-4) * np.minimum(cruise[:-1], cruise[1:])
     slowed[PLATEAU - 1 :: PLATEAU] = True
     change = (cruise[:-1] != cruise[1:]) | (a[:-1] != a[1:])
@@ -239,10 +269,6 @@ def _limiting(moves: _Limited, caps: Array, reached: Flags) -> Flags:
 
 def _lower(speed: Array, length: Array, acceleration: Array, jerk: float, from_end: bool) -> None:
     """Lower speeds to what can be reached along the whole chain from its start, or its end."""
-    if (compiled := kernel("lower")) is not None:
-        new = np.ones(len(speed), bool)
-        compiled(speed, length, acceleration, len(length), jerk, from_end, new)
-        return
     if from_end:
         speed, length, acceleration = speed[::-1], length[::-1], acceleration[::-1]
     active = np.arange(len(length))
@@ -276,8 +302,8 @@ def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) 
     return v0 + np.where(full >= a * a / j, full, np.minimum(u * u, a * a / j))
 
 
-def _agreement(one: tuple[Integers, Array], other: tuple[Integers, Array]) -> int:
+def _agreement(one: _Runs, other: _Runs) -> int:
     """Return the index of the last run's end up to which two plans are the same; 0 for none."""
-    n = min(len(one[0]), len(other[0]))
-    same = (one[0][:n] == other[0][:n]) & (one[1][:n] == other[1][:n])
+    n = min(len(one[1]), len(other[1]))
+    same = (one[1][:n] == other[1][:n]) & (one[2][:n] == other[2][:n])
     return int(np.argmin(same)) - 1 if not same.all() else n - 1

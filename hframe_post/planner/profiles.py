@@ -6,7 +6,9 @@ Only this module uses Ruckig.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
@@ -54,52 +56,38 @@ class Phases:
         return np.asarray(np.clip(length, 0.0, end))
 
 
+Profile = tuple[Array, Array]  # durations and jerks of the seven phases of every run, both (r, 7)
+
+
 class Profiler:
     """Profiles of runs: in closed form where the limits leave no choice, else from Ruckig."""
 
-    def __init__(self) -> None:
+    def __init__(self, jerk: float) -> None:
+        self._jerk = jerk
         self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
         self._input.current_position = [0.0]
         self._input.current_acceleration = [0.0]
         self._input.target_acceleration = [0.0]
 
-    def phases(self, plan: Plan, jerk: float, clock: float) -> tuple[Phases, float]:
-        """Return the phases of a plan that begins at time ``clock``, s, and the time of its end.
-
-        Points of rest are put on whole samples. Raises HframeError as ``profiles`` does.
-        """
-        t, j = self.profiles(plan, jerk)
-        at_ends = plan.s[plan.ends]
-        if (compiled := kernel("phases")) is not None:
-            room, last = np.empty(6 * t.size), np.empty(1)
-            p = compiled(t, j, plan.speed, at_ends, len(t), clock, TS, room, last)
-            return Phases(room[: 6 * p].reshape(6, p)), float(last[0])
-        a, v, steps = integrate(t, j, plan.speed[:-1])
-        end = clock + np.cumsum(np.cumsum(t, axis=1)[:, -1])
-        wait = np.zeros(len(end))  # standstill after runs so far, to whole samples
-        for run in np.flatnonzero(plan.speed[1:] == 0.0):  # few: corners without speed
-            arrival = end[run] + wait[run]
-            wait[run:] += max(samples_until(arrival) - arrival / TS, 0.0) * TS
-        start = np.concatenate([[clock], end + wait])
-        s = at_ends[:-1, None] + _exclusive(np.cumsum(steps, axis=1))
-        time = start[:-1, None] + _exclusive(np.cumsum(t, axis=1))
-        keep = t.ravel() > 0.0
-        table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
-        return Phases(table), float(start[-1])
-
-    def profiles(self, plan: Plan, jerk: float) -> tuple[Array, Array]:
-        """Return durations and jerks of the seven phases of every run, both (r, 7).
+    def profiles(self, plans: Sequence[Plan]) -> list[Profile]:
+        """Return the profile of each plan. Raises HframeError where none fits.
 
         Runs that leave no choice (one speed, or all of the length needed to change it) have a
-        closed form; close to that edge Ruckig's arithmetic fails or overshoots. Raises HframeError
-        where no profile fits.
+        closed form; close to that edge Ruckig's arithmetic fails or overshoots.
         """
-        length = np.diff(plan.s[plan.ends])
-        v0, v1 = plan.speed[:-1], plan.speed[1:]
-        t, j, acceleration = ramps(v0, v1, length, jerk)
-        one_speed = (v0 == v1) & (v0 >= ALMOST * plan.cruise)
-        forced = one_speed | (acceleration >= ALMOST * plan.acceleration)
-        columns = np.stack([v0, v1, length, plan.cruise, plan.acceleration], axis=1)
+        if not plans:
+            return []
+        length = np.concatenate([np.diff(plan.s[plan.ends]) for plan in plans])
+        v0, v1 = (
+            np.concatenate([plan.speed[part] for plan in plans])
+            for part in (slice(None, -1), slice(1, None))
+        )
+        cruise = np.concatenate([plan.cruise for plan in plans])
+        most = np.concatenate([plan.acceleration for plan in plans])
+        t, j, acceleration = ramps(v0, v1, length, self._jerk)
+        one_speed = (v0 == v1) & (v0 >= ALMOST * cruise)
+        forced = one_speed | (acceleration >= ALMOST * most)
+        columns = np.stack([v0, v1, length, cruise, most], axis=1)
         chosen_t, chosen_j = t.copy(), j.copy()
         free = np.flatnonzero(~forced)
         # Ruckig checks in absolute numbers, which rounding fails at great accelerations in mm: it
@@ -109,7 +97,7 @@ class Profiler:
         for unit in (1.0, 16.0):
             if not len(free):
                 break
-            self._input.max_jerk = [jerk / unit]
+            self._input.max_jerk = [self._jerk / unit]
             solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
             chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
             chosen_j[free] *= unit
@@ -120,9 +108,12 @@ class Profiler:
             chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
             wrong = _misses(chosen_t, chosen_j, v0, length)
         if wrong.any():
-            line = plan.line[plan.ends[int(np.argmax(wrong))]]
+            lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])
+            line = lines[int(np.argmax(wrong))]
             raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
-        return chosen_t, chosen_j
+        ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
+        cuts = [slice(*cut) for cut in pairwise([0, *ends])]
+        return [(chosen_t[cut], chosen_j[cut]) for cut in cuts]
 
     def _solve(
         self, v0: float, v1: float, length: float, cruise: float, acceleration: float
@@ -137,6 +128,31 @@ class Profiler:
             return [0.0] * 7, [0.0] * 7
         profile = self._trajectory.profiles[0][0]
         return profile.t, profile.j
+
+
+def phases(plan: Plan, profile: Profile, clock: float) -> tuple[Phases, float]:
+    """Return the phases of a plan that begins at time ``clock``, s, and the time of its end.
+
+    Points of rest are put on whole samples.
+    """
+    t, j = profile
+    at_ends = plan.s[plan.ends]
+    if (compiled := kernel("phases")) is not None:
+        room, last = np.empty(6 * t.size), np.empty(1)
+        p = compiled(t, j, plan.speed, at_ends, len(t), clock, TS, room, last)
+        return Phases(room[: 6 * p].reshape(6, p)), float(last[0])
+    a, v, steps = integrate(t, j, plan.speed[:-1])
+    end = clock + np.cumsum(np.cumsum(t, axis=1)[:, -1])
+    wait = np.zeros(len(end))  # standstill after runs so far, to whole samples
+    for run in np.flatnonzero(plan.speed[1:] == 0.0):  # few: corners without speed
+        arrival = end[run] + wait[run]
+        wait[run:] += max(samples_until(arrival) - arrival / TS, 0.0) * TS
+    start = np.concatenate([[clock], end + wait])
+    s = at_ends[:-1, None] + _exclusive(np.cumsum(steps, axis=1))
+    time = start[:-1, None] + _exclusive(np.cumsum(t, axis=1))
+    keep = t.ravel() > 0.0
+    table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
+    return Phases(table), float(start[-1])
 
 
 def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:

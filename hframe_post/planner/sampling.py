@@ -10,6 +10,7 @@ does not come to rest there.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from enum import Enum, auto
 
@@ -17,7 +18,14 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.native import kernel
-from hframe_post.planner.profiles import Profiler, StandingProfile, TravelRetraction, samples_until
+from hframe_post.planner.profiles import (
+    Profile,
+    Profiler,
+    StandingProfile,
+    TravelRetraction,
+    phases,
+    samples_until,
+)
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,
@@ -36,6 +44,7 @@ from hframe_post.stream.types import (
 )
 
 SAMPLES_PER_CHUNK = 1 << 15
+RUNS_AT_ONCE = 1000  # runs whose profiles are found together
 SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 
 
@@ -48,7 +57,7 @@ def sample(
     """
     size = size or SAMPLES_PER_CHUNK
     sampler = _Sampler(limits, rests, size)
-    for item, motion in _with_motion_after(planned, rests.needs_rest):
+    for item, motion in _with_motion_after(sampler.profiled(planned), rests.needs_rest):
         if isinstance(item, Plan):
             yield from sampler.run(item)
         elif isinstance(item, Standing):
@@ -63,6 +72,17 @@ def sample(
             yield from sampler.output.flush()
     sampler.pass_waiting_lines()
     yield from sampler.output.flush()
+
+
+def _in_lists(planned: Iterable[Planned]) -> Iterator[list[Planned]]:
+    items, count = list[Planned](), 0
+    for item in planned:
+        items.append(item)
+        count += len(item.cruise) if isinstance(item, Plan) else 1
+        if count >= RUNS_AT_ONCE:
+            yield items
+            items, count = [], 0
+    yield items
 
 
 def _with_motion_after(
@@ -137,7 +157,8 @@ class _Sampler:
 
     def __init__(self, limits: Limits, rests: Rests, size: int) -> None:
         self._limits, self._rests = limits, rests
-        self._profiler = Profiler()
+        self._profiler = Profiler(limits.jerk)
+        self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = _Output(size)
         self._state = _State.ASIDE
         self._section, self._clock = 0, 0.0  # sample of the last standstill, s since then
@@ -153,9 +174,16 @@ class _Sampler:
 
     # ------------------------------------------------------------------ motion
 
+    def profiled(self, planned: Iterable[Planned]) -> Iterator[Planned]:
+        """Yield the same items; find the profiles of many plans at once, ahead of ``run``."""
+        for items in _in_lists(planned):
+            plans = [item for item in items if isinstance(item, Plan)]
+            self._profiles += self._profiler.profiles(plans)
+            yield from items
+
     def run(self, plan: Plan) -> Iterator[Samples]:
         yield from self._set_out(plan)
-        phases, self._clock = self._profiler.phases(plan, self._limits.jerk, self._clock)
+        motion, self._clock = phases(plan, self._profiles.popleft(), self._clock)
         stops = plan.speed[-1] == 0.0
         last = self._section + (
             samples_until(self._clock) if stops else math.floor(self._clock / TS)
@@ -169,7 +197,7 @@ class _Sampler:
         for first in range(self.output.index, last + 1, self.output.size):
             n = min(self.output.size, last + 1 - first)
             arrives = stops and first + n > last
-            s = phases.path(first - self._section, n, float(plan.s[-1]))
+            s = motion.path(first - self._section, n, float(plan.s[-1]))
             if arrives:
                 s[-1] = plan.s[-1]
             xyze, move = _follow(plan, s)

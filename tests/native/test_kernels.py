@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hframe_post import native
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, X, Z
 from hframe_post.compensation.guard import Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
@@ -23,10 +26,11 @@ from hframe_post.planner import lookahead, profiles, sampling
 from hframe_post.prediction.predict import Polyline, _moving
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
-from hframe_post.stream.types import Plan, Samples, Standing
+from hframe_post.stream.types import FileLimits, Moves, Plan, Samples, Standing
 from tests.conftest import SAMPLES
 from tests.coupled import coupled_plant
 from tests.native.comparing import in_numpy, same, seeds, thorough
+from tests.planner.planning import FREE, LIMITS
 
 
 def walk(rng: np.random.Generator, n: int) -> Array:
@@ -126,17 +130,28 @@ def test_linear_algebra(compiled: None, seed: int, m: int, k: int, n: int) -> No
 
 @thorough
 @given(seeds, st.integers(1, 200), st.floats(4.0, 8.0), st.booleans())
-def test_lookahead(compiled: None, seed: int, runs: int, power: float, from_end: bool) -> None:
+def test_lookahead(compiled: None, seed: int, n: int, power: float, rolls: bool) -> None:
     rng = np.random.default_rng(seed)
-    speed, length = rng.uniform(0.0, 300.0, runs + 1), 10.0 ** rng.uniform(-3.0, 2.0, runs)
-    acceleration = 10.0 ** rng.uniform(2.0, 4.0, runs)
+    steps = np.repeat(10.0 ** rng.uniform(-3.0, 1.5, (n, 4)), 3, axis=0)[:n]
+    steps *= rng.choice([-1.0, 0.0, 1.0], (n, 4), p=[0.3, 0.2, 0.5])
+    steps[:, X] += 1e-3 * (steps[:, :Z] == 0.0).all(axis=1)
+    steps[:, Z] *= 0.01
+    points = np.cumsum(np.vstack([np.zeros(4), steps]), axis=0)
+    speed, asked, corner = np.repeat(rng.uniform(1.0, [[300.0], [3e3], [20.0]], (3, n)), 5, 1)[
+        :, :n
+    ]
+    axes = FileLimits((20.0, np.inf, 20.0, 10.0), (np.inf, 500.0, 500.0, np.inf))
+    axes = axes if rng.random() < 0.5 else FREE
+    moves = Moves(np.arange(n), points, speed.copy(), asked.copy(), corner.copy(), axes)
 
-    def lowered() -> Array:
-        found = speed.copy()
-        lookahead._lower(found, length, acceleration, 10.0**power, from_end)
-        return found
+    def planned() -> list[NDArray[Any]]:
+        limited = lookahead._limited(moves, replace(LIMITS, junction_deviation=0.1))
+        caps = lookahead._junction_speeds(limited, 1.0)
+        runs = lookahead._runs(limited, caps, 10.0**power, float(caps[-1]) * rolls)
+        return [limited.limits, caps, *runs]
 
-    same(lowered(), in_numpy(lowered))
+    for one, other in zip(planned(), in_numpy(planned), strict=True):
+        same(one, other)
 
 
 @thorough
@@ -150,7 +165,8 @@ def test_profiles(compiled: None, seed: int, runs: int) -> None:
     plan = Plan(count[:-1], np.zeros((runs + 1, 4)), s, count, speed, *limits, ())
 
     def phases() -> tuple[Array, float]:
-        found, end = profiles.Profiler().phases(plan, 5e6, 0.1234)
+        [profile] = profiles.Profiler(5e6).profiles([plan])
+        found, end = profiles.phases(plan, profile, 0.1234)
         return found.table, end
 
     (one, end), (other, plain_end) = phases(), in_numpy(phases)

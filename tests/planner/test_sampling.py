@@ -131,7 +131,7 @@ def passing_speeds(item: Moves, limits: Limits) -> Array:
     """Speed at each vertex, (n + 1,), from densely sampled phases."""
     found = []
     for planned in plans([item], limits):
-        t, j = Profiler().profiles(planned, limits.jerk)
+        [(t, j)] = Profiler(limits.jerk).profiles([planned])
         a, v, steps = integrate(t, j, planned.speed[:-1])
         start = planned.s[planned.ends[:-1], None] + np.cumsum(steps, axis=1) - steps
         tau = np.linspace(0.0, 1.0, 200) * t[..., None]
@@ -630,7 +630,7 @@ def random_runs(seed: int, n: int, jerk: float) -> Plan:
 
 
 def assert_profiles_fit(planned: Plan, jerk: float) -> None:
-    t, j = Profiler().profiles(planned, jerk)
+    [(t, j)] = Profiler(jerk).profiles([planned])
     a, v, steps = integrate(t, j, planned.speed[:-1])
     length = np.diff(planned.s[planned.ends])
     assert (t >= 0.0).all()
@@ -662,7 +662,8 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
     length = (v * v / a + v * a / jerk) * (1.01 + 10.0 ** rng.uniform(-2.0, 2.0, n))
     s, count = np.append(0.0, np.cumsum(length)), np.arange(n + 1)
     points = np.column_stack([s, np.zeros((n + 1, 3))])
-    t, _ = Profiler().profiles(Plan(count[:-1], points, s, count, 0.0 * s, v, a, ()), jerk)
+    planned = Plan(count[:-1], points, s, count, 0.0 * s, v, a, ())
+    [(t, _)] = Profiler(jerk).profiles([planned])
     np.testing.assert_allclose(t.sum(axis=1), np.diff(s) / v + v / a + a / jerk, rtol=1e-6)
 
 
@@ -703,4 +704,4 @@ def test_end_that_cannot_be_reached_is_an_error_with_its_line() -> None:
         np.array([100.0, 100.0]), np.array([1e4, 1e4]), (),
     )  # fmt: skip
     with pytest.raises(HframeError, match=r"line 42: no .* fits"):
-        Profiler().profiles(impossible, 5e7)
+        Profiler(5e7).profiles([impossible])
