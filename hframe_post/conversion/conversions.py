@@ -48,7 +48,7 @@ class GcodeConversion:
         self._printer, self._options, self._jobs = printer, options, jobs
         self._player = player(printer, options.tolerance)
         self._source = Source(lines, printer, options)
-        self._motion, self._written = MotionSummary(), GcodeSummary(0, 0, 0.0)
+        self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:
         yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
@@ -70,10 +70,12 @@ class GcodeConversion:
     def report(self) -> Report:
         """Return the report; it is complete once the output was used up."""
         written = self._written
+        report = self._source.report(self._motion)
         report = replace(
-            self._source.report(self._motion), lines_written=written.lines + 1,  # and the stamp
+            report, lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
-            lines_per_second=self._player.lines_per_second,
+            lines_per_second=self._player.lines_per_second, approximation=written.off,
+            notices=(*report.notices, *self._player.notices),
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)
@@ -85,7 +87,7 @@ class WrittenSpan:
 
     output: Iterable[Output]
     motion: MotionSummary = field(default_factory=MotionSummary)
-    written: GcodeSummary = field(default_factory=lambda: GcodeSummary(0, 0, 0.0))
+    written: GcodeSummary = field(default_factory=GcodeSummary)
 
 
 class SpanWriter:

@@ -38,7 +38,8 @@ class Report:
     """What one conversion did: the summaries of its stages. Lengths in mm.
 
     lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
-    motion in a second, compared with the firmware's lines_per_second. seconds: processor time by
+    motion in a second, compared with the firmware's lines_per_second; approximation: what the lines
+    are off the command (RMS) where that bounds them. seconds: processor time by
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
     with its errors, if one was asked for. notices: warnings of the printer's profile.
     """
@@ -54,6 +55,7 @@ class Report:
     filament_after: float | None = None
     busiest_second: int = 0
     lines_per_second: float = math.inf
+    approximation: float = 0.0
     steps: StepReport | None = None
     seconds: dict[str, float] = field(default_factory=dict, compare=False)
     speed: dict[str, Any] | None = None
@@ -68,6 +70,7 @@ class Report:
         written: dict[str, Any] = {
             "lines_written": self.lines_written,
             "busiest_second_lines": self.busiest_second or None,
+            "approximation_um": round(1e3 * self.approximation, 2) or None,
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
         }
@@ -129,6 +132,11 @@ class Report:
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
         )
+        if self.approximation:
+            lines.append(
+                f"lines            at most {self.busiest_second} in a second, "
+                f"{1e3 * self.approximation:.1f} µm RMS off the exact command"
+            )
         lines += self._path_as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
@@ -159,8 +167,8 @@ class Report:
             )
         if self.busiest_second > self.lines_per_second:
             found.append(
-                f"up to {self.busiest_second} lines in a second; lines_per_second of the profile "
-                f"is {self.lines_per_second:g}, so the printer may stutter"
+                f"up to {self.busiest_second} lines in a second; the printer takes "
+                f"{self.lines_per_second:.0f} (lines_per_second in the profile), so it may stutter"
             )
         if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
             found.append(

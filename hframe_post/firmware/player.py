@@ -10,6 +10,7 @@ from typing import Protocol
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.stream.types import ModalState, Rests
 
+SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
 VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
 
 
@@ -55,6 +56,10 @@ class Player(Protocol):
     @property
     def lines_per_second(self) -> float:
         """Return the lines that it can take in a second; inf if nothing limits them."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Return warnings about how its files are sent."""
 
     @property
     def rests(self) -> Rests:

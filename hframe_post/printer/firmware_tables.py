@@ -5,6 +5,7 @@ A table has its firmware's name. ``TABLES`` lists them all.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,13 +16,16 @@ from hframe_post.printer.schema import checked, known_keys, not_negative, positi
 FASTEST, HARDEST = 1e4, 1e7  # largest mm/s and mm/s² of a setting
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
 S_CURVES = ("2.0", "2.1")  # planners whose S_CURVE_ACCELERATION is modelled
+SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
+SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 
 
 @dataclass(frozen=True, slots=True)
 class KlipperTable:
     """Klipper's own limits, which hold before and after the print.
 
-    begin_macro, end_macro: macros to call instead of the commands that set and restore limits.
+    lines_per_second: as many as the host shall take. begin_macro, end_macro: macros to call instead
+    of the commands that set and restore limits.
     """
 
     velocity: float = positive(most=FASTEST)
@@ -31,6 +35,7 @@ class KlipperTable:
     shaper_freq_x: float = not_negative(0.0, most=1e3)
     shaper_freq_y: float = not_negative(0.0, most=1e3)
     shaper_freq_z: float = not_negative(0.0, most=1e3)
+    lines_per_second: float = within(20.0, 1e3, default=math.inf)
     begin_macro: str = ""
     end_macro: str = ""
 
@@ -40,7 +45,7 @@ class MarlinTable:
     """Marlin's own settings, which hold before and after the print, and bounds on the output.
 
     Corners follow ``junction_deviation`` or, in builds with CLASSIC_JERK, ``jerk`` (x, y) and
-    ``jerk_e``; the others are 0.
+    ``jerk_e``; the others are 0. baud: of the serial line that files are printed over; 0: from SD.
     """
 
     max_velocity: tuple[float, float] = positive(most=FASTEST)
@@ -60,6 +65,7 @@ class MarlinTable:
     fixed_time_motion: int = not_negative(0, most=99)
     fixed_time_shaper: tuple[float, float] = not_negative((0.0, 0.0), most=99.0)
     lines_per_second: float = positive(250.0, below=1001.0)
+    baud: int = not_negative(0, most=10**7)
     min_steps_per_segment: int = positive(6, most=1000)
     timer_hz: float = within(1e5, 1e9, default=2e6)
     timer_extra_tick: bool = False
@@ -77,6 +83,13 @@ class MarlinTable:
                 f"works with planner {' and '.join(S_CURVES)} only; turn it off in Marlin's build"
             )
             raise PrinterError(cause, "firmware.marlin.s_curve_acceleration")
+
+    @property
+    def lines_received(self) -> float:
+        """Return the lines that arrive and are planned in a second."""
+        if not self.baud:
+            return self.lines_per_second
+        return min(self.lines_per_second, 1.0 / (10.0 * SERIAL_BYTES / self.baud + SERIAL_WAIT))
 
     @property
     def classic_jerk(self) -> bool:

@@ -10,9 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.conversion.pipeline import TOLERANCE
-from hframe_post.firmware.klipper.segments import E_WEIGHT, SHORT, breakpoints, fitted
+from hframe_post.firmware.klipper.segments import (
+    E_WEIGHT,
+    PIECE,
+    SHORT,
+    breakpoints,
+    fitted,
+    sparser,
+)
 from hframe_post.model.plant import Response
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
@@ -162,3 +169,26 @@ def test_the_nozzle_is_a_micrometre_off_at_half_the_lines(
     off = np.hypot(*(as_written - nozzle).T)
     assert np.sqrt(np.mean(off**2)) < 1e-3
     assert len(ends) < 0.12 * n
+
+
+@pytest.mark.parametrize("rate", [20.0, 60.0, 200.0])
+def test_a_bound_on_lines_is_kept_where_forced_points_allow(rate: float) -> None:
+    points, forced = wander(5, 4000, -2.0)
+    forced = np.zeros_like(forced)
+    forced[[100, 700, 701, 702]] = True
+    ends = breakpoints(points, forced, MM)
+    fewer = sparser(points, forced, MM, ends, rate)
+    n = len(points) - 1
+    assert fewer[-1] == n
+    assert set(np.flatnonzero(forced).tolist()) <= set(fewer.tolist())
+    assert (np.diff(fewer) > 0).all()
+    pieces = range(0, n + 1, PIECE)
+    counts, before = (np.histogram(e, [*pieces, n + 1])[0] for e in (fewer, ends))
+    assert before.max() > 60.0 * PIECE * TS  # the bound asks for something
+    assert (counts <= np.maximum(rate * PIECE * TS, 4) + 2).all()  # ends of pieces stay
+
+
+def test_a_bound_that_is_kept_already_changes_nothing() -> None:
+    points, forced = wander(6, 3000, -4.0)
+    ends = breakpoints(points, forced, MM)
+    np.testing.assert_array_equal(sparser(points, forced, MM, ends, 1000.0), ends)

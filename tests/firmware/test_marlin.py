@@ -309,6 +309,17 @@ def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
     assert "lines in a second" in report.as_text()
 
 
+def test_density_follows_the_serial_line(marlin: Printer) -> None:
+    """A real 2.1.2 behind a sender that waits 2 ms for each ok then loses no time."""
+    card = converted(sample("rectangle.gcode"), marlin)[1]
+    slow = converted(sample("rectangle.gcode"), with_own(marlin, baud=115_200))[1]
+    fast = converted(sample("rectangle.gcode"), with_own(marlin, baud=1_000_000))[1]
+    assert 0.8 * slow.lines_per_second < slow.busiest_second < slow.lines_per_second < 170.0
+    assert "SD card" in slow.as_text()
+    assert slow.approximation > card.approximation > 0.0
+    assert fast == card
+
+
 @pytest.mark.parametrize(
     ("lines", "cuts"),
     [

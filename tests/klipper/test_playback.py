@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.gcode.state import LimitSource
 from hframe_post.printer import profile
+from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 
@@ -57,10 +58,12 @@ def played(name: str, folder: Path, options: Options, last_layer: int | None = N
     return lines_played(lines, folder, options)
 
 
-def lines_played(lines: list[bytes], folder: Path, options: Options) -> Played:
-    paper = profile.load("paper")
-    blocks = list(Commands(iter(lines), paper, options).computed())
-    output = GcodeConversion(iter(lines), paper, options)
+def lines_played(
+    lines: list[bytes], folder: Path, options: Options, printer: Printer | None = None
+) -> Played:
+    printer = printer or profile.load("paper")
+    blocks = list(Commands(iter(lines), printer, options).computed())
+    output = GcodeConversion(iter(lines), printer, options)
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
     file = folder / "converted.gcode"
     file.write_bytes(text)
@@ -159,6 +162,25 @@ def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
 def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     options = Options("racking", limits="printer", tolerance=None)
     check(played("rectangle.gcode", tmp_path, options))
+
+
+@pytest.mark.klipper
+def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
+    """The summary says how far they are off, and the host is off by no more."""
+    paper = profile.load("paper")
+    assert paper.firmware.klipper is not None
+    table = replace(paper.firmware.klipper, lines_per_second=60.0)
+    weak = replace(paper, firmware=replace(paper.firmware, klipper=table))
+    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+    lines = lines[: lines.index(b";LAYER:2\n")]
+    run = lines_played(lines, tmp_path, Options("racking", limits="printer"), weak)
+    start, offset = first_offset(run)
+    t = np.arange(start, len(run.command)) * TS + offset
+    off = run.playback.position(t)[:, :2] - run.command[start:]
+    rms = np.sqrt(np.square(off).sum(axis=1).mean())
+    assert run.report.busiest_second <= 60
+    assert 0.005 < rms < 1.3 * run.report.approximation
+    assert f"at most {run.report.busiest_second} in a second" in run.report.as_text()
 
 
 @pytest.mark.klipper

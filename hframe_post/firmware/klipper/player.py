@@ -13,8 +13,8 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper import ramps
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
-from hframe_post.firmware.klipper.segments import breakpoints, fitted, thinned
-from hframe_post.firmware.player import Dwelling, Rejoined, Stroke, coordinates, plain
+from hframe_post.firmware.klipper.segments import breakpoints, fitted, sparser, thinned
+from hframe_post.firmware.player import SPARED, Dwelling, Rejoined, Stroke, coordinates, plain
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
@@ -62,7 +62,11 @@ class Klipper:
 
     @property
     def lines_per_second(self) -> float:
-        return math.inf  # a host computer is never the bound
+        return self.table.lines_per_second
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        return ()
 
     @property
     def rests(self) -> Rests:
@@ -145,7 +149,10 @@ class Klipper:
             back = np.flatnonzero(np.diff(points[:, E]) < 0.0)
             forced = forced.copy()
             forced[back] = forced[back + 1] = True
-        ends = thinned(points, breakpoints(points, forced, self.tolerance))
+        ends = breakpoints(points, forced, self.tolerance)
+        if self.lines_per_second < math.inf:
+            ends = sparser(points, forced, self.tolerance, ends, SPARED * self.lines_per_second)
+        ends = thinned(points, ends)
         return ends, fitted(points, ends)
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:

@@ -13,13 +13,15 @@ import math
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, X, Y, Z, lengths
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z, lengths
 from hframe_post.native import kernel
 
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
 SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
 ALIKE = 1e-4  # mm; losses this close count as equal, for evenness
+PIECE = 250  # samples, within which the bound on lines is kept
+COARSER = 1.2  # times the tolerance, until a second has few enough segments
 ROUNDS = 12  # of Jacobi's method, each of which at least halves the error
 
 
@@ -87,6 +89,28 @@ def _breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:
             return kept[1:]
         off[chosen - 1] = merged[chosen - 1]
         off, kept = np.delete(off, chosen), np.delete(kept, chosen)
+
+
+def sparser(
+    points: Array, forced: Flags, tolerance: float, ends: Integers, rate: float
+) -> Integers:
+    """Return the breakpoints ``ends``, fewer wherever a second has more than ``rate`` of them.
+
+    points, forced, tolerance: as for ``breakpoints``. In such a second the tolerance grows.
+    """
+    fewer = []
+    for first in range(0, len(points) - 1, PIECE):
+        last = min(first + PIECE, len(points) - 1)
+        kept, allowed = ends[(ends > first) & (ends <= last)], rate * (last - first) * TS
+        allowed = max(allowed, 1.0 + np.count_nonzero(forced[first + 1 : last]))
+        coarse = tolerance
+        while len(kept) > allowed:
+            coarse *= COARSER
+            kept = first + breakpoints(points[first : last + 1], forced[first : last + 1], coarse)
+        if coarse > tolerance and first:
+            fewer.append(np.array([first]))
+        fewer.append(kept)
+    return np.unique(np.concatenate(fewer))
 
 
 def _merged(vertices: Array, at: Integers, off: Array) -> Array:

@@ -19,7 +19,14 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.marlin.planner import Blocks, Planner, Timer, make_planner
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps, segment_ends
-from hframe_post.firmware.player import VELOCITY_HEADROOM, Dwelling, Stroke, coordinates, plain
+from hframe_post.firmware.player import (
+    SPARED,
+    VELOCITY_HEADROOM,
+    Dwelling,
+    Stroke,
+    coordinates,
+    plain,
+)  # fmt: skip
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
@@ -28,7 +35,6 @@ from hframe_post.stream.types import ModalState, Rests
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
-SPARED = 0.9  # of the lines that a board can take in a second; at all of them it stutters
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
 
@@ -65,7 +71,16 @@ class Marlin:
 
     @property
     def lines_per_second(self) -> float:
-        return self.table.lines_per_second
+        return self.table.lines_received
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        if self.lines_per_second == self.table.lines_per_second:
+            return ()
+        return (
+            f"a serial line of {self.table.baud} baud carries {self.lines_per_second:.0f} lines in "
+            "a second, so motion is coarser: print from the SD card, without baud in the profile",
+        )
 
     @property
     def rests(self) -> Rests:
@@ -224,7 +239,7 @@ class Marlin:
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
         cells = np.rint(points[:, :Z] / self.steps.belt).astype(np.int64)
-        apart = 1.0 / (TS * SPARED * self.table.lines_per_second)
+        apart = 1.0 / (TS * SPARED * self.lines_per_second)
         ends = segment_ends(
             motor_steps(cells, self.kinematics), self.table.min_steps_per_segment,
             max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,

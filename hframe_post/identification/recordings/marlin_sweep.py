@@ -21,9 +21,9 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.marlin.planner import Blocks
-from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, SPARED, Marlin
+from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
-from hframe_post.firmware.player import plain
+from hframe_post.firmware.player import SPARED, plain
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.sweep import APPROACH, LIFT, Run, room, within_limits
 from hframe_post.printer.settings import Printer

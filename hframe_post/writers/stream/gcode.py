@@ -15,6 +15,7 @@ Three passes make the text, each a generator:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -31,11 +32,16 @@ from hframe_post.writers.stream.segments import Units
 
 @dataclass(frozen=True, slots=True)
 class GcodeSummary:
-    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm)."""
+    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm).
 
-    lines: int
-    busiest_second: int
-    filament: float
+    samples: of motion; missed: squares of what the lines are off them, summed: ``Segments.missed``.
+    """
+
+    lines: int = 0
+    busiest_second: int = 0
+    filament: float = 0.0
+    samples: int = 0
+    missed: float = 0.0
 
     def joined(self, later: GcodeSummary) -> GcodeSummary:
         """Return the numbers of both streams together."""
@@ -43,7 +49,14 @@ class GcodeSummary:
             self.lines + later.lines,
             max(self.busiest_second, later.busiest_second),
             self.filament + later.filament,
+            self.samples + later.samples,
+            self.missed + later.missed,
         )
+
+    @property
+    def off(self) -> float:
+        """Return the root mean square of what the lines are off the samples, mm."""
+        return math.sqrt(self.missed / max(self.samples, 1))
 
 
 class GcodeWriter:
@@ -85,7 +98,9 @@ class GcodeWriter:
     def summary(self) -> GcodeSummary:
         """Return the numbers of the whole stream, once it has been written."""
         ledger = self._machine.ledger
-        return GcodeSummary(self._lines, ledger.busiest, ledger.written)
+        return GcodeSummary(
+            self._lines, ledger.busiest, ledger.written, ledger.samples, ledger.missed
+        )
 
 
 def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]:

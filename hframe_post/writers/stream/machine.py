@@ -164,6 +164,7 @@ class Machine:
         assert self._at is not None
         still = self._still
         made = segments(batch, self._at, still, self._player, self._units)
+        self.ledger.approximated(len(batch), made.missed)
         self._still = made.still
         if len(made.T):
             yield from self._enter()
@@ -237,13 +238,14 @@ class Machine:
 class Ledger:
     """Filament in steps of 0.00001 mm, and mm in lines passed on; lines of motion a second.
 
-    steps: of filament at the beginning.
+    steps: of filament at the beginning. samples, missed: of motion, and ``Segments.missed`` of all.
     """
 
     def __init__(self, steps: int = 0) -> None:
         self._begun, self._steps, self._passed, self.busiest = steps, steps, 0.0, 0
         self._counted = steps  # when the firmware last began to count
         self._second, self._lines = 0, 0  # lines in that second, so far
+        self.samples, self.missed = 0, 0.0
 
     def moved(self, samples: Sequence[int] | Integers, steps: int) -> None:
         """Add lines that extrude these steps in all and are due at these samples, ascending."""
@@ -253,6 +255,10 @@ class Ledger:
             end = bisect_left(samples, (second + 1) * a_second)
             self._lines = end - done + (self._lines if second == self._second else 0)
             self._second, self.busiest, done = second, max(self.busiest, self._lines), end
+
+    def approximated(self, samples: int, missed: float) -> None:
+        self.samples += samples
+        self.missed += missed
 
     def passed(self, filament: float) -> None:
         self._passed += filament

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z
 from hframe_post.errors import HframeError
 from hframe_post.firmware.player import Player
 from hframe_post.native import kernel
@@ -133,7 +134,8 @@ class Segments:
 
     at (k + 1, 4): places, in output units; ends (k,): the point of the batch at which each ends;
     T (k,): how long it is to last, s; dwell (k,): samples of standstill before it; still: samples
-    of standstill after the last.
+    of standstill after the last. missed: squares of what the places are off the samples in x and y,
+    mm², summed; 0 where nothing bounds the lines in a second.
     """
 
     at: Integers
@@ -141,6 +143,7 @@ class Segments:
     T: Array
     dwell: Integers
     still: int
+    missed: float
 
 
 def segments(batch: Batch, start: Integers, still: int, player: Player, units: Units) -> Segments:
@@ -149,10 +152,21 @@ def segments(batch: Batch, start: Integers, still: int, player: Player, units: U
     start (4,): where the machine stands; still: for how many samples it has. A segment that moves
     nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
     """
-    ends, places = player.segments(batch.points, batch.forced, batch.last)
-    at, ends, T, dwell = _moving(places, ends, batch.forced, start, still, units)
+    made, places = player.segments(batch.points, batch.forced, batch.last)
+    at, ends, T, dwell = _moving(places, made, batch.forced, start, still, units)
     left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
-    return Segments(at, ends, T, dwell, left)
+    bounded = player.lines_per_second < math.inf
+    return Segments(
+        at, ends, T, dwell, left, _missed(batch.points, made, places) if bounded else 0.0
+    )
+
+
+def _missed(points: Array, ends: Integers, places: Array) -> float:
+    """Return the sum of squares, mm², by which segments are off the samples in x and y."""
+    when, vertices = np.append(0, ends), np.concatenate([points[:1], places])
+    n = when[-1] + 1
+    off = [np.interp(np.arange(n), when, vertices[:, k]) - points[:n, k] for k in (X, Y)]
+    return float(np.square(off).sum())
 
 
 def _moving(
