@@ -69,7 +69,7 @@ def calibrate_print(
 
     First print the tower, note in the form next to it how far apart its waves are, and read the
     form. Then print three squares, pick the better one in x and in y, and do that once more with
-    half the share. The model has one resonance an axis, and does not know racking.
+    half the share. The model has one resonance an axis. Racking of an H-bot shows on a low wall.
 
     \b
     Examples:
@@ -93,10 +93,10 @@ def calibrate_print(
 
 def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
     from hframe_post.identification.by_eye.form import form
-    from hframe_post.identification.by_eye.tower import Heat, bands, tower
+    from hframe_post.identification.by_eye.tower import Heat, bands, comb, tower
 
     lines = tower(profile, Heat(*heat))
-    empty = form(bands(profile), profile.limits.acceleration)
+    empty = form(bands(profile), profile.limits.acceleration, comb(profile))
     target = output.with_name(f"{output.stem}{FORM}")
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).write("\n".join([*lines, ""]).encode())
@@ -116,17 +116,26 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     )
     from hframe_post.model.plant import Plant
 
-    modes = filled(form.read_text("utf-8"), str(form)).modes()
+    sheet, middle = filled(form.read_text("utf-8"), str(form)), sum(profile.travel.x) / 2.0
+    modes = sheet.modes()
     x, y = modes["x"], modes["y"]
-    plant = Plant(x.function(), y.function(), None, sum(profile.travel.x) / 2.0)
+    racking = sheet.racking(modes, middle)
+    plant = Plant(x.function(), y.function(), None, middle)
+    if racking is not None:
+        plant = Plant(x.function(), y.function(), racking.function(x), racking.x_c)
     off = max(LEAST_UNCERTAINTY, 2.0 * x.uncertainty, 2.0 * y.uncertainty)
     shown = [
         f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
     ]
     off = min(off, MOST_UNCERTAINTY)
+    if racking is not None:
+        shown.append(
+            f"racking: {racking.hz:.0f} Hz, x_c {racking.x_c:.0f} mm, "
+            f"known to ±{100.0 * racking.uncertainty:.0f} %"
+        )
     _write(output, printer, profile, plant, off, [f"Read from {form.name}", *shown])
-    if profile.kinematics.racks:
-        say("note         racking does not show in these waves: the profile cancels ringing only")
+    if profile.kinematics.racks and racking is None:
+        say("note         the low wall shows too little racking: the profile cancels ringing only")
     by = max(FINEST, 50.0 * off)
     say(f"Next: hframe-post calibrate-print -p {output} --compare {by:.0f}% -o three.gcode")
 

@@ -12,9 +12,19 @@ from scipy.signal import find_peaks
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.by_eye.form import filled, form
-from hframe_post.identification.by_eye.tower import SIDE, Heat, bands, tower
+from hframe_post.identification.by_eye.racking import (
+    LEVER,
+    Blocks,
+    Comb,
+    PrintedRacking,
+    half_waves_by_block,
+    printed_racking,
+    racking_function,
+)
+from hframe_post.identification.by_eye.tower import SIDE, Heat, bands, comb, squares, tower
 from hframe_post.identification.by_eye.waves import (
     Band,
+    PrintedMode,
     Reading,
     corner_path,
     mode_function,
@@ -85,7 +95,100 @@ def test_a_form_is_read_as_it_was_written() -> None:
         filled("[limits]\nspeed = 3\n", "a.toml")
 
 
-@pytest.mark.parametrize("profile", ["example-ender", "example-voron"])
+# ---------------------------------------------------------------------- racking
+
+X = PrintedMode(38.0, 0.06, 0.03, 0.015)
+
+
+def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
+    """Return what an owner reads on a comb that shows waves down to ``seen_from`` mm."""
+    path, _ = comb.path()
+    theta = Filter(true.function(X)).run(path - path[0])
+    levers = np.abs(comb.borders() + LEVER - true.x_c)
+    waves = list(half_waves_by_block(comb, theta))
+    seen = [
+        (lever * h > seen_from).sum() / 2.0 for lever, (h, _) in zip(levers, waves, strict=True)
+    ]
+    most = int(np.argmax(seen[1:])) + 1
+    places = waves[most][1]
+    count = int(min(max(seen[most] - 1.0, 1.0), 5.0))
+    distance = round(float(places[2 * count] - places[0]), 1)
+    return Blocks(tuple(seen[1:]), most, distance, count)
+
+
+@pytest.mark.parametrize(("hz", "gain"), [(62.0, 5e-8), (43.0, 1e-7)])
+@pytest.mark.parametrize("x_c", [125.0, 146.0])
+def test_a_wall_in_blocks_shows_racking(hz: float, gain: float, x_c: float) -> None:
+    """Near the mode of x, too, where both draw nearly the same waves."""
+    comb, true = Comb(20.0, 12, 80.0, 7500.0), PrintedRacking(gain, hz, 0.08, x_c, 0.0)
+    found = printed_racking(seen_on(comb, true, 0.015), comb, X, 140.0, 0.015)
+    assert found is not None
+    assert found.x_c == pytest.approx(x_c, abs=6.0)
+    path, _ = comb.path()
+    own, its = (Filter(one.function(X)).run(path - path[0]) for one in (true, found))
+    assert np.linalg.norm(own - its) < 0.85 * np.linalg.norm(own)
+
+
+def test_racking_that_hardly_shows_is_not_guessed() -> None:
+    comb = Comb(20.0, 12, 80.0, 7500.0)
+    weak = seen_on(comb, PrintedRacking(5e-8, 62.0, 0.08, 140.0, 0.0), 0.015)
+    for read, x in (
+        (Blocks((0.5,) * 11, 0, 0.0, 0.0), X),
+        (weak, replace(X, uncertainty=0.3)),
+        (replace(weak, seen=(9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0)), X),
+    ):
+        assert printed_racking(read, comb, x, 140.0, 0.015) is None
+
+
+def test_racking_follows_acceleration() -> None:
+    G = racking_function(X, 5e-8, 62.0, 0.08)
+    way = np.asarray(1000.0 * (np.arange(1000) * TS) ** 2)
+    assert Filter(G).run(way)[-1] == pytest.approx(5e-8 * 2000.0, rel=1e-3)
+
+
+def test_the_form_of_an_h_bot_asks_for_racking() -> None:
+    wall = comb(load("example-hbot"))
+    assert wall is not None
+    assert comb(ender()) is None
+    empty = form(bands(ender()), A, wall)
+    counts = list(range(1, wall.blocks))
+    text = empty.replace(f"seen = {[0] * (wall.blocks - 1)}", f"seen = {counts}")
+    found = filled(text.replace("measured = [0, 0, 0]", "measured = [2, 7.5, 3]"), "a.toml")
+    assert found.blocks == (Blocks(tuple(map(float, counts)), 2, 7.5, 3.0), wall)
+    with pytest.raises(HframeError, match="seen needs a number for each block"):
+        filled(text.replace("seen = [1, ", "seen = ["), "a.toml")
+
+
+# ---------------------------------------------------------------------- prints
+
+
+def lowered(lines: list[str]) -> list[tuple[float, float]]:
+    """Return where (x, y) the nozzle goes down, and check that nothing is printed there."""
+    x = y = z = 0.0
+    boxes, ends, box = [], list[tuple[float, float]](), list[tuple[float, float]]()
+    for line in lines:
+        words = {w[0]: float(w[1:]) for w in line.split()[1:] if w[0] in "XYZE"}
+        if not line.startswith(("G0 ", "G1 ")):
+            continue
+        if box and words.get("Z", z) < z - 0.5:
+            ends.append((x, y))
+            boxes.append((np.min(box, axis=0), np.max(box, axis=0)))
+            assert not any((low <= (x, y)).all() and ((x, y) <= high).all() for low, high in boxes)
+            box = []
+        x, y, z = (words.get(name, at) for name, at in zip("XYZ", (x, y, z), strict=True))
+        if "E" in words:
+            box.append((x, y))
+    return ends
+
+
+def test_the_nozzle_goes_down_next_to_what_is_printed() -> None:
+    assert len(lowered(tower(load("example-hbot"), Heat(210.0, 60.0)))) == 1
+    printer = load("paper")
+    pieces = squares(printer, [printer.plant] * 2, Heat(210.0, 60.0))
+    assert len(lowered(b"".join(pieces).decode().splitlines())) == 1
+
+
+@pytest.mark.parametrize("profile", ["example-ender", "example-voron", "example-hbot"])
 def test_the_tower_stays_on_the_bed_and_restores_the_limits(profile: str) -> None:
     printer = load(profile)
     lines = tower(printer, Heat(215.0, 60.0))

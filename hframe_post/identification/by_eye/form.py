@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hframe_post.errors import HframeError, IdentificationError
+from hframe_post.identification.by_eye.racking import (
+    Blocks,
+    Comb,
+    PrintedRacking,
+    printed_racking,
+)
 from hframe_post.identification.by_eye.tower import LAYER, LAYERS, SIDE
 from hframe_post.identification.by_eye.waves import Band, PrintedMode, Reading, printed_mode
 
@@ -20,25 +27,38 @@ HEAD = """\
 """
 
 
-def form(bands: Sequence[Band], acceleration: float) -> str:
-    """Return an empty form for a tower with these bands, printed with mm/s²."""
+RACKING = """\
+# The long low wall in front has a small mark every 20 mm, where the head stopped. Count the waves
+# behind each mark, on the wall's front, from left to right; the first 20 mm do not count. Then
+# measure them on the block that shows most: its number in the row (the first is 1), mm from crest
+# to crest, and over how many waves. Leave zeros if you see none.
+"""
+
+
+def form(bands: Sequence[Band], acceleration: float, wall: Comb | None = None) -> str:
+    """Return an empty form for a tower with these bands, printed with mm/s², and for a comb."""
     rows = [f"{HEAD}", "[print]", f"acceleration = {acceleration:g}"]
     rows += [f"speeds = {[band.speed for band in bands]}"]
     rows += [f"corners = {[round(band.corner, 3) for band in bands]}", "", "[waves]"]
-    for axis, wall in WALLS.items():
+    for axis, its_wall in WALLS.items():
         for k, band in enumerate(bands):
             low, high = k * LAYERS * LAYER, (k + 1) * LAYERS * LAYER
-            where = f"{wall}, {low:g} to {high:g} mm up, {band.speed:g} mm/s"
+            where = f"{its_wall}, {low:g} to {high:g} mm up, {band.speed:g} mm/s"
             rows.append(f"{axis}{k + 1} = [0, 0, 0]".ljust(28) + f"# {where}: mm, over waves, seen")
+    if wall is not None:
+        rows += ["", f"{RACKING}", "[racking]"]
+        rows += [f"wall = {[wall.left, wall.blocks, wall.speed, wall.acceleration]}"]
+        rows += [f"seen = {[0] * (wall.blocks - 1)}", "measured = [0, 0, 0]"]
     return "\n".join([*rows, ""])
 
 
 @dataclass(frozen=True, slots=True)
 class Filled:
-    """A form that was filled in: readings by axis, and mm/s² of the print."""
+    """A form that was filled in: readings by axis, mm/s² of the print, and what a comb shows."""
 
     readings: dict[str, list[Reading]]
     acceleration: float
+    blocks: tuple[Blocks, Comb] | None = None
 
     def modes(self) -> dict[str, PrintedMode]:
         """Return the mode of each axis. Raises IdentificationError, which names the axis."""
@@ -49,6 +69,13 @@ class Filled:
             except IdentificationError as error:
                 raise IdentificationError(f"{axis}, {WALLS[axis]}: {error}") from None
         return found
+
+    def racking(self, modes: dict[str, PrintedMode], middle: float) -> PrintedRacking | None:
+        """Return the racking that shows, if any. middle: of the travel in x, mm."""
+        if self.blocks is None:
+            return None
+        seen_from = math.sqrt(modes["x"].seen_from * modes["y"].seen_from)
+        return printed_racking(*self.blocks, modes["x"], middle, seen_from)
 
 
 def filled(text: str, source: str) -> Filled:
@@ -67,7 +94,26 @@ def filled(text: str, source: str) -> Filled:
         axis: [_reading(waves, f"{axis}{k}", band, source) for k, band in enumerate(bands, 1)]
         for axis in WALLS
     }
-    return Filled(readings, acceleration)
+    racking = document.get("racking")
+    return Filled(readings, acceleration, racking and _blocks(racking, source))
+
+
+def _blocks(racking: object, source: str) -> tuple[Blocks, Comb]:
+    try:
+        if not isinstance(racking, dict):
+            raise TypeError
+        left, blocks, speed, acceleration = (float(one) for one in racking["wall"])
+        of, distance, waves = (float(one) for one in racking["measured"])
+        seen = tuple(float(one) for one in racking["seen"])
+        if len(seen) != blocks - 1 or min(*seen, of, distance, waves) < 0.0 or of > len(seen):
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise HframeError(
+            f"{source}: under [racking], seen needs a number for each block, as many as there were "
+            "zeros, and measured three numbers: block, mm, over how many waves"
+        ) from None
+    wall = Comb(left, int(blocks), speed, acceleration)
+    return Blocks(seen, int(of), distance, waves), wall
 
 
 def _reading(waves: dict[str, object], name: str, band: Band, source: str) -> Reading:

@@ -3,12 +3,16 @@
 Behind a corner a wall shows the waves of the axis that has just stopped there:
 
     right and left wall: x      front and back wall: y
+
+In front of the tower of a printer that can rack stands a low wall along x, as long as the bed
+allows (``racking``). The tower's corner for y is then in the middle, where racking shows least.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +22,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.player import plain
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import OFF, STAMP
+from hframe_post.identification.by_eye.racking import BLOCK, Comb
 from hframe_post.identification.by_eye.waves import Band
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
@@ -32,6 +37,7 @@ HARD, SOFT = 20.0, 0.4  # mm/s at corners, and the share of it at soft ones
 DEVIATION, RIGHT_ANGLE = 0.3, 2.414  # most that M205 J takes, mm; v² = RIGHT_ANGLE·J·a
 BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
+COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,35 +82,40 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
 
     Raises HframeError if it does not fit onto the bed.
     """
-    middle = _middle(printer)
-    if min(np.ptp(printer.travel.x), np.ptp(printer.travel.y)) < SIDE + 2.0 * GAP:
-        raise HframeError(f"the bed must be at least {SIDE + 2.0 * GAP:g} mm wide and deep")
+    (x, y), long = _middle(printer), comb(printer)
+    width, depth = SIDE + 2.0 * GAP, SIDE + 2.0 * GAP
+    if long is not None:
+        x, width, depth = x - SIDE / 2.0, 2.0 * (SIDE + GAP), depth + 2.0 * (GAP + DEPTH)
+    if np.ptp(printer.travel.x) < width or np.ptp(printer.travel.y) < depth:
+        raise HframeError(f"the bed must be at least {width:g} mm wide and {depth:g} mm deep")
     lines = [OFF.decode(), f"; waves to measure, hframe-post {__version__}", *heat.lines()]
+    if long is not None:
+        lines += _comb(printer, long, y - SIDE / 2.0 - GAP - DEPTH)
     z = 0.0
     for k, band in enumerate(bands(printer)):
-        lines += [f"; band {k + 1}: {band.speed:g} mm/s", *_limits(printer, band)]
-        lines += _walls(printer, middle, SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
+        lines += [f"; band {k + 1}: {band.speed:g} mm/s"]
+        lines += _limits(printer, printer.limits.acceleration, band.corner)
+        lines += _walls(printer, (x, y), SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
         z = (k + 1) * LAYERS * LAYER
-    at = np.array([*middle, z + GAP, 0.0])
+    at = np.array([x, y, z + GAP, 0.0])
     state = ModalState(True, False, 0.0, TRAVEL, (0.0, 0.0, 0.0))
     end = player(printer, None).end(state, at)
     return [*lines, f"G1 Z{plain(at[2], 2)} F600", *(line.decode() for line in end), *COLD]
 
 
-def _limits(printer: Printer, band: Band) -> list[str]:
-    """Return the commands for a band: its corners, and no input shaping."""
-    a, v = plain(printer.limits.acceleration, 0), plain(printer.limits.velocity, 0)
+def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
+    """Return commands for mm/s² and the mm/s of corners, without input shaping."""
+    a, v = plain(acceleration, 0), plain(printer.limits.velocity, 0)
     if printer.firmware.dialect == "klipper":
         return [
             "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
             f"SET_VELOCITY_LIMIT VELOCITY={v} ACCEL={a} MINIMUM_CRUISE_RATIO=0 "
-            f"SQUARE_CORNER_VELOCITY={plain(band.corner, 2)}",
+            f"SQUARE_CORNER_VELOCITY={plain(corner, 2)}",
         ]
     table = printer.firmware.marlin
     assert table is not None
-    deviation = band.corner**2 / (RIGHT_ANGLE * printer.limits.acceleration)
-    corner = plain(band.corner, 2)
-    corners = f"X{corner} Y{corner}" if table.classic_jerk else f"J{plain(deviation, 4)}"
+    deviation, each = corner**2 / (RIGHT_ANGLE * acceleration), plain(corner, 2)
+    corners = f"X{each} Y{each}" if table.classic_jerk else f"J{plain(deviation, 4)}"
     return ["M400", "M593 F0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
             f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
 
@@ -113,8 +124,10 @@ def _walls(
     printer: Printer, middle: tuple[float, float], side: float, speed: float, layers: range
 ) -> Iterator[str]:
     """Yield layers of a square, counter-clockwise from the front left corner, with a brim."""
+    if layers.start == 0:  # before the nozzle goes down, which may be above another wall
+        yield _travel(*(place - side / 2.0 - BRIM * WIDTH for place in middle))
     for layer in layers:
-        yield f"G1 Z{plain((layer + 1) * LAYER, 2)} F600"
+        yield _height(layer)
         if layer == 0:
             for k in range(BRIM, 0, -1):
                 yield from _square(printer, middle, side + 2.0 * k * WIDTH, FIRST)
@@ -124,12 +137,61 @@ def _walls(
 def _square(
     printer: Printer, middle: tuple[float, float], side: float, speed: float
 ) -> Iterator[str]:
-    fed = LAYER * WIDTH * side / (np.pi / 4.0 * printer.limits.filament_diameter**2)
     (x, y), half = middle, side / 2.0
-    yield f"G0 X{plain(x - half, 3)} Y{plain(y - half, 3)} F{plain(TRAVEL * 60.0, 0)}"
+    yield _travel(x - half, y - half)
     for u, v in ((1, -1), (1, 1), (-1, 1), (-1, -1)):
-        place = f"X{plain(x + u * half, 3)} Y{plain(y + v * half, 3)}"
-        yield f"G1 {place} E{plain(fed, 5)} F{plain(speed * 60.0, 0)}"
+        yield _line(printer, (x + u * half, y + v * half), side, speed)
+
+
+def comb(printer: Printer) -> Comb | None:
+    """Return the wall along x that shows racking; None if the printer cannot rack."""
+    if not printer.kinematics.racks:
+        return None
+    most = printer.motors.belt_acceleration * printer.kinematics.min_speed_ratio
+    a = min(most, COMB_ACCELERATION)
+    v = min(COMB_SPEED, printer.limits.velocity, float(np.sqrt(0.1 * BLOCK * a)))
+    blocks = int((np.ptp(printer.travel.x) - 2.0 * GAP) // BLOCK)
+    left = _middle(printer)[0] - blocks * BLOCK / 2.0
+    return Comb(left, blocks, round(v, 1), round(a))
+
+
+def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
+    """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
+    right = wall.left + wall.blocks * BLOCK
+    yield from ["; wall for racking", *_limits(printer, wall.acceleration, SOFT * HARD)]
+    yield _travel(wall.left, y)
+    for layer in range(LOW):
+        yield _height(layer)
+        for x, (a, b) in zip(wall.borders(), pairwise(wall.accelerations), strict=True):
+            for to, hard in ((x + BLOCK / 2.0, a), (x + BLOCK, b)):
+                yield _acceleration(printer, hard)
+                yield _line(printer, (to, y), BLOCK / 2.0, wall.speed if layer else FIRST)
+            yield "G4 P0"
+        for place, way in (((right, y + DEPTH), DEPTH), ((wall.left, y + DEPTH), right - wall.left),
+                           ((wall.left, y), DEPTH)):  # fmt: skip
+            yield _line(printer, place, way, FIRST)
+        yield "G4 P0"
+    yield _height(LOW + LAYERS)
+
+
+def _acceleration(printer: Printer, a: float) -> str:
+    klipper = printer.firmware.dialect == "klipper"
+    return f"SET_VELOCITY_LIMIT ACCEL={plain(a, 0)}" if klipper else f"M204 P{plain(a, 0)}"
+
+
+def _height(layer: int) -> str:
+    return f"G1 Z{plain((layer + 1) * LAYER, 2)} F600"
+
+
+def _travel(x: float, y: float) -> str:
+    return f"G0 X{plain(x, 3)} Y{plain(y, 3)} F{plain(TRAVEL * 60.0, 0)}"
+
+
+def _line(printer: Printer, place: tuple[float, float], way: float, speed: float) -> str:
+    """Return a move that extrudes over a way (mm) to a place."""
+    fed = LAYER * WIDTH * way / (np.pi / 4.0 * printer.limits.filament_diameter**2)
+    x, y = (plain(float(one), 3) for one in place)
+    return f"G1 X{x} Y{y} E{plain(fed, 5)} F{plain(speed * 60.0, 0)}"
 
 
 def _middle(printer: Printer) -> tuple[float, float]:

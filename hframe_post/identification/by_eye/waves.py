@@ -49,11 +49,16 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class PrintedMode:
-    """A mode read from a print; uncertainty: standard deviation of its frequency, relative."""
+    """A mode read from a print.
+
+    uncertainty: standard deviation of its frequency, relative. seen_from: mm, the lowest wave that
+    was seen.
+    """
 
     hz: float
     damping: float
     uncertainty: float
+    seen_from: float
 
     def function(self) -> TransferFunction:
         return mode_function(self.hz, self.damping)
@@ -106,12 +111,13 @@ def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedM
         )
     apart = float(np.sqrt(weight @ (hz - mean) ** 2 / weight.sum())) / mean
     by_ruler = float(weight.sum() ** -0.5) / mean
-    damping = _damping(readings, mean, a, side)
-    return PrintedMode(mean / math.sqrt(1.0 - damping**2), damping, max(by_ruler, apart))
+    damping, seen_from = _fading(readings, mean, a, side)
+    natural = mean / math.sqrt(1.0 - damping**2)
+    return PrintedMode(natural, damping, max(by_ruler, apart), seen_from)
 
 
-def _damping(readings: Sequence[Reading], hz: float, a: float, side: float) -> float:
-    """Return the damping that explains best how many waves are seen, whatever is just visible."""
+def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tuple[float, float]:
+    """Return the damping and the lowest visible wave that explain how many waves are seen."""
     cost = np.tile((np.log(SEEN_FROM / USUAL) / SPREAD) ** 2, (len(DAMPING), 1))
     for one in readings:
         path, corner = corner_path(one.band, a, side)
@@ -120,5 +126,7 @@ def _damping(readings: Sequence[Reading], hz: float, a: float, side: float) -> f
             heights = half_waves(x[corner:])
             seen = (heights > SEEN_FROM[:, None]).sum(axis=1) / 2.0
             row += ((seen - one.seen) / MISCOUNT) ** 2
-    likely = np.exp(-0.5 * (cost - cost.min())).sum(axis=1)
-    return float(np.exp(likely @ np.log(DAMPING) / likely.sum()))
+    likely = np.exp(-0.5 * (cost - cost.min()))
+    likely /= likely.sum()
+    damping, lowest = likely.sum(axis=1) @ np.log(DAMPING), likely.sum(axis=0) @ np.log(SEEN_FROM)
+    return math.exp(damping), math.exp(lowest)
