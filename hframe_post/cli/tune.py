@@ -84,7 +84,7 @@ def weight(text: str) -> float:
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write a profile with the recommended values; may be the one given with -p.",
 )  # fmt: skip
-@click.option("--keep-limits", is_flag=True, help="Do not recommend another acceleration and jerk.")
+@click.option("--keep-limits", is_flag=True, help="Do not recommend other limits of the path.")
 @click.option(
     "--shaper", is_flag=True,
     help="Instead, recommend input shapers (Klipper's [input_shaper], Marlin's M593), to print "
@@ -101,9 +101,9 @@ def tune(
 
     More weight (λ) spares the motors and leaves more error; closer knots (small L) can cancel
     faster ringing. Of the settings with an error within a tenth of the smallest, the gentlest is
-    recommended. Acceleration and jerk are then chosen on half a minute of the print: lower ones,
-    as long as they halve the error for a tenth more time. Without a file, the paper's rectangle
-    of 120 x 20 mm is used. The last table shows the print time of each compensation.stops.
+    recommended. Acceleration, deceleration and jerk are then chosen on half a minute of the print:
+    lower ones, as long as they halve the error for a tenth more time. Without a file, the paper's
+    rectangle of 120 x 20 mm is used. The last table shows the time of each compensation.stops.
 
     \b
     Example:
@@ -168,9 +168,7 @@ def _pieces(source: Path | None, profile: Printer) -> Any:
 def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:
     if pace is None or pace.chosen is None:
         return with_windows(printer, best.windows)
-    chosen = pace.chosen
-    limits = {"acceleration": chosen.acceleration, "jerk": chosen.jerk}
-    return with_windows(printer, chosen.trial.windows, limits)
+    return with_windows(printer, pace.chosen.trial.windows, pace.chosen.settings)
 
 
 def _recommend_shaper(

@@ -109,7 +109,7 @@ static double reachable(double v0, double length, double a, double jerk)
 }
 
 struct run {
-    double length, acceleration;
+    double length, acceleration, braking;
 };
 
 /* Lower speed (r + 1) along the chain of runs to what can be reached from its start, or its end. new
@@ -127,7 +127,8 @@ static void lower(double *speed, const struct run *runs, int64_t r, double jerk,
             int64_t k = from_end ? r - i : i, run = from_end ? k - 1 : k;
             if (!new[k])
                 continue;
-            double top = reachable(speed[k], runs[run].length, runs[run].acceleration, jerk);
+            double a = from_end ? runs[run].braking : runs[run].acceleration;
+            double top = reachable(speed[k], runs[run].length, a, jerk);
             new[k] = 0;
             if (top < speed[k + step])
                 speed[k + step] = top, new[k + step] = 1, count++;
@@ -136,13 +137,14 @@ static void lower(double *speed, const struct run *runs, int64_t r, double jerk,
 }
 
 /* Find the squares of speed v2 (n + 1) at which braking and accelerating fit, at constant acceleration.
- * caps2: of the caps; reach2: what v2 could gain since the start. */
-static void fit_squares(const double *caps2, const double *reach2, int64_t n, double *v2)
+ * caps2: of the caps; reach2 and stop2: what v2 could gain and lose since the start. */
+static void fit_squares(const double *caps2, const double *reach2, const double *stop2, int64_t n,
+                        double *v2)
 {
     double least = INFINITY;
     for (int64_t k = n; k >= 0; k--) {
-        least = lesser(least, caps2[k] + reach2[k]);
-        v2[k] = lesser(least - reach2[k], caps2[k]);
+        least = lesser(least, caps2[k] + stop2[k]);
+        v2[k] = lesser(least - stop2[k], caps2[k]);
     }
     least = INFINITY;
     for (int64_t k = 0; k <= n; k++) {
@@ -153,22 +155,24 @@ static void fit_squares(const double *caps2, const double *reach2, int64_t n, do
 }
 
 /* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
- * (n + 1); s: path length at the vertices. room (6, n + 1). */
+ * (n + 1); s: path length at the vertices. room (8, n + 1). */
 static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                         double last, double feasible, int64_t plateau, double *room, double *s,
-                         int64_t *ends, double *speed)
+                         double deceleration, double last, double feasible, int64_t plateau,
+                         double *room, double *s, int64_t *ends, double *speed)
 {
-    double *caps2 = room, *reach2 = caps2 + n + 1, *v2 = reach2 + n + 1;
+    double *caps2 = room, *reach2 = caps2 + n + 1, *stop2 = reach2 + n + 1, *v2 = stop2 + n + 1;
     struct run *runs = (struct run *)(v2 + n + 1);
     int64_t r = 0;
-    s[0] = reach2[0] = 0.0;
+    s[0] = reach2[0] = stop2[0] = 0.0;
     for (int64_t k = 0; k < n; k++) {
         s[k + 1] = s[k] + moves[k].length;
-        reach2[k + 1] = reach2[k] + 2.0 * (feasible * moves[k].acceleration) * moves[k].length;
+        double a = moves[k].acceleration, b = lesser(a, deceleration);
+        reach2[k + 1] = reach2[k] + 2.0 * (feasible * a) * moves[k].length;
+        stop2[k + 1] = stop2[k] + 2.0 * (feasible * b) * moves[k].length;
         caps2[k] = caps[k] * caps[k];
     }
     caps2[n] = last * last;
-    fit_squares(caps2, reach2, n, v2);
+    fit_squares(caps2, reach2, stop2, n, v2);
     double rounding = 1e-15 * reach2[n];
     for (int64_t k = 0; k <= n; k++) {
         if (k > 0 && k < n) {
@@ -181,8 +185,10 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
         }
         if (r > 0)
             runs[r - 1].length = s[k] - s[ends[r - 1]];
-        if (k < n)
-            runs[r].acceleration = feasible * moves[k].acceleration;
+        if (k < n) {
+            double a = moves[k].acceleration;
+            runs[r].acceleration = feasible * a, runs[r].braking = feasible * lesser(a, deceleration);
+        }
         speed[r] = sqrt(v2[k]), ends[r++] = k;
     }
     uint8_t *new = (uint8_t *)(runs + n + 1);
@@ -193,5 +199,5 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
 }
 
 LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * WHOLE(2)), FLOATS(1, WHOLE(2) + 1), WHOLE(2),
-     REAL(3), REAL(4), REAL(5), WHOLE(6), OUT_FLOATS(7, 6 * (WHOLE(2) + 1)), OUT_FLOATS(8, WHOLE(2) + 1),
-     OUT_INTEGERS(9, WHOLE(2) + 1), OUT_FLOATS(10, WHOLE(2) + 1))
+     REAL(3), REAL(4), REAL(5), REAL(6), WHOLE(7), OUT_FLOATS(8, 8 * (WHOLE(2) + 1)),
+     OUT_FLOATS(9, WHOLE(2) + 1), OUT_INTEGERS(10, WHOLE(2) + 1), OUT_FLOATS(11, WHOLE(2) + 1))

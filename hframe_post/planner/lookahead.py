@@ -88,8 +88,8 @@ class _Queue:
             moves = _joined(self._moves)
             batch = moves.part(0, self._want)
             caps = self._caps(batch)
-            stopping = _runs(batch, caps, self._limits.jerk, 0.0)
-            rolling = _runs(batch, caps, self._limits.jerk, float(caps[-1]))
+            stopping = _runs(batch, caps, self._limits, 0.0)
+            rolling = _runs(batch, caps, self._limits, float(caps[-1]))
             final = _agreement(stopping, rolling)
             if final or self._want >= self._longest:
                 s, ends, speed = stopping
@@ -103,7 +103,7 @@ class _Queue:
     def stop(self) -> Iterator[Plan]:
         if self.count:
             moves = _joined(self._moves)
-            runs = _runs(moves, self._caps(moves), self._limits.jerk, 0.0)
+            runs = _runs(moves, self._caps(moves), self._limits, 0.0)
             self._moves, self._want = [], self._batch
             yield self._take(moves, *runs)
 
@@ -220,7 +220,7 @@ def _junction_speeds(moves: _Limited, extruder_corner_velocity: float) -> Array:
 _Runs = tuple[Array, Integers, Array]
 
 
-def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> _Runs:
+def _runs(moves: _Limited, caps: Array, limits: Limits, last: float) -> _Runs:
     """Return the path length at each vertex, which vertices end runs, and the speeds there.
 
     last: speed at the last vertex, mm/s.
@@ -228,25 +228,26 @@ def _runs(moves: _Limited, caps: Array, jerk: float, last: float) -> _Runs:
     n = len(moves.line)
     if (compiled := kernel("find_runs")) is not None:
         (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
-        constants = FEASIBLE * jerk, last, FEASIBLE, PLATEAU
-        r = compiled(moves.limits, caps, n, *constants, np.empty(6 * (n + 1)), s, ends, speed)
+        constants = FEASIBLE * limits.jerk, limits.deceleration, last, FEASIBLE, PLATEAU
+        r = compiled(moves.limits, caps, n, *constants, np.empty(8 * (n + 1)), s, ends, speed)
         return s, ends[: r + 1], speed[: r + 1]
     length, cruise, acceleration, _ = moves.limits.T
     caps2 = np.square(caps)
     caps2[-1] = last * last
     a = FEASIBLE * acceleration
-    s, reach2 = _summed(length), _summed(2.0 * a * length)
-    braking = np.minimum.accumulate((caps2 + reach2)[::-1])[::-1] - reach2
+    b = FEASIBLE * np.minimum(acceleration, limits.deceleration)
+    s, reach2, stop2 = _summed(length), _summed(2.0 * a * length), _summed(2.0 * b * length)
+    braking = np.minimum.accumulate((caps2 + stop2)[::-1])[::-1] - stop2
     v2 = np.minimum.accumulate(np.minimum(braking, caps2) - reach2) + reach2
     v2 = np.clip(v2, 0.0, caps2)
     v2[0] = caps2[0]
     rounding = 1e-15 * reach2[-1]  # of v2, whatever its size
     reached = v2 >= (1.0 - 1e-6) * caps2 - rounding
     ends = np.flatnonzero(_limiting(cruise, acceleration, caps, reached))
-    speed, by_run = np.sqrt(v2[ends]), (np.diff(s[ends]), a[ends[:-1]], FEASIBLE * jerk)
-    _lower(speed, *by_run, from_end=True)
+    speed, run, jerk = np.sqrt(v2[ends]), np.diff(s[ends]), FEASIBLE * limits.jerk
+    _lower(speed, run, b[ends[:-1]], jerk, from_end=True)
     speed[0] = caps[0]  # final before, with the share of FEASIBLE to spare
-    _lower(speed, *by_run, from_end=False)
+    _lower(speed, run, a[ends[:-1]], jerk, from_end=False)
     return s, ends, speed
 
 

@@ -62,8 +62,8 @@ Profile = tuple[Array, Array]  # durations and jerks of the seven phases of ever
 class Profiler:
     """Profiles of runs: in closed form where the limits leave no choice, else from Ruckig."""
 
-    def __init__(self, jerk: float) -> None:
-        self._jerk = jerk
+    def __init__(self, jerk: float, deceleration: float = math.inf) -> None:
+        self._jerk, self._deceleration = jerk, deceleration
         self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
         self._input.current_position = [0.0]
         self._input.current_acceleration = [0.0]
@@ -86,8 +86,9 @@ class Profiler:
         most = np.concatenate([plan.acceleration for plan in plans])
         t, j, acceleration = ramps(v0, v1, length, self._jerk)
         one_speed = (v0 == v1) & (v0 >= ALMOST * cruise)
-        forced = one_speed | (acceleration >= ALMOST * most)
-        columns = np.stack([v0, v1, length, cruise, most], axis=1)
+        braking = np.minimum(most, self._deceleration)
+        forced = one_speed | (acceleration >= ALMOST * np.where(v1 < v0, braking, most))
+        columns = np.stack([v0, v1, length, cruise, most, -braking], axis=1)
         chosen_t, chosen_j = t.copy(), j.copy()
         free = np.flatnonzero(~forced)
         # Ruckig checks in absolute numbers, which rounding fails at great accelerations in mm: it
@@ -116,12 +117,13 @@ class Profiler:
         return [(chosen_t[cut], chosen_j[cut]) for cut in cuts]
 
     def _solve(
-        self, v0: float, v1: float, length: float, cruise: float, acceleration: float
+        self, v0: float, v1: float, length: float, cruise: float, most: float, least: float
     ) -> tuple[list[float], list[float]]:
         problem = self._input
         problem.current_velocity, problem.target_velocity = [v0], [v1]
         problem.target_position = [length]
-        problem.max_velocity, problem.max_acceleration = [cruise], [acceleration]
+        problem.max_velocity = [cruise]
+        problem.max_acceleration, problem.min_acceleration = [most], [least]
         try:
             self._ruckig.calculate(problem, self._trajectory)
         except RuckigError:

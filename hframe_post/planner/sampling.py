@@ -157,7 +157,7 @@ class _Sampler:
 
     def __init__(self, limits: Limits, rests: Rests, size: int) -> None:
         self._limits, self._rests = limits, rests
-        self._profiler = Profiler(limits.jerk)
+        self._profiler = Profiler(limits.jerk, limits.deceleration)
         self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = _Output(size)
         self._state = _State.ASIDE

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.printer.decoding import decoded
-from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, jerk, motors, sweep
+from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
 
 MAX_SIZE = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
@@ -192,7 +192,7 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            "jerk": jerk(acceleration),
+            **gentle(acceleration),
             "square_corner_velocity": _corner(settings, acceleration),
             "z_velocity": settings.word("M203", "Z"),
             "z_acceleration": settings.word("M201", "Z"),

@@ -42,7 +42,8 @@ class Travel:
 class Limits:
     """Limits of the planned path; mm, s. The shipped profiles explain each.
 
-    flow (mm³/s) and min_layer_time limit only what is printed faster than in the file.
+    deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
+    only what is printed faster than in the file.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
     Raises ArgumentError if reaching full speed would take more than LONGEST_RAMP.
     """
@@ -56,6 +57,7 @@ class Limits:
     extruder_velocity: float = within(0.01, 1e4)
     extruder_acceleration: float = within(0.1, 1e6)
     extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
+    deceleration: float = within(1.0, 1e6, default=math.inf)
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
@@ -81,6 +83,7 @@ class Limits:
     def __post_init__(self) -> None:
         ramps = {
             "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
+            "deceleration": self.fastest / min(self.deceleration, self.acceleration),
             "travel_acceleration": self.fastest / self.hardest + self.hardest / self.jerk,
             "z_acceleration": self.z_velocity / self.z_acceleration,
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,

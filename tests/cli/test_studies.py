@@ -165,9 +165,8 @@ def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path
     cost = [e * t ** (np.log(2.0) / np.log(1.1)) for e, t in zip(error, seconds, strict=True)]
     assert chosen == printed["pareto"][int(np.argmin(cost))]
     profile = load(str(out))
-    assert (profile.limits.acceleration, profile.limits.jerk) == (
-        chosen["acceleration"], chosen["jerk"],
-    )  # fmt: skip
+    for name in ("acceleration", "deceleration", "jerk"):
+        assert getattr(profile.limits, name) == chosen[name]
     assert profile.limits.jerk < 5e7
     assert "recommended: acceleration = " in done.stdout.decode()
 

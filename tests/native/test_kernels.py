@@ -142,12 +142,14 @@ def test_lookahead(compiled: None, seed: int, n: int, power: float, rolls: bool)
     ]
     axes = FileLimits((20.0, np.inf, 20.0, 10.0), (np.inf, 500.0, 500.0, np.inf))
     axes = axes if rng.random() < 0.5 else FREE
+    limits = replace(LIMITS, jerk=10.0**power, deceleration=10.0 ** rng.uniform(2.0, 4.0))
+    limits = replace(limits, junction_deviation=0.1)
     moves = Moves(np.arange(n), points, speed.copy(), asked.copy(), corner.copy(), axes)
 
     def planned() -> list[NDArray[Any]]:
-        limited = lookahead._limited(moves, replace(LIMITS, junction_deviation=0.1))
+        limited = lookahead._limited(moves, limits)
         caps = lookahead._junction_speeds(limited, 1.0)
-        runs = lookahead._runs(limited, caps, 10.0**power, float(caps[-1]) * rolls)
+        runs = lookahead._runs(limited, caps, limits, float(caps[-1]) * rolls)
         return [limited.limits, caps, *runs]
 
     for one, other in zip(planned(), in_numpy(planned), strict=True):

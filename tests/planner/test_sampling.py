@@ -119,11 +119,12 @@ def test_straight_path_keeps_speed_acceleration_and_jerk(
     assert np.abs(np.diff(s, 3)).max() / TS**3 <= jerk * (1 + 1e-3)
 
 
-def test_straight_move_takes_the_time_of_its_jerk_limited_profile() -> None:
-    """100 mm at 100 mm/s: v/a + a/j more than at full speed throughout."""
-    limits = replace(LIMITS, acceleration=1000.0, jerk=2e4)
+@pytest.mark.parametrize("braking", [400.0, 1000.0])
+def test_straight_move_takes_the_time_of_its_jerk_limited_profile(braking: float) -> None:
+    """100 mm at 100 mm/s: half of v/a + a/j for each change of speed, more than without any."""
+    limits = replace(LIMITS, acceleration=1000.0, jerk=2e4, deceleration=braking)
     xyze, _ = whole(sampled([moves(line((100, 0, 0, 4)))], limits))
-    exact = 100.0 / 100.0 + 100.0 / 1000.0 + 1000.0 / 2e4
+    exact = 100.0 / 100.0 + sum(100.0 / a + a / 2e4 for a in (1000.0, braking)) / 2.0
     assert len(xyze) - FIRST == math.ceil(exact / TS - 1e-3)
 
 
@@ -629,8 +630,8 @@ def random_runs(seed: int, n: int, jerk: float) -> Plan:
     )  # fmt: skip
 
 
-def assert_profiles_fit(planned: Plan, jerk: float) -> None:
-    [(t, j)] = Profiler(jerk).profiles([planned])
+def assert_profiles_fit(planned: Plan, jerk: float, deceleration: float = math.inf) -> None:
+    [(t, j)] = Profiler(jerk, deceleration).profiles([planned])
     a, v, steps = integrate(t, j, planned.speed[:-1])
     length = np.diff(planned.s[planned.ends])
     assert (t >= 0.0).all()
@@ -644,7 +645,9 @@ def assert_profiles_fit(planned: Plan, jerk: float) -> None:
     assert np.diff(path.reshape(len(path), -1), axis=1).min() >= -BACK
     top = planned.cruise * (1 + 1e-5) + 1e-3
     assert (inside.max(axis=(1, 2)) <= top).all()
-    assert (np.abs(a).max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
+    assert (a.max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
+    braking = np.minimum(planned.acceleration, deceleration)
+    assert (a.min(axis=1) >= -braking * (1 + 1e-4)).all()
     assert np.abs(j).max() <= jerk * (1 + 1e-9)
 
 
@@ -675,9 +678,12 @@ def test_every_run_of_many_gets_a_profile_within_its_limits(jerk: float, seed: i
 
 
 @settings(max_examples=100, deadline=None)
-@given(seeds, st.integers(1, 100), jerks)
-def test_every_planned_run_gets_a_profile_within_its_limits(seed: int, n: int, jerk: float) -> None:
-    assert_profiles_fit(one(random_moves(seed, n), replace(LIMITS, jerk=jerk)), jerk)
+@given(seeds, st.integers(1, 100), jerks, st.floats(1e2, 1e5))
+def test_every_planned_run_gets_a_profile_within_its_limits(
+    seed: int, n: int, jerk: float, deceleration: float
+) -> None:
+    limits = replace(LIMITS, jerk=jerk, deceleration=deceleration)
+    assert_profiles_fit(one(random_moves(seed, n), limits), jerk, deceleration)
 
 
 @given(st.floats(0.01, 300.0), st.floats(0.01, 300.0), st.floats(1.0, 50.0))

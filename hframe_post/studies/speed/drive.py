@@ -88,7 +88,10 @@ class Drive:
         limits = self._printer.limits
         highest = max(limits.acceleration, *(p.acceleration for p in kinds.values()))
         corner = max(limits.square_corner_velocity, *(p.corner for p in kinds.values()))
-        limits = replace(limits, jerk=JERK, acceleration=highest, square_corner_velocity=corner)
+        limits = replace(
+            limits, acceleration=highest, deceleration=math.inf, jerk=JERK,
+            square_corner_velocity=corner,
+        )  # fmt: skip
         paces = Paces(
             kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
             self._freedom.filament_acceleration,

@@ -1,29 +1,33 @@
 """How hard a path is driven, and how hard its motors: time against error under model error.
 
-    pieces of a print ──► planned with each acceleration and jerk ──► each window and weight
+    pieces of a print ──► planned with each acceleration, deceleration and jerk ──► each window
     ──► time and error ──► those that no other beats in both ──► the one that is worth its time
 
-A gentle jerk excites less vibration, so an error of the model matters less; it costs time. That is
-worth it where it halves the error for a tenth of the time (PAID) or less.
+A gentle path excites less vibration, so an error of the model matters less; it costs time. That is
+worth it where it halves the error for a tenth of the time (PAID) or less. Braking counts most: what
+it excites crosses the path after the corner.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
-from hframe_post.printer.settings import Motors, Printer
+from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.studies.inputs import Piece, excerpt
 from hframe_post.studies.tuning.tune import Trial, tried
 
-JERKS = (1e5, 2e5, 5e5, 2e6, 1e7, 5e7)  # mm/s³
-ACCELERATIONS = (0.25, 0.5, 1.0)  # times the profile's
+JERKS = (2e5, 5e5, 2e6, 5e7)  # mm/s³
+# times the profile's acceleration, to speed up and to brake
+SHARES = ((0.25, 0.25), (0.5, 0.5), (1.0, 0.25), (1.0, 0.5), (1.0, 1.0))
+VARIED = ("acceleration", "deceleration", "jerk")
 PAID = 0.1  # share of the time that half of the error is worth
 ENOUGH = 30.0  # s of a print
 OTHERS = 2  # windows in addition to the recommended one
@@ -31,11 +35,15 @@ OTHERS = 2  # windows in addition to the recommended one
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """Acceleration (mm/s²) and jerk (mm/s³) of the path, and what a window gave with them."""
+    """Limits of the path, and what a window gave with them."""
 
-    acceleration: float
-    jerk: float
+    limits: Limits
     trial: Trial
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """Return what was varied, by the names in a profile's ``limits``."""
+        return {name: getattr(self.limits, name) for name in VARIED}
 
     @property
     def cost(self) -> float:
@@ -71,25 +79,25 @@ def pareto(
 ) -> Pareto:
     """Try every window of the grid on every plan. Raises HframeError."""
     found = list[Point]()
-    usual = printer.limits
-    for acceleration in dict.fromkeys(share * usual.acceleration for share in ACCELERATIONS):
-        for jerk in sorted({*JERKS, usual.jerk}):
-            try:
-                limits = replace(usual, acceleration=acceleration, jerk=jerk)
-            except ValueError:  # full speed would take minutes
-                continue
-            driven = replace(printer, limits=limits)
-            plans = (plan(piece.items, limits) for piece in kept)
-            samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
-            trials = tried(samples, driven, grid, drawn)
-            found += [Point(acceleration, jerk, trial) for trial in trials]
-    own = next(
-        point
-        for point in found
-        if (point.acceleration, point.jerk) == (usual.acceleration, usual.jerk)
-    )
+    most = printer.limits.acceleration
+    usual = replace(printer.limits, deceleration=min(printer.limits.deceleration, most))
+    for limits in _paths(usual):
+        driven = replace(printer, limits=limits)
+        plans = (plan(piece.items, limits) for piece in kept)
+        samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
+        found += [Point(limits, trial) for trial in tried(samples, driven, grid, drawn)]
+    own = next(point for point in found if point.limits == usual)
     best = front(found, printer.motors)
     return Pareto(tuple(found), own, best, min(best, key=lambda point: point.cost, default=None))
+
+
+def _paths(usual: Limits) -> Iterator[Limits]:
+    """Yield these limits, and those with other accelerations, decelerations and jerks."""
+    a = usual.acceleration
+    pairs = {(up * a, down * a) for up, down in SHARES} | {(a, usual.deceleration)}
+    for (up, down), jerk in product(sorted(pairs), sorted({*JERKS, usual.jerk})):
+        with suppress(ValueError):  # full speed would take minutes
+            yield replace(usual, acceleration=up, deceleration=down, jerk=jerk)
 
 
 def front(found: Iterable[Point], motors: Motors) -> tuple[Point, ...]:

@@ -50,9 +50,10 @@ def stops_as_json(trial: StopsTrial) -> dict[str, Any]:
 
 def _point_as_json(point: Point) -> dict[str, Any]:
     return {
-        "acceleration": point.acceleration, "jerk": point.jerk,
-        "seconds": round(point.trial.seconds, 3), **_trial_as_json(point.trial),
-    }  # fmt: skip
+        **point.settings,
+        "seconds": round(point.trial.seconds, 3),
+        **_trial_as_json(point.trial),
+    }
 
 
 def pace_as_json(pace: Pareto) -> dict[str, Any]:
@@ -71,20 +72,19 @@ def pace_table(pace: Pareto) -> str:
     lines = [
         "",
         "time against error: each is the quickest with so little error",
-        f"{'':2s}{'acceleration':>13s}{'jerk':>9s}{'L':>4s}{'effort (λ)':>14s}{'time':>9s}"
-        f"{'µm RMS: the model':>20s}{'median':>9s}{'worst':>8s}",
+        f"{'':2s}{'acceleration':>13s}{'deceleration':>14s}{'jerk':>9s}{'L':>4s}"
+        f"{'effort (λ)':>14s}{'time':>9s}{'µm RMS: the model':>20s}{'median':>9s}{'worst':>8s}",
     ]
     for point in front:
-        x, y = point.trial.windows
+        (x, y), (up, down, jerk) = point.trial.windows, point.settings.values()
         longer = 100.0 * (point.trial.seconds / quickest - 1.0)
         lines.append(
-            f"{'→' if point is chosen else '':2s}{point.acceleration:13.0f}{point.jerk:9.0e}"
+            f"{'→' if point is chosen else '':2s}{up:13.0f}{down:14.0f}{jerk:9.0e}"
             f"{x.L:4d}{f'{x.effort:g}, {y.effort:g}':>14s}{f'+{longer:.1f} %':>9s}"
             f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:9.2f}"
             f"{point.trial.worst * 1e3:8.2f}"
         )
-    limits = f"acceleration = {chosen.acceleration:g}, jerk = {chosen.jerk:g}, "
-    lines += ["", _recommendation(chosen.trial, limits), _bought(pace.usual, chosen)]
+    lines += ["", _recommendation(chosen.trial, _limits(chosen)), _bought(pace.usual, chosen)]
     return "\n".join(lines)
 
 
@@ -93,16 +93,20 @@ def _bought(usual: Point, chosen: Point) -> str:
     before, after = usual.trial, chosen.trial
     more = after.seconds / before.seconds - 1.0
     return (
-        f"next to acceleration = {usual.acceleration:g}, jerk = {usual.jerk:g}: {more:+.1%} time; "
+        f"next to {_limits(usual)}: {more:+.1%} time; "
         f"median {1e3 * before.robust:.1f} → {1e3 * after.robust:.1f} µm, "
         f"worst {1e3 * before.worst:.1f} → {1e3 * after.worst:.1f} µm"
     )
 
 
+def _limits(point: Point) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in point.settings.items())
+
+
 def _recommendation(trial: Trial, limits: str = "") -> str:
     x, y = trial.windows
     return (
-        f"recommended: {limits}L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
+        f"recommended: {limits}{', ' if limits else ''}L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
         f"effort = [{x.effort:g}, {y.effort:g}]"
     )
 
@@ -204,5 +208,5 @@ def _pareto(axis: Axes, pace: Pareto) -> None:
     if pace.chosen is not None:
         axis.plot(*placed([pace.chosen]), "*", ms=12, color="k", label="chosen")
     axis.set(xlabel="more time than the quickest, %", ylabel="RMS contour error, µm")
-    axis.set_title("acceleration, jerk, λ and L together", fontsize=8)
+    axis.set_title("limits of the path, λ and L together", fontsize=8)
     axis.legend()
