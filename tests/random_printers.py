@@ -20,7 +20,7 @@ from hframe_post.prediction.predict import contour_error, in_motion
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
-from tests.simulator import Axis, Chip, Machine, Mode
+from tests.simulator import Axis, Chip, Machine, Mode, Playing
 
 BAND = (3.0, 100.0)
 CUBE = Path(__file__).parent.parent / "sample_gcode" / "cube.gcode"
@@ -82,7 +82,7 @@ class Errors:
     compensated: float
 
 
-def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Errors:
+def judged(machine: Playing, profile: Printer, path: str = "rectangle") -> Errors:
     """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else cube()
     options = Options("racking", clamp=True)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
-from hframe_post.identification.diagnosis.coupling import Coupling
+from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
 from hframe_post.identification.diagnosis.nonlinearity import Nonlinearity
 from hframe_post.identification.diagnosis.scatter import DAY_TO_DAY, MOST, ModeShift, Uncertainty
 from hframe_post.identification.fitting.dominant import Excited
@@ -87,7 +88,7 @@ class Identified:
     uncertainties: dict[str, Uncertainty]
     lever_arm_sd: tuple[float, float] | None
     repetitions: dict[str, Repetition]
-    couplings: list[Coupling]
+    couplings: list[MeasuredCoupling]
 
     @property
     def model_error(self) -> float:
@@ -153,7 +154,10 @@ class Identified:
         found = {name: fit.G for name, fit in self.fits.items()}
         known = x_c if self.x_c is None else self.x_c
         Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
-        return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
+        cross = chain.from_iterable(
+            one.cross(self.fits[f"G{one.axis}{one.axis}"].printer_delay) for one in self.couplings
+        )
+        return Plant(Gxx, Gyy, found.get("Gxtheta"), known, tuple(cross))
 
     def other_plants(self, x_c: float) -> list[Plant]:
         """Return plants that were measured, too, and must be compensated as well.

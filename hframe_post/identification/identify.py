@@ -14,7 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import Coupling, find_coupling, pitching
+from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling, pitching
 from hframe_post.identification.diagnosis.nonlinearity import (
     AxisSweeps,
     LinearPrinter,
@@ -41,13 +41,12 @@ from hframe_post.identification.fitting.fit import (
 )
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
+from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
-    FrequencyResponse,
     average,
     spread,
 )
-from hframe_post.identification.responses.full_response import DirectedRun, full_response
 from hframe_post.identification.responses.measured import (
     Line,
     Run,
@@ -116,8 +115,7 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     }
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
-    single = {name: group for name, group in groups.items() if not (racking and name == "Gxx")}
-    couplings = [_coupling(name, group, fits, settings) for name, group in single.items()]
+    couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
     for name, group in groups.items():
         warnings += _pitching(AXIS[name], group, settings)
     return Identified(
@@ -252,46 +250,22 @@ def _most_repeated(places: Sequence[float]) -> Flags:
 
 
 def _coupling(
-    name: str, group: RunGroup, fits: Mapping[str, Fit], settings: Settings
-) -> Coupling | None:
+    name: str, group: RunGroup, fits: Mapping[str, Fit], x_c: float | None, settings: Settings
+) -> MeasuredCoupling | None:
     """Return what a command in an axis does to the other, if its recordings tell."""
     if group.resonance_hz is None:
         return None
-    band = max(settings.band_hz[0], group.excited_hz), settings.band_hz[1]
-    near = _most_repeated([run.place for run in group.runs])
-    runs = [run for run, chosen in zip(group.runs, near, strict=True) if chosen]
-    axis = tuple(AXIS).index(name)
-    alone = [run for run in runs if run.direction and run.direction[1 - axis] == 0.0]
-    if alone:
-        sessions = [(run.response, run.across) for run in alone if run.across is not None]
-    else:
-        sessions = _of_diagonals(axis, runs)
+    runs, known = crossed(tuple(AXIS).index(name), group, settings.band_hz), 0
+    if name == "Gxx" and x_c is not None:
+        runs, known = [_without_racking(run, fits["Gxtheta"], x_c) for run in runs], 1
     other = fits.get("Gyy" if name == "Gxx" else "Gxx")
-    models = fits[name].model, other.model if other else None
-    inside = [(along.within(band), across.within(band)) for along, across in sessions]
-    return find_coupling(AXIS[name], inside, models) if inside else None
+    models = [one.model for one in (fits[name], other) if one is not None]
+    return find_coupling(AXIS[name], runs, models, known) if runs else None
 
 
-def _of_diagonals(
-    axis: int, runs: Sequence[RunResponse]
-) -> list[tuple[FrequencyResponse, FrequencyResponse]]:
-    """Return the responses along and across a command in an axis, from runs along diagonals.
-
-    Empty if they all have one direction, which does not tell x from y.
-    """
-    directed = []
-    for run in runs:
-        if run.direction is not None and run.across is not None:
-            moved = run.scaled(run.direction[axis])  # per motion along the diagonal
-            assert moved.across is not None
-            both = [moved.response, moved.across]
-            x, y = both if axis == X else both[::-1]
-            directed.append(DirectedRun(run.direction, (run.place, 0.0), x, y))
-    try:
-        full = full_response(directed)
-    except IdentificationError:
-        return []
-    return [(full.entry(axis, axis), full.entry(1 - axis, axis))]
+def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
+    turned = (run.place[X] - x_c) * racking.response(run.across.hz)
+    return replace(run, across=replace(run.across, H=run.across.H - turned))
 
 
 def _pitching(axis: str, group: RunGroup, settings: Settings) -> list[str]:

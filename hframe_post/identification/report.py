@@ -93,6 +93,7 @@ class IdentificationReport:
             for name, found in identified.fits.items():
                 cost = self._uncompensated(found.residual)
                 messages += [f"{name}: {text}{cost}" for text in found.warnings]
+        messages += [text for one in identified.couplings for text in one.warnings()]
         if "Gxtheta" in identified.fits:
             if identified.x_c is None:
                 messages.append(f"x_c was not measured; {self.plant.x_c:g} mm is assumed")

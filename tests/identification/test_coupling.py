@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -10,10 +11,12 @@ import pytest
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import Coupling, find_coupling, pitching
+from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling, pitching
 from hframe_post.identification.fitting.modal import Data, Modal, Parameters, Structure, refine
+from hframe_post.identification.fitting.shared import in_print
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.excitation import trajectory
+from hframe_post.identification.responses.crossed import Crossed
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     estimate,
@@ -113,13 +116,21 @@ def model(printer: Coupled, axis: int, noise: float) -> Modal:
     return refine(data, Structure(2, True), start)
 
 
-def coupling(printer: Coupled, *others: Coupled, noise: float = 0.003) -> Coupling:
+def coupling(printer: Coupled, *others: Coupled, noise: float = 0.003) -> MeasuredCoupling:
     """Return what x does to y, from a recording of the printer and one of each of the others."""
-    pairs = [
-        each.measured((1.0, 0.0), seed, noise=noise) for seed, each in enumerate((printer, *others))
-    ]
-    played = [(_straight(x), _straight(y)) for x, y in pairs]
-    return find_coupling("x", played, (model(printer, 0, noise), model(printer, 1, noise)))
+    return at_places([(each, X_C) for each in (printer, *others)], noise)
+
+
+def at_places(
+    recorded: Sequence[tuple[Coupled, float]], noise: float = 0.003, known: int = 0
+) -> MeasuredCoupling:
+    """Return what x does to y, from recordings of printers at places (mm of x)."""
+    runs = []
+    for seed, (printer, place) in enumerate(recorded):
+        x, y = printer.measured((1.0, 0.0), seed, place, noise)
+        runs.append(Crossed(_straight(x), _straight(y), (place, 150.0)))
+    printer = recorded[0][0]
+    return find_coupling("x", runs, (model(printer, 0, noise), model(printer, 1, noise)), known)
 
 
 def _straight(response: FrequencyResponse) -> FrequencyResponse:
@@ -246,16 +257,64 @@ def test_coupling_counts_only_if_a_second_recording_shows_it() -> None:
     assert single.unexplained is None
     assert not single.counts
     assert "record x again" in single.as_text()
+    assert not single.cross(0.0)
     slight = coupling(Coupled(angle=0.003))
     assert 0.0 < slight.size < 0.06
     assert slight.as_text() == "a command in x does not move y"
     other = coupling(printer, Coupled(angle=-0.2))
     assert not other.counts
     assert "does not repeat" in other.as_text()
+    assert not other.cross(0.0)
     noisy = coupling(printer, printer, noise=0.1)
     assert noisy.counts
     nothing = coupling(*[Coupled(angle=0.0)] * 2)
     assert not nothing.counts or nothing.size < 0.02
+
+
+def errors(found: MeasuredCoupling, printer: Coupled, x: float) -> tuple[float, float]:
+    """Return what a print feels of x moving y at x (mm), uncompensated and compensated."""
+    hz = np.linspace(*BAND, 400)
+    true = printer.response(hz, x)[:, 1, 0] * np.exp(2j * np.pi * hz * printer.delay)
+    known = np.zeros(len(hz), complex)
+    for one in found.cross(0.0):
+        lever = 1.0 if one.along is None else x - one.centre
+        known += lever * one.G.response(2.0 * np.pi * hz * TS)
+    return in_print(true, hz), in_print(true - known, hz)
+
+
+def test_what_is_shared_is_compensated_and_what_changes_is_not() -> None:
+    same = coupling(Coupled(), Coupled())
+    before, after = errors(same, Coupled(), X_C)
+    assert after < 0.05 * before
+    assert "and is compensated" in same.as_text()
+    (one,) = same.cross(0.0)
+    assert (one.answer, one.command, one.along) == (1, 0, None)
+    assert abs(one.G.dc_gain) < 1e-12
+    # of couplings that differ by a half, less than their mean is known
+    changed = coupling(Coupled(), Coupled(angle=0.12))
+    mean = 0.5 * (np.sin(2 * 0.2) + np.sin(2 * 0.12)) / np.sin(2 * 0.2)
+    (less,) = changed.cross(0.0)
+    size = np.abs(less.G.response(np.array([0.2])) / one.G.response(np.array([0.2])))[0]
+    assert 0.8 * mean < size < 0.98 * mean
+    for angle in (0.2, 0.12):
+        before, after = errors(changed, Coupled(angle=angle), X_C)
+        assert after < 0.5 * before
+
+
+def test_a_coupling_that_changes_along_x_is_found_from_three_places() -> None:
+    printer = Coupled(racking=2e-8)
+    found = at_places([(printer, x) for x in (80.0, 140.0, 200.0)])
+    assert {one.along for one in found.cross(0.0)} == {None, 0}
+    assert "changes along x, and is compensated" in found.as_text()
+    for x in (80.0, 110.0, 200.0):
+        before, after = errors(found, printer, x)
+        assert after < 0.1 * before
+    # where racking is known from the same places, it is not found again
+    without = at_places([(Coupled(), x) for x in (80.0, 140.0, 200.0)], known=1)
+    assert {one.along for one in without.cross(0.0)} == {None}
+    # two places tell a line, and not whether it is one
+    two = at_places([(printer, x) for x in (80.0, 200.0)])
+    assert all(one.along is None for one in two.cross(0.0))
 
 
 # ---------------------------------------------------------------------- a head that pitches

@@ -1,8 +1,7 @@
-"""How much a command in one axis moves the other, and whether that repeats.
+"""What a command in one axis does to the other, as far as several recordings show it alike.
 
-A coupling counts only if a second recording shows it, too: on a published CoreXY what x does to y
-came back the next day, on another one it did not. Racking couples as well, by another amount at
-each place; here it is that at the mean place.
+On a published CoreXY what x does to y came back the next day, on another one it did not. What does
+not repeat is reported, and not compensated.
 """
 
 from __future__ import annotations
@@ -13,17 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.fitting.cross import fit_cross, with_own_modes
+from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.fitting.modal import Modal
+from hframe_post.identification.fitting.shared import CrossTerm, shared
+from hframe_post.identification.responses.crossed import Crossed
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
+from hframe_post.model.plant import Coupling
 
-REPEATS = 0.7  # share of the second recording's coupling that the first may leave unexplained
+REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
+LEAST_SHARE = 0.02  # of the axis' own error in a print, from which a coupling is compensated
 SMOOTHED_HZ = 1.0  # over which neighbouring frequencies are averaged; modes are wider
 ABOVE_NOISE = 3.0
 LEAST_SIZE = 0.06  # of the command, below which a single recording shows no coupling
 TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
-LEAST_SHARE = 0.03  # of a mode across, to be listed
+LEAST_MODE = 0.03  # of a mode across, to be listed
 PITCHES = 0.3  # of the answer along, from which that in z is reported
 
 
@@ -38,18 +40,19 @@ class CoupledMode:
 
 
 @dataclass(frozen=True, slots=True)
-class Coupling:
+class MeasuredCoupling:
     """What a command in ``axis`` does to ``other``, x or y.
 
-    model: the coupling, with gain and delay of ``along``, the model of the axis itself. turn: rad
-    by which the sensor is turned, at the most. hz, size, wrong: where the coupling is greatest, how
-    great, and |G − 1| of the axis itself there; size 0 if it is nowhere above its noise.
-    unexplained: share of the coupling of another recording that the first leaves; None with a
-    single recording.
+    terms: what the recordings share of it, to be compensated. model: all of it at the mean place,
+    with gain and delay of ``along``, the model of the axis itself. turn: rad by which the sensor is
+    turned, at the most. hz, size, wrong: where the coupling is greatest, how great, and |G − 1| of
+    the axis itself there; size 0 if it is nowhere above its noise. unexplained: share of the
+    coupling of a recording that the others do not foresee; None if there are too few.
     """
 
     axis: str
     other: str
+    terms: tuple[CrossTerm, ...]
     model: Modal
     along: Modal
     turn: float
@@ -60,9 +63,18 @@ class Coupling:
 
     @property
     def counts(self) -> bool:
-        """Return whether two recordings show it alike."""
+        """Return whether several recordings show it alike."""
         known = self.unexplained is not None and self.unexplained <= REPEATS
         return known and self.size > 0.0
+
+    def cross(self, delay: float) -> tuple[Coupling, ...]:
+        """Return what is compensated, for a printer with this delay, s."""
+        answer, command = "xy".index(self.other), "xy".index(self.axis)
+        functions = [term.model.discrete(delay, self.along.gain) for term in self.terms]
+        return tuple(
+            Coupling(answer, command, G, term.along, term.centre)
+            for G, term in zip(functions, self.terms, strict=True)
+        )
 
     @property
     def modes(self) -> list[CoupledMode]:
@@ -76,24 +88,30 @@ class Coupling:
             model.parameters.omega, model.parameters.zeta, sizes, strict=True
         ):
             share = float(itself[known == omega].sum())
-            if across > LEAST_SHARE:
+            if across > LEAST_MODE:
                 hz = float(omega) / (2.0 * np.pi)
                 found.append(CoupledMode(hz, float(zeta), share, float(across)))
         return sorted(found, key=lambda mode: mode.hz)
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
-        if self.size == 0.0 or (self.unexplained is None and self.size < LEAST_SIZE):
+        if self.size == 0.0 or (not self.counts and self.size < LEAST_SIZE):
             return f"a command in {self.axis} does not move {self.other}"
         text = (
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
             f"{100 * self.size / self.wrong:.0f} % of {self.axis}'s own error there"
         )
         if self.unexplained is None:
-            return f"{text}; record {self.axis} again to see whether that repeats"
-        if self.counts:
-            return f"{text}; it repeats within {max(100 * self.unexplained, 1.0):.0f} %"
-        return f"{text}; it does not repeat ({100 * self.unexplained:.0f} % differ) and is ignored"
+            return f"{text}; it is not compensated: record {self.axis} again to see if it repeats"
+        if not self.counts:
+            differ = f"{100 * self.unexplained:.0f} % differ"
+            return f"{text}; it does not repeat ({differ}) and is not compensated"
+        repeats = f"it repeats within {max(100 * self.unexplained, 1.0):.0f} %"
+        if not self.terms:
+            return f"{text}; {repeats}, but is too small to be compensated"
+        axes = [axis for axis in (X, Y) if any(term.along == axis for term in self.terms)]
+        along = "".join(f" and changes along {'xy'[axis]}" for axis in axes)
+        return f"{text}; {repeats}{along}, and is compensated"
 
     def warnings(self) -> list[str]:
         if abs(self.turn) < TURNED:
@@ -117,30 +135,30 @@ class Coupling:
 
 
 def find_coupling(
-    axis: str,
-    sessions: Sequence[tuple[FrequencyResponse, FrequencyResponse]],
-    models: tuple[Modal, Modal | None],
-) -> Coupling:
+    axis: str, runs: Sequence[Crossed], models: Sequence[Modal], known: int = 0
+) -> MeasuredCoupling:
     """Return what a command in ``axis`` (x or y) does to the other axis.
 
-    sessions: the responses along and across of each recording, on one delay and the same
-    frequencies. models: of the axis itself, fitted on that delay, and of the other, if known.
+    runs: on one delay and the same frequencies. models: of the axis itself, fitted on that delay,
+    then others whose modes may take part. known: lever arms that were found from the same runs, and
+    have been removed from them.
     """
-    known = [model for model in models if model is not None]
-    if len(sessions) > 1:
-        first, second = ((across, along) for along, across in sessions[:2])
-        known = with_own_modes(first, second, known)
-    fits = [fit_cross(across, along, known) for along, across in sessions]
+    found = shared(runs, models, known)
+    along = average([run.along for run in runs])
     coupled = [
-        replace(across, H=fit.coupling(across, along))
-        for fit, (along, across) in zip(fits, sessions, strict=True)
+        replace(run.across, H=fit.coupling(run)) for run, fit in zip(runs, found.fits, strict=True)
     ]
-    along, across = average([along for along, _ in sessions]), average(coupled)
-    hz, size, wrong = _greatest(along, across, models[0])
-    others = [_unexplained(coupled[0], later, along.power) for later in coupled[1:]]
-    return Coupling(
-        axis, "y" if axis == "x" else "x", fit_cross(across, along, known).model, models[0],
-        max((fit.turn for fit in fits), key=abs), hz, size, wrong, max(others, default=None),
+    # the mean of what changes, with the place or by itself, may be 0
+    alike = found.left <= REPEATS and len(found.axes) == 1
+    shown = [average(coupled)] if alike else coupled
+    sizes = [_greatest(along, one, models[0]) for one in shown]
+    hz, size, wrong = max(sizes, key=lambda one: one[1])
+    repeats = found.left <= REPEATS and size > 0.0
+    terms = [term for term in found.terms() if repeats and found.size(term) > LEAST_SHARE]
+    return MeasuredCoupling(
+        axis, "y" if axis == "x" else "x", tuple(terms), found.at_mean, models[0],
+        max((fit.turn for fit in found.fits), key=abs), hz, size, wrong,
+        found.left if found.free > 0 else None,
     )  # fmt: skip
 
 
@@ -158,14 +176,6 @@ def _greatest(
     most = int(np.argmax(size))
     wrong = float(np.abs(_smoothed(along.H * at_motors, n)[most] - 1.0))
     return float(hz[most]), float(size[most]), wrong
-
-
-def _unexplained(first: FrequencyResponse, second: FrequencyResponse, power: Array) -> float:
-    """Return the share of the second that the first leaves, both without their noise."""
-    noises = [(each.noise * np.abs(each.H)) ** 2 for each in (first, second)]
-    left = (power * (np.abs(second.H - first.H) ** 2 - sum(noises))).sum()
-    whole = (power * (np.abs(second.H) ** 2 - noises[1])).sum()
-    return float(np.sqrt(max(left, 0.0) / whole)) if whole > 0.0 else 1.0
 
 
 def _smoothed(values: Array | Complex, n: int) -> Complex:

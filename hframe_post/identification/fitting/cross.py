@@ -31,6 +31,7 @@ from hframe_post.identification.fitting.modal import (
     columns,
     free_directions,
 )
+from hframe_post.identification.responses.crossed import Crossed
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 
 SAME_MODE = 0.04  # relative distance of frequencies below which both axes' models mean one mode
@@ -49,78 +50,89 @@ class CrossFit:
     turn: float
     model: Modal
 
-    def coupling(self, across: FrequencyResponse, along: FrequencyResponse) -> Complex:
+    def coupling(self, run: Crossed) -> Complex:
         """Return the measured C (k,) without what the turned sensor sees of the commanded axis."""
-        return np.asarray(across.H - self.turn * along.H)
+        return np.asarray(run.across.H - self.turn * run.along.H)
 
 
-def fit_cross(
-    across: FrequencyResponse, along: FrequencyResponse, models: Sequence[Modal]
-) -> CrossFit:
-    """Return the model of the response across, measured with that along on the same frequencies.
+def fit_cross(run: Crossed, models: Sequence[Modal]) -> CrossFit:
+    """Return the model of the response across.
 
     models: of the commanded axis, whose delay holds, then of the other, if there is one.
     """
+    turn, model = _fitted(run.across.H, _weight(run.across), run.across.hz, models, run.along.H)
+    return CrossFit(turn, model)
+
+
+def fit_coupling(C: Complex, hz: Array, models: Sequence[Modal]) -> Modal:
+    """Return the model of a coupling C (k,) without noise, as exact where it moves a print."""
+    return _fitted(C, hz**-2.0, hz, models, np.zeros(len(hz), complex))[1]
+
+
+def _fitted(
+    C: Complex, weight: Array, hz: Array, models: Sequence[Modal], along: Complex
+) -> tuple[float, Modal]:
+    """Return ψ, the share of ``along`` in C (k,), and the model of the rest."""
     structure, parameters = _shared_modes(models)
-    s = np.asarray(2j * np.pi * across.hz)
+    s = np.asarray(2j * np.pi * hz)
     n = structure.modes
     free = free_directions(structure, parameters, np.repeat([1.0, 0.0], n))
-    played = np.sinc(across.hz * TS) ** 2 * np.exp(-s * parameters.delay)
+    played = np.sinc(hz * TS) ** 2 * np.exp(-s * parameters.delay)
     modes = (columns(s, structure, parameters) @ free) * played[:, None]
-    A: Complex = np.column_stack([along.H, modes])
-    weight = _weight(across)
-    x = _least_squares(A * weight[:, None], weight * across.H)
-    left = weight * (across.H - A @ x)
-    coefficients = np.asarray(free @ x[1:])
-    model = Modal(
-        structure, parameters, coefficients, float((np.abs(left) ** 2).sum()),
-        models[0].mode_range_hz,
-    )  # fmt: skip
-    return CrossFit(float(x[0]), model)
+    A: Complex = np.column_stack([along, modes])
+    x = _least_squares(A * weight[:, None], weight * C)
+    left = weight * (C - A @ x)
+    cost, low_high = float((np.abs(left) ** 2).sum()), models[0].mode_range_hz
+    return float(x[0]), Modal(structure, parameters, np.asarray(free @ x[1:]), cost, low_high)
 
 
-def foreseen(
-    first: tuple[FrequencyResponse, FrequencyResponse],
-    second: tuple[FrequencyResponse, FrequencyResponse],
-    models: Sequence[Modal],
-) -> float:
-    """Return the share of the second C, by power, that the coupling fitted to the first leaves.
+def foreseen(runs: Sequence[Crossed], design: Array, models: Sequence[Modal]) -> float:
+    """Return the share of the responses across, by power, that the other runs do not foresee.
 
-    first, second: as for ``with_own_modes``; each has its own ψ, as its sensor may have turned.
+    design (runs, m): what the coupling depends on, linearly; 1 for a constant. Each run has its own
+    ψ, as its sensor may have turned.
     """
-    across, along = second
-    turn = fit_cross(across, along, models).turn
-    left = across.H - turn * along.H - fit_cross(*first, models).model.response(across.hz)
-    whole = (across.power * np.abs(across.H) ** 2).sum()
-    return float(np.sqrt((across.power * np.abs(left) ** 2).sum() / whole))
+    fits = [fit_cross(run, models) for run in runs]
+    left = whole = 0.0
+    for k, (run, found) in enumerate(zip(runs, fits, strict=True)):
+        weights = foreseeing(design, k)
+        others = sum(
+            weight * fit.model.response(run.across.hz)
+            for weight, fit in zip(weights, fits, strict=True)
+        )
+        power = run.across.power
+        left += float((power * np.abs(found.coupling(run) - others) ** 2).sum())
+        whole += float((power * np.abs(run.across.H) ** 2).sum())
+    return float(np.sqrt(left / whole))
 
 
-def with_own_modes(
-    first: tuple[FrequencyResponse, FrequencyResponse],
-    second: tuple[FrequencyResponse, FrequencyResponse],
-    models: Sequence[Modal],
-) -> list[Modal]:
-    """Return the models and those modes of the coupling alone that both recordings show.
+def foreseeing(design: Array, k: int) -> Array:
+    """Return the weights (runs,) with which the other runs foresee run k by least squares."""
+    others = design.copy()
+    others[k] = 0.0
+    return np.asarray(design[k] @ np.linalg.pinv(others))
 
-    first, second: responses across and along, on one delay and the same frequencies.
+
+def with_own_modes(runs: Sequence[Crossed], design: Array, models: Sequence[Modal]) -> list[Modal]:
+    """Return the models and those modes of the coupling alone that several runs show.
+
+    runs: on one delay and the same frequencies. design: as for ``foreseen``.
     """
     kept = list(models)
-    left = foreseen(first, second, kept)
-    across, along = (_thinned(response) for response in first)
+    left = foreseen(runs, design, kept)
+    thinned = [run.thinned(FREQUENCIES) for run in runs]
     for _ in range(MOST_OWN):
-        tried = [*kept, _own_mode(across, along, kept)]
-        its_left = foreseen(first, second, tried)
+        tried = [*kept, _own_mode(thinned, kept)]
+        its_left = foreseen(runs, design, tried)
         if left - its_left < BETTER[0] * left + BETTER[1]:
             break
         kept, left = tried, its_left
     return kept
 
 
-def _own_mode(
-    across: FrequencyResponse, along: FrequencyResponse, models: Sequence[Modal]
-) -> Modal:
+def _own_mode(runs: Sequence[Crossed], models: Sequence[Modal]) -> Modal:
     """Return the mode that explains most of what the models leave."""
-    low, high = np.log(across.hz[[0, -1]])
+    low, high = np.log(runs[0].across.hz[[0, -1]])
 
     def mode(place: Array) -> Modal:
         hz, zeta = np.exp(place)
@@ -129,7 +141,7 @@ def _own_mode(
         return replace(models[0], parameters=parameters)
 
     def cost(place: Array) -> float:
-        return fit_cross(across, along, [*models, mode(place)]).model.cost
+        return sum(fit_cross(run, [*models, mode(place)]).model.cost for run in runs)
 
     starts = [
         np.array([hz, np.log(zeta)])
@@ -141,12 +153,6 @@ def _own_mode(
         cost, min(starts, key=cost), method="Nelder-Mead", bounds=bounds, options={"maxfev": 60}
     )
     return mode(best.x)
-
-
-def _thinned(response: FrequencyResponse) -> FrequencyResponse:
-    s = slice(None, None, max(1, len(response.hz) // FREQUENCIES))
-    arrays = {name: getattr(response, name)[s] for name in ("hz", "H", "coherence", "power")}
-    return replace(response, **arrays)
 
 
 def _shared_modes(models: Sequence[Modal]) -> tuple[Structure, Parameters]:

@@ -114,7 +114,7 @@ class RunResponse:
     mm along the swept axis. harmonics: None if the command has no marks. across, z: of the other
     axis, and of z in runs along one axis. second (k,): size of the answer of a second sensor, at
     the frequencies of ``response``. direction: unit vector of the motion; both responses are per
-    motion along the axis. These four: of uncalibrated runs only.
+    motion along the axis. point: x and y of the sensor, mm. These five: of uncalibrated runs only.
     """
 
     place: float
@@ -127,6 +127,7 @@ class RunResponse:
     z: FrequencyResponse | None = None
     second: Array | None = None
     direction: tuple[float, float] | None = None
+    point: tuple[float, float] = (0.0, 0.0)
 
     def advanced(self, seconds: float) -> RunResponse:
         """Return the responses as if the recording had begun ``seconds`` later."""

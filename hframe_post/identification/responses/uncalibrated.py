@@ -100,10 +100,11 @@ def _run_response(
     share = float(one.commanded[axis])
     alone = share > 1.0 - 1e-6  # a diagonal does not show racking alone
     along, across = (x, y) if axis == X else (y, x)
+    px, py = (one.run.command.mean(axis=0) + settings.offset).tolist()
     found = RunResponse(
-        one.run.place + settings.offset[X], along, y if alone else along, 0.0,
-        one.run.displacement, None, across, z if alone else None, _second(one, settings),
-        (float(one.commanded[X]), float(one.commanded[Y])),
+        px, along, y if alone else along, 0.0, one.run.displacement, None, across,
+        z if alone else None, _second(one, settings),
+        (float(one.commanded[X]), float(one.commanded[Y])), (px, py),
     )  # fmt: skip
     return found.scaled(1.0 / share).advanced(one.seen.delay)
 
