@@ -98,7 +98,7 @@ def judged(machine: Playing, profile: Printer, path: str = "rectangle") -> Error
     return Errors(1e3 * errors["none"], 1e3 * errors["racking"])
 
 
-def traced(machine: Machine, path: Array, command: Array) -> float:
+def traced(machine: Playing, path: Array, command: Array) -> float:
     """Return the RMS contour error, µm, of a command (n, 2) that `verify` made for the path."""
     nozzle = np.vstack([command[:1], machine.played(command)[:, :Z]])
     part = motion_of(path)

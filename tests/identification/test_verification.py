@@ -19,11 +19,12 @@ from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
+from tests.coupled_printers import CoupledMachine, SharedMode
 from tests.identification.drifting import STEP
 from tests.page.pages import data_of
 from tests.random_printers import judged, printer, traced
 from tests.recordings import write_klipper
-from tests.simulator import Axis, Chip, Machine, Mode
+from tests.simulator import Axis, Chip, Machine, Mode, Playing
 
 STRANGER = Machine(
     Axis((Mode(30.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)), delay=0.0013),
@@ -34,7 +35,7 @@ STIFF = replace(STRANGER, racking=0.0, kinematics="corexy")  # its gantry does n
 CHIP = Chip(gains=(1.03, 0.97, 1.0))
 
 
-def verdict(machine: Machine, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
+def verdict(machine: Playing, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
     """Return the verdict and the true reduction."""
     both = runs(profile)
     recorded = [oriented(chip.record(machine, run.command, 5 + k), quiet=0.5)
@@ -89,6 +90,31 @@ def test_wrong_racking_fails(wrong: str) -> None:
     assert true > 0.5
     assert found.fault is not None
     assert "racks the other way" in found.fault
+
+
+def test_a_coupling_that_is_no_more_fails() -> None:
+    """On another day x moves y the other way, and its compensation makes that worse."""
+    pair = [
+        SharedMode(hz, 0.06, (1.0, 0.0), (0.0, size)) for hz, size in ((45.0, 0.2), (75.0, -0.2))
+    ]
+    modes = (
+        SharedMode(45.0, 0.06, (1.0, 0.0), (1.0, 0.0)),
+        SharedMode(33.0, 0.08, (0.0, 1.0), (0.0, 1.0)),
+    )
+    today = CoupledMachine((*modes, *pair))
+    profile = replace(printer(STIFF), plant=today.exact())
+    right, _ = verdict(today, profile)
+    assert right.fault is None
+    assert right.racking is None
+    assert right.coupling is not None
+    assert right.coupling[0] == pytest.approx(1.0, abs=0.1)
+    assert right.coupling[1] < 0.05
+    other = CoupledMachine((*modes, *(replace(one, moves=(0.0, -one.moves[1])) for one in pair)))
+    wrong, _ = verdict(other, profile)
+    assert wrong.coupling is not None
+    assert wrong.coupling[0] == pytest.approx(-1.0, abs=0.1)
+    assert "plant.cross = []" in str(wrong.fault)
+    assert "coupling / model" in wrong.as_text()
 
 
 def test_another_printers_profile_fails() -> None:

@@ -68,4 +68,4 @@ def as_text(found: Mapping[str, Drift]) -> str:
 
 def _along(run: Measured, axis: int) -> Array:
     """Return the measured acceleration (m,) along an axis without couplings, mm/s²."""
-    return np.asarray(run.a[:, axis] - run.a_coupled[:, axis])
+    return np.asarray(run.a[:, axis] - run.a_racking[:, axis] - run.a_cross[:, axis])

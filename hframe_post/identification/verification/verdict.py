@@ -35,6 +35,7 @@ LEAST_REDUCTION = 0.2  # of the contour error; with less a profile is not worth 
 LEAST_OF_PREDICTED = 0.6  # of the predicted reduction
 MOST_UNEXPLAINED = 0.34  # of the nozzle's motion off its path
 MOST_RACKING_ERROR = 0.4  # relative, in addition to three standard deviations
+LEAST_COUPLING = 0.5  # of the model's, likewise: with less its compensation makes prints worse
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +44,9 @@ class Verdict:
 
     measured, predicted: contour error, µm RMS. ringing: acceleration after corners, mm/s² RMS.
     unexplained: share of the nozzle's motion off its path that the model did not predict.
-    racking: measured racking relative to the model's, and its standard deviation; None if the
-    model has no racking. at (n,): s, of the contour errors (n,) in µm along the motion.
+    racking, coupling: measured racking and other couplings relative to the model's, and standard
+    deviations; None if the model has none. at (n,): s, of the contour errors (n,) in µm along the
+    motion.
     """
 
     measured: tuple[float, float]
@@ -52,6 +54,7 @@ class Verdict:
     ringing: tuple[float, float]
     unexplained: float
     racking: tuple[float, float] | None
+    coupling: tuple[float, float] | None
     at: Array
     errors_measured: tuple[Array, Array]
     errors_predicted: tuple[Array, Array]
@@ -74,6 +77,14 @@ class Verdict:
                 "compensation makes this printer WORSE: the profile belongs to another printer, "
                 "or the printer has changed. Do not print with it; sweep and identify again"
             )
+        if self.coupling is not None:
+            ratio, sd = self.coupling
+            if ratio < LEAST_COUPLING - 3.0 * sd:
+                return (
+                    f"x and y move each other {ratio:.1f} times as far as the model predicts: this "
+                    "coupling does not repeat. Identify again, with recordings of both days, or "
+                    "set plant.cross = []"
+                )
         if self.unexplained > MOST_UNEXPLAINED:
             return (
                 f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
@@ -106,9 +117,9 @@ class Verdict:
         lines = [f"{'RMS':26s}{'plain':>10s}{'compensated':>14s}"]
         lines += [f"{name:26s}{a:10.1f}{b:14.1f}  {unit}" for name, (a, b), unit in rows]
         lines.append(f"{'model misses':26s}{100 * self.unexplained:10.0f} %")
-        if self.racking is not None:
-            ratio, sd = self.racking
-            lines.append(f"{'racking / model':26s}{ratio:10.2f} ± {sd:.2f}")
+        for name, found in (("racking", self.racking), ("coupling", self.coupling)):
+            if found is not None:
+                lines.append(f"{f'{name} / model':26s}{found[0]:10.2f} ± {found[1]:.2f}")
         good = f"compensation removes {100 * self.reduction:.0f} % of the error"
         verdict = f"FAILED: {self.fault}" if self.fault else f"good: {good}"
         return "\n".join([*lines, f"VERDICT     {verdict}"])
@@ -123,7 +134,8 @@ class Verdict:
         return {
             **rounded, "reduction": round(self.reduction, 4), "expected": round(self.expected, 4),
             "unexplained": round(self.unexplained, 4),
-            "racking": None if self.racking is None else [round(one, 4) for one in self.racking],
+            "racking": self.racking and [round(one, 4) for one in self.racking],
+            "coupling": self.coupling and [round(one, 4) for one in self.coupling],
             "fault": self.fault,
         }  # fmt: skip
 
@@ -132,16 +144,16 @@ class Verdict:
 class Measured:
     """A run as measured: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
 
-    a_coupled (m, 2), a_racking (m,): the parts of a_predicted that are due to couplings, and in y
-    to racking. noise: of a place, mm.
+    a_racking, a_cross (m, 2): the parts of a_predicted that are due to racking and to other
+    couplings. noise: of a place, mm.
     """
 
     place: Array
     predicted: Array
     a: Array
     a_predicted: Array
-    a_coupled: Array
     a_racking: Array
+    a_cross: Array
     noise: float
 
 
@@ -164,7 +176,7 @@ def judge(
     inside[part] = True
     moving = np.zeros(len(wanted), dtype=bool)
     moving[part] = (np.diff(wanted[part], axis=0, append=wanted[-1:]) != 0.0).any(axis=1)
-    a_path = np.column_stack([acceleration(wanted[:, k]) for k in (X, Y)])
+    a_path = _accelerations(wanted)
     after = after_corners(wanted) & inside
     measured, predicted, ringing = [], [], []
     errors = [
@@ -183,7 +195,8 @@ def judge(
     off_path = band_rms((runs[0].a - a_path)[part], *band)
     return Verdict(
         (measured[0], measured[1]), (predicted[0], predicted[1]), (ringing[0], ringing[1]),
-        missed / max(off_path, 1e-9), _racking(runs, part), np.asarray(TS * np.flatnonzero(moving)),
+        missed / max(off_path, 1e-9), *_couplings(runs, part),
+        np.asarray(TS * np.flatnonzero(moving)),
         (errors[0][0], errors[1][0]), (errors[0][1], errors[1][1]),
     )  # fmt: skip
 
@@ -193,7 +206,7 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     found = aligned(acceleration(command[:, X]), recording, X)
     predicted = Response(printer.plant, command[0]).run(command)
     without = Response(replace(printer.plant, Gxtheta=None), command[0]).run(command)
-    a_predicted = np.column_stack([acceleration(predicted[:, k]) for k in (X, Y)])
+    a_predicted = _accelerations(predicted)
     late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
         a = _shifted(found.acceleration[:, :Z], -late)
@@ -202,30 +215,41 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     off = _integrated_twice(a - a_predicted)
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
-    coupled = predicted - Response(printer.plant.decoupled(), command[0]).run(command)
-    a_coupled = np.column_stack([acceleration(coupled[:, k]) for k in (X, Y)])
-    a_racking = acceleration(predicted[:, Y] - without[:, Y])
-    return Measured(predicted + off, predicted, a, a_predicted, a_coupled, a_racking, noise)
+    direct = Response(printer.plant.decoupled(), command[0]).run(command)
+    a_racking, a_cross = _accelerations(predicted - without), _accelerations(without - direct)
+    return Measured(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
 
 
-def _racking(runs: Sequence[Measured], part: slice) -> tuple[float, float] | None:
-    """Return the nozzle's racking relative to the prediction, and its standard deviation.
+def _accelerations(places: Array) -> Array:
+    return np.column_stack([acceleration(places[:, k]) for k in (X, Y)])
 
-    Found by least squares over both runs; other errors of the model in y count as noise.
+
+def _couplings(
+    runs: Sequence[Measured], part: slice
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return racking and other couplings relative to the prediction, and standard deviations.
+
+    Found by least squares over both runs; other errors of the model count as noise.
     """
-    rows = [(run.a_racking, (run.a - run.a_predicted)[:, Y]) for run in runs]
-    model, missed = (
-        np.concatenate([_within(values[part, None], *RACKING_HZ)[:, 0] for values in column])
-        for column in zip(*rows, strict=True)
+    columns = [[run.a_racking, run.a_cross, run.a - run.a_predicted] for run in runs]
+    racking, cross, missed = (
+        np.concatenate([_within(values[part], *RACKING_HZ) for values in column])
+        for column in zip(*columns, strict=True)
     )
-    power = float(model @ model)
-    if power == 0.0:
-        return None
-    excess = float(model @ missed) / power
-    residual = missed - excess * model
+    moved = racking.any(axis=0) | cross.any(axis=0)
+    model = np.column_stack([racking[:, moved].ravel(), cross[:, moved].ravel()])
+    wanted, known = missed[:, moved].ravel(), np.array([racking.any(), cross.any()])
+    if not known.any():
+        return None, None
+    A = model[:, known]
+    excess = np.linalg.lstsq(A, wanted)[0]
+    residual = wanted - A @ excess
     independent = 2.0 * (RACKING_HZ[1] - RACKING_HZ[0]) * TS  # share of a sample
-    sd = float(np.sqrt((residual @ residual) / power / (independent * len(model))))
-    return 1.0 + excess, sd
+    variance = float(residual @ residual) / (independent * len(wanted))
+    sds = np.sqrt(variance * np.linalg.inv(A.T @ A).diagonal())
+    found = iter(zip((1.0 + excess).tolist(), sds.tolist(), strict=True))
+    one, other = (next(found) if each else None for each in known.tolist())
+    return one, other
 
 
 def _correction(a: Array, wanted: Array) -> Array:
