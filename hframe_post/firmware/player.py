@@ -27,7 +27,9 @@ class Stroke:
     """How a retraction or a lift is asked for: its speed, mm/s, and the seconds that it takes.
 
     left: speed, mm/s, at which motion may go on from it; 0: from rest. before: a line to write
-    before it; after: one that reverts that, after the first segment of the next motion.
+    before it; after: one that reverts that, after the first segment of the next motion. fastest:
+    greatest speed, mm/s, where the next segment must not be faster than this; inf: it may.
+    cruise: mm that it then runs at its speed.
     """
 
     speed: float
@@ -35,6 +37,19 @@ class Stroke:
     left: float = 0.0
     before: bytes = b""
     after: bytes = b""
+    fastest: float = math.inf
+    cruise: float = 0.0
+
+    def time_of_next(self, d: float, T: float) -> float:
+        """Return the seconds of the next segment, d mm, that is to last T.
+
+        Where it would be too fast, both get a speed at which they last as long as planned together.
+        """
+        late = d / self.speed - T
+        if self.fastest == math.inf or late <= 0.0:
+            return T
+        slowness = max(1.0 / self.speed - late / (d + self.cruise), 1.0 / self.fastest)
+        return d * slowness
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +75,10 @@ class Player(Protocol):
     @property
     def notices(self) -> tuple[str, ...]:
         """Return warnings about how its files are sent."""
+
+    @property
+    def steady(self) -> int:
+        """Return the segments over which time is kept inside a motion; 0: over a batch."""
 
     @property
     def rests(self) -> Rests:
@@ -118,10 +137,17 @@ class Player(Protocol):
     ) -> Array:
         """Return the seconds (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
 
-    def lift_corner(self, at: Array, speed: float) -> float:
-        """Return the greatest speed, mm/s, between a lift and motion; 0: the machine stops.
+    def entry(self, at: Array, v: float, before: float) -> float:
+        """Return the speed, mm/s, at which a segment at feed rate v begins, at (2, 4), mm.
 
-        at (2, 4): from place to place, mm; speed: the user's.
+        before: greatest speed at the end of the stroke that precedes it.
+        """
+
+    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
+        """Return the greatest speeds, mm/s, of motion into a stroke and on from it; 0: it stops.
+
+        at (2, 4): from place to place, mm; speed: the user's; planned: of z in the plan, where
+        they are certain.
         """
 
     def stroke(

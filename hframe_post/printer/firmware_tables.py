@@ -53,6 +53,7 @@ class MarlinTable:
     acceleration: float = positive(most=HARDEST)
     travel_acceleration: float = positive(most=HARDEST)
     retract_acceleration: float = not_negative(0.0, most=HARDEST)
+    max_acceleration_e: float = not_negative(0.0, most=HARDEST)
     junction_deviation: float = not_negative(0.0, most=1.0)
     jerk: tuple[float, float] = not_negative((0.0, 0.0), most=1e3)
     jerk_e: float = not_negative(0.0, most=1e3)

@@ -266,6 +266,7 @@ def _table(settings: MarlinSettings) -> dict[str, Known]:
     table = {
         "max_velocity": pair("M203"),
         "max_acceleration": pair("M201"),
+        "max_acceleration_e": word("M201", "E"),
         "acceleration": word("M204", "P"),
         "travel_acceleration": word("M204", "T"),
         "retract_acceleration": word("M204", "R"),

@@ -65,7 +65,7 @@ def mode(profile: Printer) -> Marlin:
 def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
     assert mode(marlin).begin(NOWHERE, AT) == [
         b"M400", b"M593 F0", b"M900 K0", b"M493 S0", b"M494 T0 X0 Y0 Z0 E0",
-        b"M201 X100000 Y100000", b"M203 X770 Y770", b"M204 P100000 T100000 R2000",
+        b"M201 X100000 Y100000 E100000", b"M203 X770 Y770", b"M204 P100000 T100000 R2000",
         b"M205 B0 S0 T0 J0.3", b"G90", b"M83",
     ]  # fmt: skip
 
@@ -73,7 +73,7 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -
 def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
     mine = with_own(marlin, linear_advance=0.05, shaper_freq_y=38.5, fixed_time_motion=1)
     assert mode(mine).end(STATE, AT) == [
-        b"M400", b"M201 X10000 Y10000", b"M203 X300 Y300", b"M204 P3000 T3000 R3000",
+        b"M400", b"M201 X10000 Y10000 E2000", b"M203 X300 Y300", b"M204 P3000 T3000 R3000",
         b"M205 B20000 S0 T0 J0.013", b"M900 K0.05", b"M593 Y F38.5", b"M493 S1", b"G1 F6000",
         b"G92 E0",
     ]  # fmt: skip
@@ -115,12 +115,12 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
     mine = mode(with_own(marlin, planner=planner))
     for way, speed in (((0.0, 0.0, 0.4, 0.0), 10.0), ((0.0, 0.0, 0.0, -2.0), 40.0)):
         a = mine.limits.z_acceleration if way[2] else mine.limits.extruder_acceleration
-        planned = max(map(abs, way)) / speed + speed / a
-        stroke = mine.stroke(np.array([AT, np.add(AT, way)]), speed, planned, planned)
+        planned, at = max(map(abs, way)) / speed + speed / a, np.array([AT, np.add(AT, way)])
+        corners = mine.corners(at, speed, (0.0, 0.0))
+        stroke = mine.stroke(at, speed, planned, planned, *corners)
         assert stroke.seconds == pytest.approx(planned, abs=1e-3)
         assert 0.5 * speed < stroke.speed < speed
-        hurried = mine.stroke(np.array([AT, np.add(AT, way)]), speed, planned, 0.0)
-        assert hurried.speed == speed
+        assert mine.stroke(at, speed, planned, 0.0, *corners).speed == speed
 
 
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Z
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
@@ -245,6 +246,21 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
     monkeypatch.setattr("hframe_post.writers.stream.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
+
+
+@pytest.mark.parametrize("planner", GENERATIONS)
+def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
+    marlin: Printer, planner: str
+) -> None:
+    """Each begins and ends at a speed that its neighbours decide, too."""
+    lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n"]
+    for k in range(1, 9):
+        lines += [
+            b"G1 X%d E3 F2400\n" % (100 + 60 * (k % 2)), b"G1 E-2 F1800\n", b"G1 Z1.4 F600\n",
+            b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1 F600\n", b"G1 E2 F1800\n",
+        ]  # fmt: skip
+    _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
+    assert np.ptp(late) < 2e-3
 
 
 def layers_of_cube(last: int) -> list[bytes]:

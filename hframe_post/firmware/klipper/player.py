@@ -69,6 +69,10 @@ class Klipper:
         return ()
 
     @property
+    def steady(self) -> int:
+        return 0  # segments last as long as they are asked to
+
+    @property
     def rests(self) -> Rests:
         """Return how lifts and retractions pass into motion.
 
@@ -168,11 +172,17 @@ class Klipper:
     ) -> Array:
         return ramps.durations(at, v, rest, before, after, self.limits)
 
-    def lift_corner(self, at: Array, speed: float) -> float:
+    def entry(self, at: Array, v: float, before: float) -> float:
+        return min(v, before)
+
+    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
+        """Return the speeds in the corners of a lift that the plan joins to motion."""
         lift = abs(float(at[1, Z] - at[0, Z]))
         # a short lift needs the other half of its way to brake
         fits = math.sqrt(lift * self.limits.z_acceleration / 2.0)
-        return min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
+        corner = min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
+        into, out = planned
+        return (corner if into else 0.0, corner if out else 0.0)
 
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,

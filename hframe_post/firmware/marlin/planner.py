@@ -254,6 +254,10 @@ class SteppedPlanner:
         rates = v_s * n / d, np.ceil(v * n / d), v_e * n / d
         return v_s, v_e, self.block_times(blocks, *rates, self.timer, self.s_curve)
 
+    def entry(self, blocks: Blocks, v: Array, before: float) -> Array:
+        """Return the speeds (k,), mm/s, at which blocks begin; v (k,), before: see ``Player``."""
+        return ramps.ends(v, blocks.corners, before, self._least_entry(blocks))[0]
+
     def _least_entry(self, blocks: Blocks) -> Array:
         """Return the least speeds (k,), mm/s, at which blocks begin."""
         if self.free_entry:
@@ -290,6 +294,9 @@ class FixedTimePlanner:
     def durations(self, blocks: Blocks, v: Array, before: float) -> Array:
         n, d, a, corners = blocks
         return ramps.durations(d, v, a * d / n, corners, before, _development_entry(blocks))
+
+    def entry(self, blocks: Blocks, v: Array, before: float) -> Array:
+        return ramps.ends(v, blocks.corners, before, _development_entry(blocks))[0]
 
     def stroke(self, blocks: Blocks, joint: Array, v: Array) -> tuple[Array, Array, Array]:
         n, d, a, _ = blocks

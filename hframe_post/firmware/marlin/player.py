@@ -11,12 +11,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
 from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware import ramps
 from hframe_post.firmware.marlin.planner import Blocks, Planner, Timer, make_planner
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps, segment_ends
 from hframe_post.firmware.player import (
@@ -34,6 +35,8 @@ from hframe_post.stream.types import ModalState, Rests
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
+SLOWEST_STROKE = 0.5  # of the speed that the file asks for
+Z_JERK = 0.3  # mm/s, Marlin's default; profiles have none
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
@@ -83,6 +86,11 @@ class Marlin:
         )
 
     @property
+    def steady(self) -> int:
+        # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
+        return 0 if self.planner.fixed_time else 50
+
+    @property
     def rests(self) -> Rests:
         return Rests()  # lifts and retractions begin and end at rest
 
@@ -91,7 +99,8 @@ class Marlin:
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
         a, v = plain(self._acceleration, 0), plain(velocity, 0)
         start = [
-            "M400", "M593 F0", "M900 K0", motion, TRAPEZOIDS, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+            "M400", "M593 F0", "M900 K0", motion, TRAPEZOIDS,
+            f"M201 X{a} Y{a}{self._filament(self._acceleration)}", f"M203 X{v} Y{v}",
             f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self._corners(False)}",
         ]  # fmt: skip
         start += ["G90", "M83", *coordinates(offset, at)]
@@ -114,7 +123,7 @@ class Marlin:
         (a_x, a_y), (v_x, v_y) = table.max_acceleration, table.max_velocity
         lines = [
             "M400",
-            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)}",
+            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)}{self._filament(table.max_acceleration_e)}",
             f"M203 X{plain(v_x, 3)} Y{plain(v_y, 3)}",
             f"M204 P{plain(table.acceleration, 3)} T{plain(table.travel_acceleration, 3)}"
             f"{self._retract(True)}",
@@ -163,8 +172,25 @@ class Marlin:
         # standstill is left out, and what follows makes up for it
         return (b"", 0.0) if next_to is Dwelling.MOTION else None
 
-    def lift_corner(self, at: Array, speed: float) -> float:
-        return 0.0
+    def entry(self, at: Array, v: float, before: float) -> float:
+        return float(self.planner.entry(self._blocks(at), np.array([v]), before)[0])
+
+    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
+        """Return the speeds of the user's corners: Marlin never stops there.
+
+        Corners are square. On from a stroke, both axes are at their limit.
+        """
+        lifts = bool(at[0, Z] != at[1, Z])
+        if self.table.classic_jerk:
+            into = out = Z_JERK if lifts else self.table.jerk_e
+        else:
+            n, d, a = (float(each[0]) for each in self._blocks(at)[:3])
+            own = of_axis = a * d / n
+            if not (lifts or self.planner.fixed_time):
+                of_axis = self._filament_acceleration
+            per_a = self.table.junction_deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5))
+            into, out = (math.sqrt(per_a * each) for each in (own, math.sqrt(2.0) * of_axis))
+        return min(into, speed), min(out, speed)
 
     def stroke(
         self, at: Array, speed: float, seconds: float, wanted: float,
@@ -172,51 +198,45 @@ class Marlin:
     ) -> Stroke:  # fmt: skip
         """Return a stroke between the speeds of the user's corners, slower by the time this saves.
 
-        With the stream's corners it would begin and end at full speed. z keeps its own jerk.
+        With the stream's corners it would begin and end at full speed.
         """
-        slowest = 0.5 * speed
-        right_angle = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))  # junction deviation: v² = this·J·a
-        blocks, lifts = self._blocks(at), bool(at[0, Z] != at[1, Z])
-        n, d, a = (float(each[0]) for each in blocks[:3])
-        a *= d / n
-        if self.table.classic_jerk:
-            corner = 0.0 if lifts else self.table.jerk_e
-        else:
-            corner = math.sqrt(right_angle * self.table.junction_deviation * a)
-        v = speed
-        for _ in range(3):
-            v_s, v_e = self._stroke_ends(corner, v)
-            S = a * wanted + v_s + v_e
-            root = S * S - 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
-            v = (S - math.sqrt(root)) / 2.0 if root > 0.0 else speed
-            v = min(max(v, slowest), speed)
-        v_s, v_e = self._stroke_ends(corner, v)
-        ramped = ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)
-        taken = (d + ramped) / v
-        if not self.planner.fixed_time:
-            # what rounding to whole ticks adds, where speed is constant
-            cruise = max(d - (2.0 * v * v - v_s * v_s - v_e * v_e) / (2.0 * a), 0.0)
-            step = self._timer.step(np.ceil(v * blocks.n / blocks.d))
-            taken += cruise * (float(step[0]) * n / d - 1.0 / v)
+        n, d, a, _ = blocks = self._blocks(at)
+        a = a * d / n
+        T = np.maximum(wanted, d / speed)
+        v = float(ramps.speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
+        v = min(max(v, SLOWEST_STROKE * speed), speed)
+        if self.planner.fixed_time:
+            v = max(v, leaving)
+        taken = self.planner.stroke(blocks, np.array([entry, leaving]), np.array([v]))[2]
+        lifts = bool(at[0, Z] != at[1, Z])
         words = (self._stroke_corners(users, lifts) for users in (True, False))
-        lines = (f"M205 {word}\n".encode() if word else b"" for word in words)
-        turned = 2.0**0.25  # both axes are at their limit where motion goes on
-        return Stroke(v, taken, turned * corner, *lines)
-
-    def _stroke_ends(self, corner: float, v: float) -> tuple[float, float]:
-        """Return the speeds at which a retraction or a lift at speed v begins and ends.
-
-        In fixed-time motion it ends at the speed of the next segment, even if that is faster: the
-        first segment from rest has 10 to 14 mm/s in the samples.
-        """
-        begin = min(corner, v)
-        return begin, max(corner, 11.0) if self.planner.fixed_time else begin
+        before, after = (f"M205 {word}\n".encode() if word else b"" for word in words)
+        stroke = Stroke(v, float(taken[0]), min(leaving, v), before, after)
+        if not self.planner.fixed_time:
+            return stroke
+        # it overshoots where the next block begins faster
+        fastest = min(speed, math.sqrt(entry * entry + 2.0 * float((a * d)[0])))
+        cruise = max(float((d - (v * v - entry * entry) / (2.0 * a))[0]), 0.0)
+        return replace(stroke, fastest=fastest, cruise=cruise)
 
     def _stroke_corners(self, users: bool, lifts: bool) -> str:
         # what M205 needs for a retraction or a lift, other than the stream's
         if not self.table.classic_jerk:
             return self._corners(users)
         return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK, 3)}"
+
+    def _filament(self, acceleration: float) -> str:
+        """Return the word of M201 for filament, if the profile knows what to restore.
+
+        The user's limit would brake blocks by their steps of filament, which rounding changes.
+        """
+        return f" E{plain(acceleration, 3)}" if self.table.max_acceleration_e else ""
+
+    @property
+    def _filament_acceleration(self) -> float:
+        """Return the limit of filament in motion, mm/s²."""
+        known = self.table.max_acceleration_e > 0.0
+        return self._acceleration if known else self.limits.extruder_acceleration
 
     def _retract(self, users: bool) -> str:
         """Return the word of M204 for the acceleration that retractions are planned with."""
@@ -255,12 +275,12 @@ class Marlin:
     def feed_rates(
         self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return self.planner.feed_rates(self._blocks(at), T, before)
+        return self.planner.feed_rates(self._blocks(at, after), T, before)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return self.planner.durations(self._blocks(at), v, before)
+        return self.planner.durations(self._blocks(at, after), v, before)
 
     @property
     def planner(self) -> Planner:
@@ -272,7 +292,7 @@ class Marlin:
         t = self.table
         return Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
 
-    def _blocks(self, at: Array) -> Blocks:
+    def _blocks(self, at: Array, after: float = math.inf) -> Blocks:
         cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)
         motors = motor_steps(cells, self.kinematics)
         xy = most_steps(motors)
@@ -283,28 +303,28 @@ class Marlin:
         moved[:, :Z] = np.diff(cells, axis=0) * self.steps.belt
         d = lengths(moved)
         d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), self.steps.belt))
+        of_e = np.where(xy + z, self._filament_acceleration, self.limits.extruder_acceleration)
         with np.errstate(divide="ignore"):
             a = np.minimum(
-                self.limits.z_acceleration / self.steps.z * n / z,
-                self.limits.extruder_acceleration / self.steps.e * n / e,
+                self.limits.z_acceleration / self.steps.z * n / z, of_e / self.steps.e * n / e
             )
         a = np.minimum(a, self._acceleration / self.steps.belt)
         way = np.column_stack([motors * self.steps.belt, np.diff(at[:, Z:], axis=0)])
-        return Blocks(n, d, a, self._corner_speeds(way, a * d / n))
+        return Blocks(n, d, a, self._corner_speeds(way, a * d / n, after))
 
-    def _corner_speeds(self, way: Array, a: Array) -> Array:
+    def _corner_speeds(self, way: Array, a: Array, after: float) -> Array:
         """Return the speeds (k + 1,), mm/s, at which the ends of blocks may be passed.
 
         way (k, 4): mm of the motors, of z and of filament; a (k,): acceleration along the path.
-        The outer ends are free. The stream's junction deviation limits nothing but a move
-        straight back, where Marlin stops.
+        The first may begin at any speed, the last ends at ``after`` or less. The stream's junction
+        deviation limits nothing but a move straight back, where Marlin stops.
         """
         straight = 0.999999  # cosine of the angle between two blocks
         if self.table.classic_jerk or len(way) < 2:
-            return np.full(len(way) + 1, math.inf)
+            return np.append(np.full(len(way), math.inf), after)
         unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
         cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
         sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -straight, straight)))
         v2 = JUNCTION_DEVIATION * a[1:] * sin_half / (1.0 - sin_half)
         inner = np.where(cosine > straight, 0.0, np.sqrt(v2))
-        return np.concatenate([[math.inf], inner, [math.inf]])
+        return np.concatenate([[math.inf], inner, [after]])

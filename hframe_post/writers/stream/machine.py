@@ -154,10 +154,10 @@ class Machine:
 
     def _speed_into(self, pause: Pause) -> float:
         """Return the speed, mm/s, at which motion passes into a pause; 0: it stops."""
-        if not pause.entry or not isinstance(pause.action, Standing):
+        if not isinstance(move := pause.action, Standing):
             return 0.0
-        places = np.array([pause.action.start, pause.action.end])
-        return self._player.lift_corner(places, pause.action.speed)
+        places, planned = np.array([move.start, move.end]), (pause.entry, pause.leaving)
+        return self._player.corners(places, move.speed, planned)[0]
 
     def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
         """Yield the commands for a batch, whose motion may end at a speed, mm/s."""

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, Integers, X, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
 from hframe_post.firmware.player import Dwelling, Player, Stroke
 from hframe_post.writers.stream.machine import (
     Command,
@@ -52,7 +52,7 @@ class Pace:
     """
 
     def __init__(self, player: Player, units: Units, steady: int = 0) -> None:
-        self._player, self._units, self._steady = player, units, steady
+        self._player, self._units, self._steady = player, units, steady or player.steady
         self._per_feed = units.per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
         self.lag = 0.0
@@ -79,9 +79,8 @@ class Pace:
                     yield from self._standing_move(command)
                 case Stop():
                     yield from self._leave(0.0)
-                    if command.samples:
-                        yield from self._dwell(command.samples)
-                    self._before = 0.0
+                    if not command.samples or (yield from self._dwell(command.samples)):
+                        self._before = 0.0
                 case Settings():
                     yield command
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
@@ -90,7 +89,11 @@ class Pace:
         motion = yield from self._rejoined(motion)
         rest = np.concatenate([motion.dwell > 0, [motion.stops]])
         feeds = self.feeds(motion.at / self._units.per_mm, motion.T, rest, motion.after)
-        yield from self._leave(feeds[0] / self._per_feed if not motion.dwell[0] else 0.0)
+        if self._lift is not None:
+            before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
+            first = motion.at[:2] / self._units.per_mm
+            v = float(feeds[0] / self._per_feed)
+            yield from self._leave(self._player.entry(first, v, before))
         dwells = [
             (row, text)
             for row in np.flatnonzero(motion.dwell).tolist()
@@ -129,7 +132,10 @@ class Pace:
         """
         rest = rest.copy()
         rest[0] |= self._before == 0.0
-        T = self._player.possible_times(at, T, self._before)
+        planned, T = T, self._player.possible_times(at, T, self._before)
+        if self._lift is not None:
+            first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
+            T[0] = self._lift[0].stroke.time_of_next(first, float(T[0]))
         late, passed = abs(self.lag), np.cumsum(T)
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
@@ -139,8 +145,8 @@ class Pace:
         if self._steady:
             drift = _near(taken - wanted, self._steady) / _near(T, self._steady)
             feeds, taken = self._asked(at, wanted - drift * T, rest, after)
-            self._join(at, feeds, rest)
-        over = taken - T
+        self._join(at, feeds, rest)
+        over = taken - (T if self._fresh else planned)
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
             over[0], self._fresh = 0.0, False
         self.lag += float(over.sum())
@@ -168,22 +174,22 @@ class Pace:
         self._ending = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
 
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
-        yield from self._leave(0.0)
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
-        if not pause.entry:
-            self._before = 0.0
+        places = move.at / self._units.per_mm
+        into, out = self._player.corners(places, move.speed, (pause.entry, pause.leaving))
+        self._before = min(self._before, into)
+        yield from self._leave(self._before)
         if self._before == 0.0:
             yield from self._dwell(0, next_to)
-        places = move.at / self._units.per_mm
         planned = pause.samples * TS
         left_for_it = planned - self.lag
         stroke_to = partial(
             self._player.stroke, places, move.speed, pause.exact, left_for_it, self._before
         )
-        stroke = stroke_to(self._player.lift_corner(places, move.speed) if pause.leaving else 0.0)
+        stroke = stroke_to(out)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
-        if pause.leaving:
+        if out:
             self._lift = TimedMove(move, stroke), stroke_to
             return
         yield TimedMove(move, stroke)
@@ -194,7 +200,7 @@ class Pace:
         if self._lift is None:
             return
         (lift, stroke_to), self._lift = self._lift, None
-        if speed < lift.stroke.left:
+        if speed != lift.stroke.left:
             slower = stroke_to(speed)
             self.lag += slower.seconds - lift.stroke.seconds
             lift = TimedMove(lift.move, slower)
@@ -202,15 +208,21 @@ class Pace:
         yield from self._after_lift
         self._after_lift = []
 
-    def _dwell(self, samples: int, next_to: Dwelling = Dwelling.MOTION) -> Iterator[Text]:
-        """Yield the line for a standstill, less what the machine is late, if one is made."""
+    def _dwell(
+        self, samples: int, next_to: Dwelling = Dwelling.MOTION
+    ) -> Generator[Text, None, bool]:
+        """Yield the line for a standstill, less what the machine is late, if one is made.
+
+        Returns whether the machine stands there.
+        """
         dwell = self._player.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
-            return
+            return True
         line, waited = dwell
         self.lag += waited - samples * TS
         if line:
             yield Text(line)
+        return bool(line)
 
 
 def _near(x: Array, n: int) -> Array:
