@@ -107,7 +107,7 @@ class Lpfbs:
         self.window = window
         self._basis = uniform_basis(window.L, window.degree)
         K_target, self._K_past, step_target, self._step_past = _solve(G, window)
-        self._by_target = np.vstack([K_target, step_target])
+        self._by_target = np.ascontiguousarray(np.vstack([K_target, step_target]).T)
         self.rest = np.zeros(len(step_target))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
         if not self.radius < 1.0:
@@ -147,7 +147,7 @@ class Lpfbs:
                 f"of {w.stride}); command() takes any length"
             )
         windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
-        by_target = product(windows, self._by_target.T)
+        by_target = product(windows, self._by_target)
         past = recursion(self._step_past, by_target[:, w.n_up :], s)
         p = by_target[:, : w.n_up] + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
         control = np.concatenate([s[-w.degree :], p.ravel()])

@@ -81,32 +81,35 @@ class _Uncompensated:
 
 
 class FilteredSplines:
-    """Solves the axes in turn, each for its target less what couplings add, if asked.
-
-    The rows (n, 4) between the stages are x_d, y_d and the latest x_dm, y_dm, from the origin; at
-    first these are the path.
-    """
+    """Solves the axes in turn, each for its target less what couplings add, if asked."""
 
     def __init__(self, coupled: bool, compensator: Compensator, origin: Array) -> None:
         couplings = compensator.plant.couplings if coupled else ()
         self._origin, solvers = origin, (compensator.x, compensator.y)
+        self._path = np.zeros((0, 2))  # from the origin, where the command is not final
         self._stages = [
             _Stage(axis, solvers[axis], [c for c in couplings if c.answer == axis], origin)
             for axis in order(couplings)
         ]
 
     def feed(self, xy: Array) -> Array:
-        relative = xy - self._origin
-        rows = np.hstack([relative, relative])
-        for stage in self._stages:
-            rows = stage.feed(rows)
-        return np.asarray(rows[:, 2:] + self._origin)
+        self._path = np.concatenate([self._path, xy - self._origin])
+        return self._command(last=False)
 
     def finish(self) -> Array:
-        rows = np.zeros((0, 4))
+        return self._command(last=True)
+
+    def _command(self, last: bool) -> Array:
+        """Return what is final of the command. last: the path ends here."""
+        latest = list(self._path.T)  # commands of x and y; the path, before they are solved
         for stage in self._stages:
-            rows = np.concatenate([stage.feed(rows), stage.finish()])
-        return np.asarray(rows[:, 2:] + self._origin)
+            latest[stage.axis] = stage.solve(self._path, latest, last)
+        n = min(map(len, latest))
+        command = np.column_stack([axis[:n] for axis in latest]) + self._origin
+        self._path = self._path[n:].copy()
+        for stage in self._stages:
+            stage.forget(n)
+        return np.asarray(command)
 
 
 def order(couplings: Sequence[Coupling]) -> tuple[int, ...]:
@@ -122,32 +125,37 @@ def order(couplings: Sequence[Coupling]) -> tuple[int, ...]:
 
 
 class _Stage:
-    """Solves one axis, from rows whose commands the couplings on it depend on."""
+    """Solves one axis, from commands that the couplings on it depend on."""
 
     def __init__(
         self, axis: int, lpfbs: Lpfbs, couplings: Sequence[Coupling], origin: Array
     ) -> None:
-        self._axis, self._origin, self._solver = axis, origin, _Axis(lpfbs)
+        self.axis, self._origin, self._solver = axis, origin, _Axis(lpfbs)
         self._couplings = [(coupling, Filter(coupling.G)) for coupling in couplings]
-        self._waiting = np.zeros((0, 4))  # for the axis' command
+        self._taken = 0  # samples of which the solver knows the target
+        self._solved = np.zeros(0)
 
-    def feed(self, rows: Array) -> Array:
-        """Take rows (n, 4); return those whose command is final in this axis, (k, 4)."""
-        target = rows[:, self._axis]
+    def solve(self, path: Array, commands: Sequence[Array], last: bool) -> Array:
+        """Return what is final of the axis' command, for the path (n, 2) from the origin.
+
+        commands: the latest ones of x and y, from the same sample on. last: the path ends here.
+        """
+        needed = (len(commands[coupling.command]) for coupling, _ in self._couplings)
+        at = slice(self._taken, min(needed, default=len(path)))
+        target = path[at, self.axis]
         for coupling, G in self._couplings:  # eq. 19, with the lever arm of Remark 2.1
-            lever = coupling.lever(rows[:, :2] + self._origin)
-            target = target - lever * G.run(rows[:, 2 + coupling.command])
-        self._waiting = np.concatenate([self._waiting, rows])
-        return self._final(self._solver.feed(target))
+            lever = coupling.lever(path[at] + self._origin)
+            target = target - lever * G.run(commands[coupling.command][at])
+        self._taken = at.stop
+        self._solved = np.concatenate([self._solved, self._solver.feed(target)])
+        if last:
+            self._solved = np.concatenate([self._solved, self._solver.finish()])
+        return self._solved
 
-    def finish(self) -> Array:
-        """Return the remaining rows."""
-        return self._final(self._solver.finish())
-
-    def _final(self, command: Array) -> Array:
-        rows, self._waiting = self._waiting[: len(command)].copy(), self._waiting[len(command) :]
-        rows[:, 2 + self._axis] = command
-        return rows
+    def forget(self, n: int) -> None:
+        """Drop the first samples, whose command is final in both axes."""
+        self._taken -= n
+        self._solved = self._solved[n:].copy()
 
 
 class _Axis:
@@ -155,35 +163,27 @@ class _Axis:
 
     def __init__(self, lpfbs: Lpfbs) -> None:
         self._lpfbs, self._s = lpfbs, lpfbs.rest
-        self._batch = 256 * lpfbs.window.stride  # this many windows make one matrix product
         self._preview = lpfbs.window.L_C - lpfbs.window.stride
-        self._target: list[Array] = []
-        self._count = 0
+        self._target = np.zeros(0)  # for which the command is not final
 
     def feed(self, target: Array) -> Array:
-        """Return the command as far as the preview allows, in whole batches."""
-        if not len(target):  # an empty view would keep the array it is a view of alive
+        """Return the command as far as the preview allows."""
+        self._target = np.concatenate([self._target, target])
+        stride = self._lpfbs.window.stride
+        final = (len(self._target) - self._preview) // stride * stride
+        if final <= 0:
             return np.zeros(0)
-        self._target.append(target)
-        self._count += len(target)
-        if self._count < self._batch + self._preview:
-            return np.zeros(0)
-        whole, done = np.concatenate(self._target), []
-        while len(whole) >= self._batch + self._preview:
-            x_dm, self._s = self._lpfbs.run(whole[: self._batch + self._preview], self._s)
-            done.append(x_dm)
-            whole = whole[self._batch :]
-        self._target, self._count = [whole], len(whole)
-        return np.concatenate(done)
+        x_dm, self._s = self._lpfbs.run(self._target[: final + self._preview], self._s)
+        self._target = self._target[final:].copy()  # a view would keep the whole array alive
+        return x_dm
 
     def finish(self) -> Array:
         """Return the rest of the command; the target stands still after its end."""
-        n = self._count
+        n = len(self._target)
         if not n:
             return np.zeros(0)
-        target = np.concatenate(self._target)
         pad = -n % self._lpfbs.window.stride + self._preview
-        x_dm, self._s = self._lpfbs.run(np.pad(target, (0, pad), mode="edge"), self._s)
+        x_dm, self._s = self._lpfbs.run(np.pad(self._target, (0, pad), mode="edge"), self._s)
         return x_dm[:n]
 
 

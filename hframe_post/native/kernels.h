@@ -28,4 +28,14 @@ enum { X, Y, Z, E, COLUMNS }; /* of a position */
 static inline double greater(double a, double b) { return a > b ? a : b; }
 static inline double lesser(double a, double b) { return a < b ? a : b; }
 
+/* Add to sum the columns from low to before high of four rows, each times its factor. */
+INSIDE void add_rows(const double *factor, const double *rows, int64_t width, int64_t low,
+                     int64_t high, double *restrict sum)
+{
+    const double *a = rows, *b = a + width, *c = b + width, *d = c + width;
+    double by_a = factor[0], by_b = factor[1], by_c = factor[2], by_d = factor[3];
+    for (int64_t j = low; j < high; j++)
+        sum[j] = (((sum[j] + by_a * a[j]) + by_b * b[j]) + by_c * c[j]) + by_d * d[j];
+}
+
 #endif

@@ -1,55 +1,26 @@
 /* The loops of model/linear.py. A sum starts at zero and takes its terms in order; several sums
  * are computed at once, never several terms of one. */
 
+#include <string.h>
+
 #include "kernels.h"
 
-enum { TILE = 4, STRIP = 8 };
+enum { BLOCK = 8 }; /* rows of a for which rows of b stay in the cache */
 
-/* TILE rows of a (TILE, k) times as many columns of b (k, n), into the same columns of out. */
-static void tile(const double *a, const double *b, int64_t k, int64_t n, double *out)
+/* out (m, n) = a (m, k) b (k, n) */
+WIDE static int64_t product(const double *a, const double *b, int64_t m, int64_t k, int64_t n,
+                            double *out)
 {
-    double sum[TILE][TILE] = {{0.0}};
-    for (int64_t r = 0; r < k; r++, b += n)
-        for (int i = 0; i < TILE; i++)
-            for (int j = 0; j < TILE; j++)
-                sum[i][j] += a[i * k + r] * b[j];
-    for (int i = 0; i < TILE; i++)
-        for (int j = 0; j < TILE; j++)
-            out[i * n + j] = sum[i][j];
-}
-
-/* One row a (k) times ``width`` columns of b (k, n), at most STRIP. */
-static void strip(const double *a, const double *b, int64_t k, int64_t n, int64_t width,
-                  double *out)
-{
-    double sum[STRIP] = {0.0};
-    if (width == STRIP)
-        for (int64_t r = 0; r < k; r++, b += n)
-            for (int j = 0; j < STRIP; j++)
-                sum[j] += a[r] * b[j];
-    else
-        for (int64_t r = 0; r < k; r++, b += n)
-            for (int64_t j = 0; j < width; j++)
-                sum[j] += a[r] * b[j];
-    for (int64_t j = 0; j < width; j++)
-        out[j] = sum[j];
-}
-
-/* out (m, n) = a (m, k) b (k, n). The last tiles overlap those before them. */
-static int64_t product(const double *a, const double *b, int64_t m, int64_t k, int64_t n,
-                       double *out)
-{
-    int64_t high = m < TILE || n < TILE ? 1 : TILE, wide = high == 1 ? STRIP : TILE;
-    for (int64_t i = 0; i < m; i += high) {
-        int64_t top = i < m - high ? i : m - high;
-        for (int64_t j = 0; j < n; j += wide) {
-            if (high == 1)
-                strip(a + top * k, b + j, k, n, n - j < wide ? n - j : wide, out + top * n + j);
-            else {
-                int64_t left = j < n - wide ? j : n - wide;
-                tile(a + top * k, b + left, k, n, out + top * n + left);
-            }
-        }
+    memset(out, 0, sizeof(double) * (size_t)(m * n));
+    for (int64_t top = 0; top < m; top += BLOCK) {
+        int64_t end = top + BLOCK < m ? top + BLOCK : m, r = 0;
+        for (; r + 4 <= k; r += 4)
+            for (int64_t i = top; i < end; i++)
+                add_rows(a + i * k + r, b + r * n, n, 0, n, out + i * n);
+        for (; r < k; r++)
+            for (int64_t i = top; i < end; i++)
+                for (int64_t j = 0; j < n; j++)
+                    out[i * n + j] += a[i * k + r] * b[r * n + j];
     }
     return m;
 }

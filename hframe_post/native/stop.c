@@ -11,7 +11,7 @@
 enum {
     SEARCHES = 2, EMPHASES = 3, TRIALS = 10, NEAREST = 24, PIECES = 2 * NEAREST,
     MOST_SPLINES = 39, MOST_ROWS = 147, MOST_SAMPLES = 206,
-    TOGETHER = 4, /* rows of which products are added */
+    TOGETHER = 4, /* rows of add_rows */
     LINE = 8, WIDTH = 80 /* columns, in whole lines */
 };
 #define ALONG 0.01
@@ -160,10 +160,10 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
 INSIDE void add_products(const double *rows, int64_t i, int64_t low, int64_t high, double sign,
                          double *restrict sum)
 {
-    const double *a = rows, *b = a + WIDTH, *c = b + WIDTH, *d = c + WIDTH;
-    double a_i = sign * a[i], b_i = sign * b[i], c_i = sign * c[i], d_i = sign * d[i];
-    for (int64_t j = low; j < high; j++)
-        sum[j] = (((sum[j] + a_i * a[j]) + b_i * b[j]) + c_i * c[j]) + d_i * d[j];
+    double factor[TOGETHER];
+    for (int r = 0; r < TOGETHER; r++)
+        factor[r] = sign * rows[r * WIDTH + i];
+    add_rows(factor, rows, WIDTH, low, high, sum);
 }
 
 /* The upper triangle of H, and g. */
