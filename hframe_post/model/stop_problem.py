@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers, X, Y
+from hframe_post.arrays import Array, Flags, Integers, X, Y
 from hframe_post.model.stop_cost import ALONG, FAR, NEAREST, Rows
 from hframe_post.native import Kernel, kernel
 
@@ -24,6 +24,7 @@ EASY = 0.4  # share of its bound below which a row of E is lowered again
 RAISED, MOST_RAISED = 2.0, 5.0  # factors of E²
 HARDEST = 0.97 / 0.8  # times its bound, an acceleration that is exceeded only if it must be
 EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the squared deviations
+SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
 ROOM = 45_000  # numbers that the compiled loop keeps meanwhile
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 
@@ -129,21 +130,24 @@ def _solution(problem: Problem) -> Array:
 @dataclass(frozen=True, slots=True)
 class _Path:
     """The path around each row: place, direction (r, 2); from, step (r, 2·NEAREST, 2): pieces;
-    share (r, 2·NEAREST): factor from a product with a piece to a share of it."""
+    share (r, 2·NEAREST): factor from a product with a piece to a share of it; short: which
+    pieces have no direction, so that a place on one is as near on a neighbour that has."""
 
     place: Array
     direction: Array
     start: Array
     step: Array
     share: Array
+    short: Flags
 
     @classmethod
     def from_rows(cls, rows: Rows) -> _Path:
         around = rows.candidates()
         start, step = around[:, :-1], np.diff(around, axis=1)
-        share = 1.0 / np.maximum(np.square(step[..., X]) + np.square(step[..., Y]), 1e-18)
+        length2 = np.square(step[..., X]) + np.square(step[..., Y])
         direction = _unit(step[:, NEAREST], np.array([1.0, 0.0]))
-        return cls(around[:, NEAREST], direction, start, step, share)
+        share, short = 1.0 / np.maximum(length2, 1e-18), length2 <= SHORT2
+        return cls(around[:, NEAREST], direction, start, step, share, short)
 
     def nearest(self, at: Array) -> tuple[Array, Array]:
         """Return the path's nearest points to the nozzle and its directions there, (r, 2)."""
@@ -151,7 +155,9 @@ class _Path:
         along = (to[..., X] * self.step[..., X] + to[..., Y] * self.step[..., Y]) * self.share
         along = np.minimum(np.maximum(along, 0.0), 1.0)[..., None]
         off = to - along * self.step
-        best = (np.square(off[..., X]) + np.square(off[..., Y])).argmin(axis=1)
+        distance2 = np.square(off[..., X]) + np.square(off[..., Y])
+        distance2[self.short] = np.inf
+        best = distance2.argmin(axis=1)
         piece = np.arange(len(best)), best
         foot = self.start[piece] + along[piece] * self.step[piece]
         return foot, _unit(self.step[piece], self.direction)
@@ -282,5 +288,6 @@ def _length(vector: Array) -> Array:
 
 def _unit(vector: Array, otherwise: Array) -> Array:
     """Return directions (r, 2), or another's where a vector is too short to have one."""
-    length = _length(vector)[:, None]
-    return np.asarray(np.where(length > 1e-7, vector / np.maximum(length, 1e-7), otherwise))
+    length2 = np.square(vector[:, :1]) + np.square(vector[:, 1:])
+    length = np.sqrt(np.maximum(length2, SHORT2))
+    return np.asarray(np.where(length2 > SHORT2, vector / length, otherwise))

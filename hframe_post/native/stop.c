@@ -25,6 +25,7 @@ enum {
 #define HARDEST (0.97 / 0.8)
 #define EXCESS_COST 0.2
 #define CLEARANCE 0.02
+#define SHORT2 1e-14
 
 typedef double vector[2];
 
@@ -74,9 +75,9 @@ INSIDE double reweighted(double ratio, double gain, double most)
 
 INSIDE void unit(double x, double y, const vector otherwise, vector out)
 {
-    double length = sqrt(x * x + y * y);
-    out[0] = length > 1e-7 ? x / length : otherwise[0];
-    out[1] = length > 1e-7 ? y / length : otherwise[1];
+    double length2 = x * x + y * y, length = sqrt(length2);
+    out[0] = length2 > SHORT2 ? x / length : otherwise[0];
+    out[1] = length2 > SHORT2 ? y / length : otherwise[1];
 }
 
 INSIDE int held(const struct problem *q, int64_t row)
@@ -113,10 +114,10 @@ INSIDE void nearest(const struct problem *q, int64_t row, const vector at, vecto
     for (int i = 0; i < PIECES; i++) {
         double to_x = at[0] - path[i][0], to_y = at[1] - path[i][1];
         dx[i] = path[i + 1][0] - path[i][0], dy[i] = path[i + 1][1] - path[i][1];
-        double share = 1.0 / greater(dx[i] * dx[i] + dy[i] * dy[i], 1e-18);
+        double length2 = dx[i] * dx[i] + dy[i] * dy[i], share = 1.0 / greater(length2, 1e-18);
         along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share, 0.0, 1.0);
         double off_x = to_x - along[i] * dx[i], off_y = to_y - along[i] * dy[i];
-        squared[i] = off_x * off_x + off_y * off_y;
+        squared[i] = length2 > SHORT2 ? off_x * off_x + off_y * off_y : INFINITY;
     }
     int best = 0;
     for (int i = 1; i < PIECES; i++)
