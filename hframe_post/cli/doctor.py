@@ -43,10 +43,10 @@ EXTRAS = ("matplotlib", "watchfiles", "distributed")
 
 
 class _Findings:
-    """Prints findings, and counts the problems among them."""
+    """Prints findings, and counts the problems among them. unchecked: a file that was not given."""
 
-    def __init__(self) -> None:
-        self.problems = 0
+    def __init__(self, unchecked: str) -> None:
+        self.problems, self.unchecked = 0, unchecked
 
     def ok(self, text: str) -> None:
         click.echo(f"ok       {text}")
@@ -84,7 +84,7 @@ def doctor(
     Example:
       hframe-post doctor -p my.toml --printer-cfg printer.cfg
     """
-    findings = _Findings()
+    findings = _Findings("printer.cfg" if config is None else "")
     _check_installation(findings)
     _check_folders(findings, folder)
     try:
@@ -94,7 +94,7 @@ def doctor(
     else:
         _check_profile(findings, choice, config)
     n = findings.problems
-    unchecked = ", but printer.cfg was not checked" if config is None else ""
+    unchecked = f", but {findings.unchecked} was not checked" if findings.unchecked else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
     context.exit(1 if n else 0)
 
@@ -147,18 +147,28 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
-            "its plant is not measured, so nothing is compensated until 'hframe-post identify' "
-            "has written your printer's: see docs/identify.md"
+            "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
+            "'calibrate-print' has written your printer's: see docs/start.md"
         )
+    klipper = profile.firmware.dialect == "klipper"
+    if config is None and not klipper:
+        findings.unchecked = ""
     if printer in shipped():
         tell = findings.note if config is None else findings.problem
+        source = quoted(config or ("printer.cfg" if klipper else "m503.txt"))
         tell(
             f"{printer} comes with hframe-post and is not your printer: run 'hframe-post setup "
-            f"{quoted(config or 'printer.cfg')}'"
+            f"{source}'"
         )
         return
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
+    if config is None and not klipper:
+        findings.note(
+            "after each change of the printer's settings save its answers to M503 and M115, and "
+            "run 'hframe-post setup' with them again"
+        )
+        return
     if config is None:
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
         return
@@ -178,9 +188,12 @@ def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
     days = (datetime.now(UTC).date() - (profile.measured or written)).days
     if not profile.invented and days > OLD:
         how = "measured" if profile.measured else "written"
+        again = "Measure it again"
+        if profile.firmware.dialect == "klipper":
+            again = "Run 'hframe-post check', or record and identify again"
         findings.note(
             f"{path} was {how} {days} days ago, and printers change: a resonance of one moved from "
-            "52 to 85 Hz within a year. Run 'hframe-post check', or record and identify again"
+            f"52 to 85 Hz within a year. {again}"
         )
 
 

@@ -257,8 +257,7 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
                           f"{none:.0f} µm without compensation", "best"))  # fmt: skip
         lead += (
             f"With compensation the nozzle would stay within {racking:.1f} µm (RMS) of a 120 × 20 "
-            f"mm rectangle, instead of {none:.0f} µm. Run 'hframe-post verify' to check it on the "
-            "printer."
+            f"mm rectangle, instead of {none:.0f} µm."
         )
     sections = [Section(TITLES[G], _charts(G, measured[G], found)) for G, found in fits.items()]
     facts = [(G, _fact(measured[G], found)) for G, found in fits.items()]

@@ -97,8 +97,8 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
             )
         return Choice(default, "default set with 'hframe-post use'")
     raise HframeError(
-        "no printer is chosen: make its profile with 'hframe-post setup printer.cfg', or name a "
-        "profile with -p (for a demonstration: -p paper)"
+        "no printer is chosen: make its profile with 'hframe-post setup printer.cfg' (Marlin: "
+        "m503.txt), or name one with -p (for a demonstration: -p paper)"
     )
 
 

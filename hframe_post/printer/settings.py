@@ -274,7 +274,10 @@ class Printer:
                 "there and the result must not be printed. Begin with 'hframe-post setup'"
             ]
         if self.verified is None:
-            return ["NOT VERIFIED on a machine: 'hframe-post verify' shows whether this helps"]
+            how = "'hframe-post verify' shows whether this helps"
+            if self.firmware.dialect != "klipper":  # which records accelerometers by itself
+                how = "print the part with and without compensation (-c none), and compare"
+            return [f"NOT VERIFIED on a machine: {how}"]
         return []
 
     @property

@@ -147,6 +147,25 @@ def test_doctor_names_the_variable_that_chooses_another_profile(machine: Path) -
     assert b"run 'unset HFRAME_PRINTER'" in done.stdout
 
 
+def test_a_marlin_owner_is_told_of_no_printer_cfg(tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('extends = "example-ender"\n')
+    done = run("doctor", "-p", own, HFRAME_PRINTER=str(own))
+    assert done.returncode == 0
+    assert done.stdout.endswith(b"no problems found\n")
+    assert b"save its answers to M503" in done.stdout
+    shipped = run("doctor", "-p", "example-ender", HFRAME_PRINTER="")
+    assert b"run 'hframe-post setup m503.txt'" in shipped.stdout
+    assert b"printer.cfg" not in done.stdout + shipped.stdout
+    own.write_text('extends = "paper-marlin"\n[plant]\ninvented = false\n')
+    for command in ("check", "verify"):
+        printed = run(command, "-p", own, "--gcode", tmp_path / "a.gcode")
+        assert printed.returncode == 1
+        assert b"measure again: 'hframe-post sweep'" in printed.stderr
+    converted = run("sample_gcode/rectangle.gcode", "-n", "-p", own)
+    assert b"NOT VERIFIED on a machine: print the part with and without" in converted.stderr
+
+
 def test_doctor_without_a_profile_checks_the_installation(tmp_path: Path) -> None:
     done = run("doctor", XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
     assert done.returncode == 0

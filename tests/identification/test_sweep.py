@@ -194,7 +194,7 @@ def test_the_stream_is_allowed_no_more_than_the_sweep_needs(short: Path) -> None
 
 def test_a_file_that_records_is_for_klipper_only() -> None:
     printer = profiles.load("paper-marlin")
-    with pytest.raises(PrinterError, match="marlin cannot record"):
+    with pytest.raises(PrinterError, match="marlin records no accelerometers"):
         list(gcode(printer, runs(printer, 0, [(140.0, 147.5)]), ("adxl345",), 10.0))
 
 

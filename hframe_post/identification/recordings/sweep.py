@@ -206,8 +206,12 @@ def gcode(
     Raises PrinterError if the printer's firmware is not Klipper.
     """
     if (dialect := printer.firmware.dialect) != "klipper":
-        cause = f"{dialect} cannot record accelerometers; this file is for Klipper"
-        raise PrinterError(cause, "firmware.dialect", printer.name)
+        raise PrinterError(
+            f"{dialect} records no accelerometers, which this run needs. To find out what drifted, "
+            "measure again: 'hframe-post sweep', then identify. To see what compensation brings, "
+            "print a part with and without it (-c none)",
+            "firmware.dialect", printer.name,
+        )  # fmt: skip
     stamp = f"{__version__}, printer {printer.name}, settings {printer.digest}"
     yield b"%s %s\n" % (STAMP, stamp.encode())
     height = plain(z, 3)
