@@ -10,11 +10,12 @@ may have others, each the same all over the bed or with a lever arm as θ has.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native import kernel
 
@@ -93,27 +94,61 @@ class Filter:
             u = y
 
 
-class Response:
-    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
+class _Filters:
+    """Filters side by side, in one block of memory for the compiled loops.
 
-    state (sections, 2): of Gxx, Gyy and the couplings, in turn.
+    state (sections, 2): of all of them, in turn.
     """
 
-    def __init__(self, plant: Plant, origin: Array) -> None:
-        self._origin, self._couplings = origin, plant.couplings
-        functions = plant.Gxx, plant.Gyy, *(coupling.G for coupling in self._couplings)
-        self._filters = [Filter(G) for G in functions]
-        self._sections = np.concatenate([f.sections for f in self._filters])
-        self._counts = np.array([len(f.sections) for f in self._filters])
+    def __init__(self, direct: Sequence[TransferFunction], couplings: Sequence[Coupling]) -> None:
+        self.each = [Filter(G) for G in (*direct, *(coupling.G for coupling in couplings))]
+        self.couplings = couplings
+        self._sections = np.concatenate([f.sections for f in self.each])
+        self._counts = np.array([len(f.sections) for f in self.each])
         self.state = np.zeros((len(self._sections), 2))
-        for f, state in zip(self._filters, self._states(), strict=True):
-            f.state = state
-        axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in self._couplings]
+        parts = np.split(self.state, np.cumsum(self._counts)[:-1])
+        for f, part in zip(self.each, parts, strict=True):
+            f.state = part
+        axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
         self._axes = np.array(axes, np.int64).reshape(-1, 3)
-        self._centres = np.array([coupling.centre for coupling in self._couplings])
+        self._centres = np.array([coupling.centre for coupling in couplings])
 
-    def _states(self) -> list[Array]:
-        return np.split(self.state, np.cumsum(self._counts)[:-1])
+    def arguments(self) -> tuple[Array | Integers | int, ...]:
+        """Return the first arguments of a compiled loop."""
+        return (
+            self._sections, len(self._sections), self.state, self._counts, len(self.each),
+            self._axes, self._centres, len(self._axes),
+        )  # fmt: skip
+
+
+class Coupled:
+    """What couplings add to the nozzle in one axis, under commands that come in pieces."""
+
+    def __init__(self, couplings: Sequence[Coupling], origin: Array) -> None:
+        self._filters, self._origin = _Filters((), couplings), origin
+
+    def run(self, path: Array, x_dm: Array, y_dm: Array) -> Array:
+        """Return the sum (n,) at the next samples of the path (n, 2) and of commands (n,).
+
+        All are relative to the origin. The lever arms are those of the path.
+        """
+        filters, added = self._filters, np.zeros(len(path))
+        if (compiled := kernel("coupled")) is not None:
+            path, x_dm, y_dm = (np.ascontiguousarray(each) for each in (path, x_dm, y_dm))
+            compiled(*filters.arguments(), self._origin, path, x_dm, y_dm, len(path), added)
+            return added
+        place, commands = path + self._origin, (x_dm, y_dm)
+        for coupling, G in zip(filters.couplings, filters.each, strict=True):
+            added += coupling.lever(place) * G.run(commands[coupling.command])
+        return added
+
+
+class Response:
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,)."""
+
+    def __init__(self, plant: Plant, origin: Array) -> None:
+        self._filters = _Filters((plant.Gxx, plant.Gyy), plant.couplings)
+        self._origin, self.state = origin, self._filters.state
 
     def settle(self, command: Array) -> None:
         """Come to rest under a command (2,)."""
@@ -128,22 +163,20 @@ class Response:
 
     def motion(self, command: Array) -> tuple[Array, Array]:
         """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
-        both = self._motion(command, len(self._couplings))
+        both = self._motion(command, len(self._filters.couplings))
         return both[:, :2], both[:, 2:]
 
     def _motion(self, command: Array, shown: int) -> Array:
+        filters, n = self._filters, len(command)
         if (compiled := kernel("response")) is not None:
-            command, motion = np.ascontiguousarray(command), np.empty((len(command), 2 + shown))
-            compiled(
-                self._sections, len(self._sections), self.state, self._counts, len(self._counts),
-                self._axes, self._centres, self._origin, command, len(command), motion, 2 + shown,
-            )  # fmt: skip
+            command, motion = np.ascontiguousarray(command), np.empty((n, 2 + shown))
+            compiled(*filters.arguments(), self._origin, command, n, motion, 2 + shown)
             return motion
         u = command - self._origin
-        Gxx, Gyy, *others = self._filters
+        Gxx, Gyy, *others = filters.each
         place = np.column_stack([Gxx.run(u[:, X]), Gyy.run(u[:, Y])]) + self._origin
         nozzle, outputs = place.copy(), []
-        for coupling, G in zip(self._couplings, others, strict=True):
+        for coupling, G in zip(filters.couplings, others, strict=True):
             outputs.append(G.run(u[:, coupling.command]))
             nozzle[:, coupling.answer] += coupling.lever(place) * outputs[-1]
         return np.column_stack([nozzle, *outputs[:shown]])

@@ -27,7 +27,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import Coupling, Filter, Plant
+from hframe_post.model.plant import Coupled, Coupling, Plant
 
 
 class Compensator:
@@ -130,8 +130,8 @@ class _Stage:
     def __init__(
         self, axis: int, lpfbs: Lpfbs, couplings: Sequence[Coupling], origin: Array
     ) -> None:
-        self.axis, self._origin, self._solver = axis, origin, _Axis(lpfbs)
-        self._couplings = [(coupling, Filter(coupling.G)) for coupling in couplings]
+        self.axis, self._solver = axis, _Axis(lpfbs)
+        self._coupled = Coupled(couplings, origin) if couplings else None
         self._taken = 0  # samples of which the solver knows the target
         self._solved = np.zeros(0)
 
@@ -140,12 +140,11 @@ class _Stage:
 
         commands: the latest ones of x and y, from the same sample on. last: the path ends here.
         """
-        needed = (len(commands[coupling.command]) for coupling, _ in self._couplings)
-        at = slice(self._taken, min(needed, default=len(path)))
+        known = min(map(len, commands)) if self._coupled else len(path)
+        at = slice(self._taken, known)
         target = path[at, self.axis]
-        for coupling, G in self._couplings:  # eq. 19, with the lever arm of Remark 2.1
-            lever = coupling.lever(path[at] + self._origin)
-            target = target - lever * G.run(commands[coupling.command][at])
+        if self._coupled:  # eq. 19, with the lever arm of Remark 2.1
+            target = target - self._coupled.run(path[at], *(each[at] for each in commands))
         self._taken = at.stop
         self._solved = np.concatenate([self._solved, self._solver.feed(target)])
         if last:

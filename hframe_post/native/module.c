@@ -11,6 +11,7 @@
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
     EACH(count_turns)                                                                         \
+    EACH(coupled)                                                                             \
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \
     EACH(filtered)                                                                            \
