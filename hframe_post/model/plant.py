@@ -153,8 +153,8 @@ class Response:
     def settle(self, command: Array) -> None:
         """Come to rest under a command (2,)."""
         u = (command - self._origin).tolist()
-        axes = X, Y, *(coupling.command for coupling in self._couplings)
-        for f, axis in zip(self._filters, axes, strict=True):
+        axes = X, Y, *(coupling.command for coupling in self._filters.couplings)
+        for f, axis in zip(self._filters.each, axes, strict=True):
             f.settle(u[axis])
 
     def run(self, command: Array) -> Array:

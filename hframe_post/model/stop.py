@@ -21,7 +21,7 @@ symbol          meaning
 ``E, B``        roots of weights that keep the belts and the bed's edges within bounds
 ==============  =============================================================================
 
-The plant is linear and θ's lever arm is that of the path (Remark 2.1 of the paper), so this is a
+The plant is linear and lever arms are those of the path (Remark 2.1 of the paper), so this is a
 linear least-squares problem for given feet. Its bounds are met by iteratively reweighted least
 squares: a row that exceeds its bound gets more weight, and the problem is solved again.
 
@@ -38,7 +38,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, X
+from hframe_post.arrays import TS, Array
 from hframe_post.model.linear import product
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant, Response
@@ -85,8 +85,8 @@ class StopSolver:
         rows, n = Rows.from_stop(around, stop), stop.b - stop.a
         command = command[stop.a - BESIDE - 2 : stop.b + BESIDE + BEYOND].copy()
         command[BESIDE + 2 : BESIDE + 2 + n] = command[BESIDE + 2]
-        path_x = around.path[rows.index, X] + around.origin[X]
-        known, lever = self.around.known(before, command[2:], path_x, n)
+        path = around.path[rows.index] + around.origin
+        known, levers = self.around.known(before, command[2:], path, n)
         reach = self._reach.searchsorted([stop.before, stop.after], side="right").tolist()
         splines = self._splines(*reach, stop.movable, n)
         # with two samples more on either side for second differences, and a shortened hold
@@ -95,8 +95,9 @@ class StopSolver:
         sequence = np.concatenate([command[: BESIDE + 2], hold, later])
         bed = self._bed - around.origin[:, None]
         problem = Problem(
-            rows, known, lever, splines, sequence, self._effort, self._belts, self._limit, bed
-        )
+            rows, known, levers, self.around.axes, splines, sequence, self._effort, self._belts,
+            self._limit, bed,
+        )  # fmt: skip
         sequence += product(splines.N, problem.solution())
         command = command[2 : 2 + n + 2 * BESIDE]
         command[:BESIDE] = sequence[2 : BESIDE + 2]

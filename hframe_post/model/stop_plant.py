@@ -7,29 +7,26 @@ part plus a matrix times the weights ``p`` of these. Symbols are those of ``mode
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, Integers
 from hframe_post.model.plant import Filter, Plant, Response
 from hframe_post.model.stop_cost import BESIDE, BEYOND, judged
-from hframe_post.model.transfer_function import TransferFunction
-
-NO_RACKING = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
 
 
 class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a hold, in the order of time.
+    axes (couplings, 2): where each coupling answers, and the command.
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
-        # stops know of racking only
-        self._plant = replace(plant, Gxtheta=plant.Gxtheta or NO_RACKING, cross=())
-        self._N_before, self._N_after = N_before, N_after
+        self._plant, self._N_before, self._N_after = plant, N_before, N_after
+        axes = [(coupling.answer, coupling.command) for coupling in plant.couplings]
+        self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
     def at_rest(self, command: Array) -> Response:
@@ -38,20 +35,25 @@ class AroundStops:
         response.settle(command)
         return response
 
-    def known(self, before: Response, command: Array, x: Array, n: int) -> tuple[Array, Array]:
-        """Return the nozzle (r, 2) without p, and θ's lever arm (r,), at the judged samples.
+    def known(self, before: Response, command: Array, path: Array, n: int) -> tuple[Array, Array]:
+        """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
         before: the response to all earlier commands; command: from BESIDE samples before a hold of
-        n samples to BESIDE + BEYOND after it; x (r,): of the path.
+        n samples to BESIDE + BEYOND after it; path (r, 2): there.
         """
         state = before.state.copy()
-        nozzle, theta = (each[judged(n)] for each in before.motion(command))
+        at, outputs = (each[judged(n)] for each in before.motion(command))
         before.state[:] = state
-        nozzle[:, Y] += (x - nozzle[:, X]) * theta[:, 0]
-        return nozzle, x - self._plant.x_c
+        nozzle, levers = at.copy(), np.ones((len(self.axes), len(at)))
+        for coupling, output, lever in zip(self._plant.couplings, outputs.T, levers, strict=True):
+            if coupling.along is not None:
+                off = path[:, coupling.along] - at[:, coupling.along]
+                nozzle[:, coupling.answer] += off * output
+                lever[:] = coupling.lever(path)
+        return nozzle, levers
 
     def _by_splines(self, n: int) -> Array:
-        """Return x, y and θ (3, r, 2k + 1) by splines before, a hold of n, and splines after."""
+        """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a hold of n."""
         k, end = self._N_before.shape[1], BESIDE + n
         commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND))
         commands[:k, :BESIDE] = self._N_before.T

@@ -35,8 +35,8 @@ class Splines:
 
     N (q, k): the command by p, from two samples before to two after; D (q − 2, k): its second
     differences; bands (q, 2): each row of N has nonzero values from one column to before another;
-    by_p (3, r, k): x, y and θ by a half of p; first (k,): the row at which each spline begins to
-    act; limit (q − 2,): bounds of the belts' second difference.
+    by_p (2 + couplings, r, k): outputs of the plant's filters by a half of p; first (k,): the row
+    at which each spline begins to act; limit (q − 2,): bounds of the belts' second difference.
     """
 
     N: Array
@@ -63,14 +63,15 @@ class Splines:
 class Problem:
     """A stop's least squares.
 
-    known (r, 2): the nozzle without p; lever (r,): of θ; command (q, 2): without p; effort (2,);
-    belts (2, 2): from x, y; full_limit: of theirs, where nothing lowers it; bed (2, 2): least and
-    greatest command.
+    known (r, 2): the nozzle without p; levers (couplings, r); axes (couplings, 2): where these
+    answer, and their command; command (q, 2): without p; effort (2,); belts (2, 2): from x, y;
+    full_limit: of theirs, where nothing lowers it; bed (2, 2): least and greatest command.
     """
 
     rows: Rows
     known: Array
-    lever: Array
+    levers: Array
+    axes: Integers
     splines: Splines
     command: Array
     effort: Array
@@ -91,18 +92,20 @@ class Problem:
         bounds = np.concatenate([self.effort, self.belts.ravel(), bed, [self.full_limit]])
         fits = compiled(
             rows.path, rows.index, len(rows.index), rows.held.start, rows.held.stop, rows.weight,
-            rows.extruding, self.known, self.lever, splines.by_p, splines.first, len(p),
-            self.command, len(self.command), splines.N, splines.D, splines.bands, splines.limit,
-            bounds, np.empty(ROOM), p,
+            rows.extruding, self.known, self.levers, self.axes, len(self.axes), splines.by_p,
+            splines.first, len(p), self.command, len(self.command), splines.N, splines.D,
+            splines.bands, splines.limit, bounds, np.empty(ROOM), p,
         )  # fmt: skip
         assert fits
         return p
 
     def nozzle(self, p: Array) -> Array:
         """Return the nozzle at the rows, (r, 2)."""
-        (x, y, theta), (p_x, p_y) = self.splines.by_p, p.T
-        moved_y = _times(p_y, y.T) + self.lever * _times(p_x, theta.T)
-        return np.asarray(self.known + np.column_stack([_times(p_x, x.T), moved_y]))
+        x, y, *outputs = self.splines.by_p
+        moved = np.column_stack([_times(p[:, X], x.T), _times(p[:, Y], y.T)])
+        for (answer, command), lever, output in zip(self.axes, self.levers, outputs, strict=True):
+            moved[:, answer] += lever * _times(p[:, command], output.T)
+        return np.asarray(self.known + moved)
 
 
 def _solution(problem: Problem) -> Array:
@@ -165,8 +168,8 @@ class _Path:
 
 def _squares(problem: Problem, weight: Array, place: Array, foot: Array, t: Array) -> Array:
     """Return H and g of ½pᵀHp + gᵀp, the weighted squares, as [H g]."""
-    (x, y, theta), k = problem.splines.by_p, len(problem.splines.first)
-    normal, lever = np.sqrt(weight), problem.lever
+    (x, y, *outputs), k = problem.splines.by_p, len(problem.splines.first)
+    normal = np.sqrt(weight)
     along = np.full(len(weight), np.sqrt(ALONG))
     along[problem.rows.held] = 1.0
     along *= normal
@@ -175,8 +178,12 @@ def _squares(problem: Problem, weight: Array, place: Array, foot: Array, t: Arra
         (J[:, 0], foot, -normal * t[:, Y], normal * t[:, X]),
         (J[:, 1], place, along * t[:, X], along * t[:, Y]),
     ):
-        row[:, 0:-1:2] = n_x[:, None] * x + (n_y * lever)[:, None] * theta
+        row[:, 0:-1:2] = n_x[:, None] * x
         row[:, 1:-1:2] = n_y[:, None] * y
+        for (answer, command), lever, output in zip(
+            problem.axes, problem.levers, outputs, strict=True
+        ):
+            row[:, command:-1:2] += ((n_x, n_y)[answer] * lever)[:, None] * output
         off = problem.known - to
         row[:, -1] = n_x * off[:, X] + n_y * off[:, Y]
     rows = J.reshape(-1, 2 * k + 1)

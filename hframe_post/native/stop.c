@@ -36,8 +36,10 @@ struct problem {
     const double *weight;      /* (r) */
     const uint8_t *extruding;  /* (r) */
     const vector *known;       /* (r) */
-    const double *lever;       /* (r) */
-    const double *x, *y, *theta; /* (r, k) each */
+    const double *levers;      /* (couplings, r) */
+    const int64_t *axes;       /* (couplings, 2): where each answers, and the command */
+    int64_t couplings;
+    const double *by_p;        /* (2 + couplings, r, k): outputs of x, y and the couplings */
     const int64_t *first;      /* (k) */
     int64_t k, q;
     const vector *command;     /* (q) */
@@ -85,19 +87,31 @@ INSIDE int held(const struct problem *q, int64_t row)
     return row >= q->held_from && row < q->held_to;
 }
 
+/* The k values of an output at a row. */
+INSIDE const double *output(const struct problem *q, int64_t number, int64_t row)
+{
+    return q->by_p + (number * q->r + row) * q->k;
+}
+
 /* The nozzle at a row. */
 INSIDE void moved(const struct problem *q, int64_t row, const vector *p, vector at)
 {
-    const double *by_x = q->x + row * q->k, *by_y = q->y + row * q->k;
-    const double *by_theta = q->theta + row * q->k;
-    double x = 0.0, y = 0.0, theta = 0.0;
-    for (int64_t c = 0; c < q->k && q->first[c] <= row; c++) {
-        x += p[c][0] * by_x[c];
-        y += p[c][1] * by_y[c];
-        theta += p[c][0] * by_theta[c];
+    const double *by_x = output(q, 0, row), *by_y = output(q, 1, row);
+    vector by_p = {0.0, 0.0};
+    int64_t begun = 0;
+    for (; begun < q->k && q->first[begun] <= row; begun++) {
+        by_p[0] += p[begun][0] * by_x[begun];
+        by_p[1] += p[begun][1] * by_y[begun];
     }
-    at[0] = q->known[row][0] + x;
-    at[1] = q->known[row][1] + (y + q->lever[row] * theta);
+    for (int64_t m = 0; m < q->couplings; m++) {
+        const double *by = output(q, 2 + m, row);
+        double sum = 0.0;
+        for (int64_t c = 0; c < begun; c++)
+            sum += p[c][q->axes[2 * m + 1]] * by[c];
+        by_p[q->axes[2 * m]] += q->levers[m * q->r + row] * sum;
+    }
+    at[0] = q->known[row][0] + by_p[0];
+    at[1] = q->known[row][1] + by_p[1];
 }
 
 /* The path's nearest point to the nozzle, and the path's step there. */
@@ -133,7 +147,7 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
 {
     int64_t begun = 0, k = q->k;
     for (int64_t row = 0; row < q->r; row++) {
-        const double *x = q->x + row * k, *y = q->y + row * k, *theta = q->theta + row * k;
+        const double *x = output(q, 0, row), *y = output(q, 1, row);
         const double *t = room->t[row], *known = q->known[row], *place = q->path[q->index[row]];
         double normal = sqrt(room->weight[row]);
         double along = (held(q, row) ? 1.0 : sqrt(ALONG)) * normal;
@@ -144,10 +158,16 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
             const double *to = side ? place : room->foot[row];
             double n_x = side ? along * t[0] : -normal * t[1];
             double n_y = side ? along * t[1] : normal * t[0];
-            double by_theta = n_y * q->lever[row];
             for (int64_t c = 0; c < begun; c++) {
-                J[2 * c] = n_x * x[c] + by_theta * theta[c];
+                J[2 * c] = n_x * x[c];
                 J[2 * c + 1] = n_y * y[c];
+            }
+            for (int64_t m = 0; m < q->couplings; m++) {
+                const double *by = output(q, 2 + m, row);
+                double weight = (q->axes[2 * m] ? n_y : n_x) * q->levers[m * q->r + row];
+                double *J_command = J + q->axes[2 * m + 1];
+                for (int64_t c = 0; c < begun; c++)
+                    J_command[2 * c] += weight * by[c];
             }
             for (int64_t c = 2 * begun; c < WIDTH; c++)
                 J[c] = 0.0;
@@ -421,14 +441,14 @@ WIDE static void search(const struct problem *q, struct room *room, vector *best
  * and the belts' limit where nothing lowers it. Return whether there is room for it. */
 static int64_t least_squares(const double *path, const int64_t *index, int64_t r, int64_t held_from,
                              int64_t held_to, const double *weight, const uint8_t *extruding,
-                             const double *known, const double *lever, const double *by_p,
-                             const int64_t *first, int64_t k, const double *command, int64_t q,
+                             const double *known, const double *levers, const int64_t *axes,
+                             int64_t couplings, const double *by_p, const int64_t *first, int64_t k, const double *command, int64_t q,
                              const double *N, const double *D, const int64_t *bands, const double *limit,
                              const double *bounds, double *room, double *p)
 {
     struct problem problem = {
         (const vector *)path, index, r, held_from, held_to, weight, extruding, (const vector *)known,
-        lever, by_p, by_p + r * k, by_p + 2 * r * k, first, k, q, (const vector *)command, N, D, bands,
+        levers, axes, couplings, by_p, first, k, q, (const vector *)command, N, D, bands,
         limit, bounds, bounds + 2, bounds + 6, bounds + 8, bounds[10],
     };
     if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
@@ -439,9 +459,10 @@ static int64_t least_squares(const double *path, const int64_t *index, int64_t r
 }
 
 LOOP(least_squares, FLOATS(0, 2 * PIECES), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3), WHOLE(4),
-     FLOATS(5, WHOLE(2)), BYTES(6, WHOLE(2)), FLOATS(7, 2 * WHOLE(2)), FLOATS(8, WHOLE(2)),
-     FLOATS(9, 3 * WHOLE(2) * WHOLE(11)), INTEGERS(10, WHOLE(11)), WHOLE(11),
-     FLOATS(12, 2 * WHOLE(13)), WHOLE(13), FLOATS(14, WHOLE(13) * WHOLE(11)),
-     FLOATS(15, (WHOLE(13) - 2) * WHOLE(11)), INTEGERS(16, 2 * WHOLE(13)), FLOATS(17, WHOLE(13) - 2),
-     FLOATS(18, 11), OUT_FLOATS(19, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
-     OUT_FLOATS(20, 2 * WHOLE(11)))
+     FLOATS(5, WHOLE(2)), BYTES(6, WHOLE(2)), FLOATS(7, 2 * WHOLE(2)), FLOATS(8, WHOLE(2) * WHOLE(10)),
+     INTEGERS(9, 2 * WHOLE(10)), WHOLE(10), FLOATS(11, (2 + WHOLE(10)) * WHOLE(2) * WHOLE(13)),
+     INTEGERS(12, WHOLE(13)), WHOLE(13), FLOATS(14, 2 * WHOLE(15)), WHOLE(15),
+     FLOATS(16, WHOLE(15) * WHOLE(13)), FLOATS(17, (WHOLE(15) - 2) * WHOLE(13)),
+     INTEGERS(18, 2 * WHOLE(15)), FLOATS(19, WHOLE(15) - 2), FLOATS(20, 11),
+     OUT_FLOATS(21, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
+     OUT_FLOATS(22, 2 * WHOLE(13)))

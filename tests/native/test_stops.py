@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,12 +17,15 @@ from hframe_post.model.linear import product
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import Stop, Surroundings
 from hframe_post.printer.profile import load
+from tests.coupled import coupled_plant
 from tests.native.comparing import in_numpy, same, seeds, thorough
 
 
-@pytest.fixture(scope="module")
-def solver() -> StopSolver:
+@pytest.fixture(scope="module", params=["racking", "coupled"])
+def solver(request: pytest.FixtureRequest) -> StopSolver:
     printer = load("paper")
+    if request.param == "coupled":
+        printer = replace(printer, plant=coupled_plant(1, racks=True))
     return stop_solvers(prepared(printer), ["racking"], printer)["racking"]
 
 
