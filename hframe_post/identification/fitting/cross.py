@@ -1,12 +1,14 @@
 """What a command in one axis does to the other: a turned sensor, and coupling by shared modes.
 
-    C(f) = ψ·D(f) + e^{−sτ}·sinc²(f·Ts)·Σ (c_i + d_i p_i) / (p_i² + 2ζ_i p_i + 1),   Σ c_i = 0
+    C(f) = ψ·D(f) + e^{−sτ}·sinc²(f·Ts)·Σ (c_i + d_i p_i) / (p_i² + 2ζ_i p_i + 1)
+    p_i = s/ω_i,  Σ c_i = Σ d_i/ω_i = 0
 
 =============  ==========================================================================
 ``C, D``       measured responses across and along the commanded axis
 ``ψ``          angle by which the sensor is turned about the vertical: its share of D is the same
-               from rest on, while nothing couples at rest, hence Σ c_i = 0
-``ω_i, ζ_i``   modes of both axes, as their models have them: p_i = s/ω_i
+               from rest on, while nothing couples at rest, and at a constant speed only what the
+               damping of the modes explains
+``ω_i, ζ_i``   modes of both axes, as their models have them
 ``c_i, d_i``   what each contributes across, by position and by speed
 ``τ``          delay of the commanded axis
 =============  ==========================================================================
@@ -21,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.fitting.modal import (
@@ -29,7 +31,6 @@ from hframe_post.identification.fitting.modal import (
     Parameters,
     Structure,
     columns,
-    free_directions,
 )
 from hframe_post.identification.responses.crossed import Crossed
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
@@ -76,7 +77,8 @@ def _fitted(
     structure, parameters = _shared_modes(models)
     s = np.asarray(2j * np.pi * hz)
     n = structure.modes
-    free = free_directions(structure, parameters, np.repeat([1.0, 0.0], n))
+    unit = parameters.omega.min() / parameters.omega
+    free = linalg.null_space([[*np.ones(n), *np.zeros(n)], [*np.zeros(n), *unit]])
     played = np.sinc(hz * TS) ** 2 * np.exp(-s * parameters.delay)
     modes = (columns(s, structure, parameters) @ free) * played[:, None]
     A: Complex = np.column_stack([along, modes])
