@@ -167,6 +167,7 @@ def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Prin
     note = f"Frequencies changed by {100.0 * x:+g} % in x and {100.0 * y:+g} % in y, by eye"
     off = profile.uncertainty or profile.speed.model_error
     _write(output, printer, profile, plant, off, [note])
+    say("Next: compare once more, with half the share, and pick again. Then convert a print")
 
 
 def _shifted(plant: Plant, x: float, y: float) -> Plant:
