@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,6 +50,8 @@ def paper(printer: str, folder: Path | None, prism: Path | None) -> None:
       hframe-post paper
     """
     profile = load(printer)
+    plant = replace(profile.plant, cross=())  # the paper knows no coupling but racking
+    profile = replace(profile, plant=plant)
     if profile.plant.Gxtheta is None:
         raise PrinterError(
             "this printer does not rack, so there is nothing to reproduce; without -p the "

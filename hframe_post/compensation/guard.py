@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from hframe_post.arrays import TS, Array, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.plant import Plant
+from hframe_post.model.rounds import contraction
 from hframe_post.native import kernel
 from hframe_post.printer.settings import Limits, Motors, Printer, Travel
 from hframe_post.stream.chunks import stretches, with_neighbours
@@ -39,7 +40,15 @@ ADVICE = (
 
 
 def check_model(printer: Printer) -> None:
-    """Raise PrinterError if the gantry would twist further than any gantry does."""
+    """Raise PrinterError if x and y would act on each other more than in any printer."""
+    travel, windows = printer.travel, printer.compensation.windows
+    for place in (*product(travel.x, travel.y), (sum(travel.x) / 2.0, sum(travel.y) / 2.0)):
+        if not contraction(printer.plant, windows, np.array(place)) < 1.0:
+            raise PrinterError(
+                f"at x = {place[X]:g}, y = {place[Y]:g} the couplings of this model are so strong "
+                f"that no command cancels them; remove them, or {ADVICE}",
+                "plant.cross", printer.name,
+            )  # fmt: skip
     G, limits = printer.plant.Gxtheta, printer.limits
     if G is None:
         return

@@ -28,6 +28,7 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.plant import Coupled, Coupling, Plant
+from hframe_post.model.rounds import order, rounds_needed
 
 
 class Compensator:
@@ -39,6 +40,7 @@ class Compensator:
     def __init__(self, plant: Plant, windows: tuple[Window, Window]) -> None:
         self.plant = plant
         self.x, self.y = Lpfbs(plant.Gxx, windows[X]), Lpfbs(plant.Gyy, windows[Y])
+        self.rounds = rounds_needed(plant, windows)
 
 
 class StrategyState(Protocol):
@@ -89,7 +91,7 @@ class FilteredSplines:
         self._path = np.zeros((0, 2))  # from the origin, where the command is not final
         self._stages = [
             _Stage(axis, solvers[axis], [c for c in couplings if c.answer == axis], origin)
-            for axis in order(couplings)
+            for axis in order(couplings, compensator.rounds)
         ]
 
     def feed(self, xy: Array) -> Array:
@@ -110,18 +112,6 @@ class FilteredSplines:
         for stage in self._stages:
             stage.forget(n)
         return np.asarray(command)
-
-
-def order(couplings: Sequence[Coupling]) -> tuple[int, ...]:
-    """Return the axes to solve in turn.
-
-    An axis that couplings act on comes after the one whose command they act by. Where x and y act
-    on each other or on themselves, a second round meets what the first one changed.
-    """
-    acting = {(coupling.command, coupling.answer) for coupling in couplings}
-    if acting <= {(X, Y)}:
-        return X, Y
-    return (Y, X) if acting == {(Y, X)} else (X, Y, X, Y)
 
 
 class _Stage:

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array, X, Y
+from hframe_post.compensation.guard import check_model
+from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant, Response
-from hframe_post.model.strategies import STRATEGIES, Compensator, order
+from hframe_post.model.rounds import contraction, order, rounds_needed
+from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
 from tests.compensation.test_compensate import stroke
 from tests.coupled import coupled_plant
@@ -83,7 +86,7 @@ def test_a_lever_arm_grows_with_the_distance_from_its_centre(along: int) -> None
 def test_a_coupling_one_way_leaves_no_more_than_the_axes_alone(answer: int) -> None:
     whole = coupled_plant(2)
     plant = replace(whole, cross=tuple(c for c in whole.cross[::2] if c.answer == answer))
-    assert order(plant.couplings) == (1 - answer, answer)
+    assert order(plant.couplings, 2) == (1 - answer, answer)
     alone = left(plant.decoupled(), commanded(plant.decoupled()))
     assert left(plant, commanded(plant, "fbs")) > 3.0 * alone
     assert left(plant, commanded(plant)) < 1.1 * alone
@@ -96,6 +99,21 @@ def test_coupled_compensation_of_random_printers(seed: int, racks: bool) -> None
     decoupled = left(plant, commanded(replace(plant, cross=())))
     alone = left(plant.decoupled(), commanded(plant.decoupled()))
     assert left(plant, commanded(plant)) < alone + 0.3 * (decoupled - alone)
+
+
+def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_ones() -> None:
+    windows, paper = (WINDOW, WINDOW), load("paper")
+    weak, strong = (coupled_plant(seed) for seed in (1, 0))
+    assert rounds_needed(weak, windows) == 2
+    assert rounds_needed(strong, windows) == 4
+    check_model(replace(paper, plant=strong))
+    stronger = [replace(c, G=replace(c.G, gain=3.0 * c.G.gain)) for c in strong.cross]
+    with pytest.raises(PrinterError, match="couplings of this model are so strong"):
+        check_model(replace(paper, plant=replace(strong, cross=tuple(stronger))))
+
+
+def test_a_model_one_way_needs_one_round() -> None:
+    assert contraction(load("paper").plant, (WINDOW, WINDOW), np.array([280.0, 0.0])) == 0.0
 
 
 def test_equal_bits_however_the_stream_is_cut() -> None:
