@@ -14,14 +14,24 @@ from hframe_post.native import kernel
 
 def product(A: Array, B: Array) -> Array:
     """Return the matrix product of A (m, k), or a vector (k,), with B (k, n)."""
-    rows, B = np.ascontiguousarray(np.atleast_2d(A)), np.ascontiguousarray(B)
-    (m, k), n = rows.shape, B.shape[1]
+    rows = np.ascontiguousarray(np.atleast_2d(A))
+    out = _by_rows(rows, rows.shape[1], len(rows), B)
+    return out if A.ndim == 2 else out[0]
+
+
+def windows_product(x: Array, step: int, B: Array) -> Array:
+    """Return the products of B (k, n) with the k samples of x from every ``step``-th sample on."""
+    return _by_rows(x, step, (len(x) - len(B)) // step + 1, B)
+
+
+def _by_rows(x: Array, step: int, m: int, B: Array) -> Array:
+    k, n = B.shape
     if compiled := kernel("product"):
         out = np.empty((m, n))
-        compiled(rows, B, m, k, n, out)
-    else:
-        out = _product(rows, B)
-    return out if A.ndim == 2 else out[0]
+        compiled(x, step, np.ascontiguousarray(B), m, k, n, out)
+        return out
+    strides = (step * x.itemsize, x.itemsize)
+    return _product(np.lib.stride_tricks.as_strided(x, (m, k), strides), B)
 
 
 def _product(A: Array, B: Array) -> Array:

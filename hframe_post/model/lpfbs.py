@@ -26,7 +26,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
-from hframe_post.model.linear import product, pseudo_inverse, recursion
+from hframe_post.model.linear import product, pseudo_inverse, recursion, windows_product
 from hframe_post.model.transfer_function import TransferFunction
 
 CONDITION = 1e12  # greatest condition number of a window that can be solved
@@ -146,13 +146,11 @@ class Lpfbs:
                 f"{len(x_d)} samples are not a whole number of windows ({w.L_C} plus any multiple "
                 f"of {w.stride}); command() takes any length"
             )
-        windows = np.lib.stride_tricks.sliding_window_view(x_d, w.L_C)[:: w.stride]
-        by_target = product(windows, self._by_target)
+        by_target = windows_product(np.ascontiguousarray(x_d), w.stride, self._by_target)
         past = recursion(self._step_past, by_target[:, w.n_up :], s)
         p = by_target[:, : w.n_up] + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
         control = np.concatenate([s[-w.degree :], p.ravel()])
-        alive = np.lib.stride_tricks.sliding_window_view(control, w.degree + 1)
-        return product(alive, self._basis.T).ravel(), past[-1]
+        return windows_product(control, 1, self._basis.T).ravel(), past[-1]
 
 
 def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:

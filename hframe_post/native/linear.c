@@ -5,34 +5,40 @@
 
 #include "kernels.h"
 
-enum { BLOCK = 8 }; /* rows of a for which rows of b stay in the cache */
+enum { TOGETHER = 4, DEEP = 32 }; /* rows of add_rows; rows of b that stay in the cache */
 
-/* out (m, n) = a (m, k) b (k, n) */
-WIDE static int64_t product(const double *a, const double *b, int64_t m, int64_t k, int64_t n,
-                            double *out)
+/* Add to sum (n) one row a (k) times b (k, n). */
+INSIDE void add_product(const double *a, const double *b, int64_t k, int64_t n, double *restrict sum)
+{
+    int64_t r = 0;
+    for (; r + TOGETHER <= k; r += TOGETHER)
+        add_rows(a + r, b + r * n, n, 0, n, sum);
+    for (; r < k; r++)
+        for (int64_t j = 0; j < n; j++)
+            sum[j] += a[r] * b[r * n + j];
+}
+
+/* out (m, n) = a b (k, n), where row i of a (m, k) begins at i·step. */
+WIDE static int64_t product(const double *a, int64_t step, const double *b, int64_t m, int64_t k,
+                            int64_t n, double *out)
 {
     memset(out, 0, sizeof(double) * (size_t)(m * n));
-    for (int64_t top = 0; top < m; top += BLOCK) {
-        int64_t end = top + BLOCK < m ? top + BLOCK : m, r = 0;
-        for (; r + 4 <= k; r += 4)
-            for (int64_t i = top; i < end; i++)
-                add_rows(a + i * k + r, b + r * n, n, 0, n, out + i * n);
-        for (; r < k; r++)
-            for (int64_t i = top; i < end; i++)
-                for (int64_t j = 0; j < n; j++)
-                    out[i * n + j] += a[i * k + r] * b[r * n + j];
-    }
+    for (int64_t r = 0; r < k; r += DEEP)
+        for (int64_t i = 0; i < m; i++)
+            add_product(a + i * step + r, b + r * n, k - r < DEEP ? k - r : DEEP, n, out + i * n);
     return m;
 }
 
-LOOP(product, FLOATS(0, WHOLE(2) * WHOLE(3)), FLOATS(1, WHOLE(3) * WHOLE(4)), WHOLE(2), WHOLE(3),
-     WHOLE(4), OUT_FLOATS(5, WHOLE(2) * WHOLE(4)))
+LOOP(product, FLOATS(0, (WHOLE(3) - 1) * WHOLE(1) + WHOLE(4)), WHOLE(1), FLOATS(2, WHOLE(4) * WHOLE(5)),
+     WHOLE(3), WHOLE(4), WHOLE(5), OUT_FLOATS(6, WHOLE(3) * WHOLE(5)))
 
 /* s[k + 1] = s[k] M + w[k], for M (d, d), w (n, d), and s (n + 1, d) with the first row given. */
-static int64_t recursion(const double *M, const double *w, int64_t n, int64_t d, double *s)
+WIDE static int64_t recursion(const double *M, const double *w, int64_t n, int64_t d, double *s)
 {
     for (int64_t k = 0; k < n; k++, s += d, w += d) {
-        product(s, M, 1, d, d, s + d);
+        for (int64_t j = 0; j < d; j++)
+            s[d + j] = 0.0;
+        add_product(s, M, d, d, s + d);
         for (int64_t j = 0; j < d; j++)
             s[d + j] += w[j];
     }

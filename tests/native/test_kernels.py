@@ -20,7 +20,7 @@ from hframe_post.compensation.guard import Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.model.linear import product, recursion
+from hframe_post.model.linear import product, recursion, windows_product
 from hframe_post.model.plant import Filter, Response
 from hframe_post.planner import lookahead, profiles, sampling
 from hframe_post.prediction.predict import Polyline, _moving
@@ -124,6 +124,8 @@ def test_linear_algebra(compiled: None, seed: int, m: int, k: int, n: int) -> No
     rng = np.random.default_rng(seed)
     A, B = rng.normal(size=(m, k)), rng.normal(size=(k, n)) * rng.choice([0.0, 1.0], size=n)
     same(product(A, B), in_numpy(product, A, B))
+    x, apart = rng.normal(size=3 * m + k), int(rng.integers(1, 4))
+    same(windows_product(x, apart, B), in_numpy(windows_product, x, apart, B))
     step, W = rng.normal(size=(n, n)) / n, rng.normal(size=(m, n))
     same(recursion(step, W, W[0]), in_numpy(recursion, step, W, W[0]))
 
