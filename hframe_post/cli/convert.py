@@ -46,6 +46,7 @@ from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.profile import played_by
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.process import processor_count
+from hframe_post.stream.running import keep_memory
 from hframe_post.writers.files import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
@@ -163,6 +164,7 @@ def convert(
         head.insert(0, f"file             {one_line(name_in_slicer)}")
     head += slicer_warnings(os.environ, profile.limits)
     log(f"profile {printer}, strategy {strategy}")
+    keep_memory()
     with (
         _leaving_alone(source, None if dry_run else output, json_file, html, quiet),
         Outputs(files_read(source, printer)) as outputs,

@@ -6,6 +6,7 @@ The stream keeps its length, so marks, z and e keep their samples. What a strate
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -15,7 +16,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Z
 from hframe_post.model.strategies import Compensator, StrategyState, strategy
 from hframe_post.printer.settings import Limits, Travel
-from hframe_post.stream.chunks import join, part, stretches
+from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Samples, frozen
 
 
@@ -46,35 +47,53 @@ class _States:
 
     def __init__(self, states: dict[str, StrategyState]) -> None:
         self._states = states
-        self._waiting: list[Samples] = []
-        self._ready = {name: np.zeros((0, 2)) for name in states}
+        self._waiting: deque[Samples] = deque()
+        self._ready = {name: _Rows() for name in states}
 
     def feed(self, chunk: Samples) -> Iterator[Samples]:
         self._waiting.append(chunk)
         for name, state in self._states.items():
-            self._add(name, state.feed(chunk.xyze[:, :Z]))
-        yield from self._release(min(map(len, self._ready.values()), default=len(chunk)))
+            self._ready[name].add(state.feed(chunk.xyze[:, :Z]))
+        yield from self._released()
 
     def finish(self) -> Iterator[Samples]:
         for name, state in self._states.items():
-            self._add(name, state.finish())
-        yield from self._release(sum(map(len, self._waiting)))
+            self._ready[name].add(state.finish())
+        yield from self._released()
 
-    def _add(self, name: str, command: Array) -> None:
-        if len(command):
-            ready = self._ready[name]
-            self._ready[name] = np.concatenate([ready, command]) if len(ready) else command
+    def _released(self) -> Iterator[Samples]:
+        """Yield the chunks that have all their commands."""
+        ready = self._ready
+        while self._waiting:
+            n = len(self._waiting[0])
+            if any(rows.count < n for rows in ready.values()):
+                return
+            commands = {name: frozen(rows.take(n)) for name, rows in ready.items()}
+            yield replace(self._waiting.popleft(), commands=commands)
 
-    def _release(self, n: int) -> Iterator[Samples]:
-        count = sum(map(len, self._waiting))
-        if not self._waiting or (count and not n):
-            return
-        whole = join(self._waiting)
-        ready, rest = part(whole, 0, n), part(whole, n, count)
-        self._waiting = [rest] if n < count else []
-        commands = {name: frozen(xy[:n]) for name, xy in self._ready.items()}
-        self._ready = {name: xy[n:] for name, xy in self._ready.items()}
-        yield replace(ready, commands=commands)
+
+class _Rows:
+    """A queue of commands (n, 2), taken in other numbers than they are added."""
+
+    def __init__(self) -> None:
+        self._pieces = deque[Array]()
+        self.count = 0
+
+    def add(self, rows: Array) -> None:
+        if len(rows):
+            self._pieces.append(rows)
+            self.count += len(rows)
+
+    def take(self, n: int) -> Array:
+        """Return the first n rows, copied only where they were added in several pieces."""
+        taken, self.count = [np.zeros((0, 2))], self.count - n
+        while n:
+            piece = self._pieces.popleft()
+            if len(piece) > n:
+                self._pieces.appendleft(piece[n:])
+            taken.append(piece[:n])
+            n -= len(taken[-1])
+        return np.concatenate(taken) if len(taken) > 2 else taken[-1]
 
 
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
