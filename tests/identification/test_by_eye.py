@@ -34,6 +34,7 @@ from hframe_post.model.plant import Filter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
+from tests.klipper.host import play
 from tests.marlin.planner import Build, Machine
 
 A = 1500.0
@@ -127,6 +128,22 @@ def test_a_wall_in_blocks_shows_racking(hz: float, gain: float, x_c: float) -> N
     path, _ = comb.path()
     own, its = (Filter(one.function(X)).run(path - path[0]) for one in (true, found))
     assert np.linalg.norm(own - its) < 0.85 * np.linalg.norm(own)
+
+
+@pytest.mark.klipper
+def test_klipper_travels_the_wall_as_assumed(tmp_path: Path) -> None:
+    printer = load("example-hbot")
+    wall, lines = comb(printer), tower(printer, Heat(210.0, 60.0))
+    assert wall is not None
+    two_layers = [line for line in lines[: lines.index("G1 Z0.6 F600")] if line[:2] != "M1"]
+    (tmp_path / "wall.gcode").write_text("\n".join([*two_layers, ""]))
+    played = play(tmp_path / "wall.gcode", workdir=tmp_path / "work")
+    assert not played.warnings
+    along = np.isclose(played.moves["start"][:, 2], 0.4) & (played.moves["ratio"][:, 0] == 1.0)
+    begin = played.moves["print_time"][along][0]
+    path, _ = wall.path()
+    x = played.position(begin + np.arange(len(path)) * TS)[:, 0]
+    assert np.abs(x - path).max() < 0.02  # mm: a quarter of a millisecond at full speed
 
 
 def test_racking_that_hardly_shows_is_not_guessed() -> None:
