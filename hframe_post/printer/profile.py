@@ -218,9 +218,9 @@ def check_identified(printer: Printer) -> None:
     if printer.invented:
         raise PrinterError(
             "this plant was not measured on your printer, so nothing is compensated with it: "
-            "measure yours with 'hframe-post sweep' and 'hframe-post identify' "
-            "(docs/identify.md), or override with --force. If it is your printer's, write "
-            "invented = false below [plant]",
+            "measure yours with 'hframe-post sweep' and 'identify', without a sensor with "
+            "'calibrate-print' (docs/start.md), or override with --force. If it is your printer's, "
+            "write invented = false below [plant]",
             "plant.invented", printer.name,
         )  # fmt: skip
 

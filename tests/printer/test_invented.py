@@ -81,7 +81,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
                     run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
         assert refused.returncode == 1
         assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
-        assert b"'hframe-post sweep' and 'hframe-post identify'" in refused.stderr
+        assert b"'hframe-post sweep' and 'identify', without a sensor" in refused.stderr
     assert not out.exists()
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0
