@@ -157,9 +157,10 @@ def identify(
         from_folders,
         from_pair,
     )
+    from hframe_post.identification.pages import identification_page
     from hframe_post.identification.recordings import accelerometer
     from hframe_post.identification.recordings.folder import files_in
-    from hframe_post.identification.report import conclude, identification_page
+    from hframe_post.identification.report import conclude
 
     _check_usage([*recordings, *nozzle], bridge, L_G, band, axes)
     config = KlipperConfig(config_file) if config_file is not None else None

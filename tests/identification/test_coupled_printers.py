@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, X, Y
-from hframe_post.identification.identify import Run, Settings, identify
-from hframe_post.model.plant import Plant
+from hframe_post.identification.gather import Gathered
+from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.pages import identification_page
+from hframe_post.identification.report import IdentificationReport
 from tests.coupled_printers import PLACES, another_day, drawn_coupled, runs_of_days
 from tests.identification.test_coupling import Coupled
 from tests.identification.test_uncalibrated import coupled_run
+from tests.page.pages import data_of
 from tests.random_printers import judged, printer
 from tests.resonance_recordings import X as ALONG_X
 from tests.resonance_recordings import Y as ALONG_Y
@@ -23,23 +26,22 @@ AXIS = Axis((Mode(40.0, 0.1),))  # of no account: only the kinematics are
 SETTINGS = Settings((3.0, 100.0), racks=False)
 
 
-def plant(*runs: Run) -> Plant:
-    return identify(runs, SETTINGS).plant(140.0)
-
-
-def test_only_what_two_recordings_share_is_written() -> None:
+def test_only_what_two_recordings_share_is_compensated() -> None:
     machine = Coupled((46.0, 33.0), (0.05, 0.08), 0.2, delay=0.0)
-    x, y = coupled_run(machine, ALONG_X), coupled_run(machine, ALONG_Y)
-    assert not plant(x, y).cross
-    again = coupled_run(machine, ALONG_X, seed=2)
-    (found,) = plant(x, again, y).cross
-    assert (found.answer, found.command) == (Y, X)
+    x, again = (coupled_run(machine, ALONG_X, seed=seed) for seed in (1, 2))
+    assert not identify([x], SETTINGS).plant(140.0).cross
+    found = identify([x, again, coupled_run(machine, ALONG_Y)], SETTINGS)
+    (cross,) = found.plant(140.0).cross
+    assert (cross.answer, cross.command) == (Y, X)
     hz = np.arange(10.0, 90.0)
     true = machine.response(hz)[:, 1, 0]
-    off = np.abs(found.G.response(2.0 * np.pi * TS * hz) - true)
+    off = np.abs(cross.G.response(2.0 * np.pi * TS * hz) - true)
     assert off.max() < 0.1 * np.abs(true).max()
-    changed = coupled_run(replace(machine, angle=-0.1), ALONG_X, seed=3)
-    assert not plant(x, changed, y).cross
+    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], [], []))
+    shown = data_of(identification_page(report, "a printer"))["sections"][2]
+    assert shown["title"] == "Coupling: what x does to y"
+    labels = [line["label"].split(" at ")[0] for line in shown["charts"][0]["lines"]]
+    assert labels == ["recording 1", "recording 2", "compensated"]
 
 
 @pytest.mark.slow

@@ -43,15 +43,17 @@ class CoupledMode:
 class MeasuredCoupling:
     """What a command in ``axis`` does to ``other``, x or y.
 
-    terms: what the recordings share of it, to be compensated. model: all of it at the mean place,
-    with gain and delay of ``along``, the model of the axis itself. turn: rad by which the sensor is
-    turned, at the most. hz, size, wrong: where the coupling is greatest, how great, and |G − 1| of
-    the axis itself there; size 0 if it is nowhere above its noise. unexplained: share of the
-    coupling of a recording that the others do not foresee; None if there are too few.
+    runs: without what a turned sensor sees. terms: what they share, to be compensated. model: all
+    of it at the mean place, with gain and delay of ``along``, the model of the axis itself. turn:
+    rad by which the sensor is turned, at the most. hz, size, wrong: where the coupling is greatest,
+    how great, and |G − 1| of the axis itself there; size 0 if it is nowhere above its noise.
+    unexplained: share of the coupling of a recording that the others do not foresee; None if there
+    are too few.
     """
 
     axis: str
     other: str
+    runs: tuple[Crossed, ...]
     terms: tuple[CrossTerm, ...]
     model: Modal
     along: Modal
@@ -146,17 +148,19 @@ def find_coupling(
     found = shared(runs, models, known)
     along = average([run.along for run in runs])
     coupled = [
-        replace(run.across, H=fit.coupling(run)) for run, fit in zip(runs, found.fits, strict=True)
+        replace(run, across=replace(run.across, H=fit.coupling(run)))
+        for run, fit in zip(runs, found.fits, strict=True)
     ]
     # the mean of what changes, with the place or by itself, may be 0
     alike = found.left <= REPEATS and len(found.axes) == 1
-    shown = [average(coupled)] if alike else coupled
+    across = [run.across for run in coupled]
+    shown = [average(across)] if alike else across
     sizes = [_greatest(along, one, models[0]) for one in shown]
     hz, size, wrong = max(sizes, key=lambda one: one[1])
     repeats = found.left <= REPEATS and size > 0.0
     terms = [term for term in found.terms() if repeats and found.size(term) > LEAST_SHARE]
     return MeasuredCoupling(
-        axis, "y" if axis == "x" else "x", tuple(terms), found.at_mean, models[0],
+        axis, "y" if axis == "x" else "x", tuple(coupled), tuple(terms), found.at_mean, models[0],
         max((fit.turn for fit in found.fits), key=abs), hz, size, wrong,
         found.left if found.free > 0 else None,
     )  # fmt: skip

@@ -43,6 +43,11 @@ class CrossTerm:
     along: int | None = None
     centre: float = 0.0
 
+    def response(self, hz: Array, place: tuple[float, float]) -> Complex:
+        """Return what it does at a place (x, y), mm, with the gain and delay of the model."""
+        lever = 1.0 if self.along is None else place[self.along] - self.centre
+        return lever * self.model.response(hz)
+
 
 @dataclass(frozen=True, slots=True)
 class Shared:

@@ -1,0 +1,159 @@
+"""The results of an identification and of a verification as pages for a browser."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
+from hframe_post.identification.fitting.fit import Fit
+from hframe_post.identification.identified import AXIS, Measured
+from hframe_post.identification.report import IdentificationReport
+from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.identification.verification.verdict import Verdict
+from hframe_post.page.measured import Card, Chart, Line, Section, page
+from hframe_post.plotting import decibel, degrees
+
+TITLES = {
+    "Gxx": "x: from the motors to the nozzle (Gxx)",
+    "Gyy": "y: from the motors to the nozzle (Gyy)",
+    "Gxtheta": "Racking: from x to the rotation of the gantry (Gxθ)",
+}
+RELIABLE = 0.5  # coherence below which the phase of a response is noise
+
+
+def identification_page(report: IdentificationReport, name: str) -> bytes:
+    identified = report.identified
+    fits, measured = identified.fits, identified.measured
+    modes = {axis: _strongest(fits[G]) for G, axis in AXIS.items() if G in fits}
+    cards = [_ringing_card(axis, mode) for axis, mode in modes.items()]
+    lead = ", ".join(_ringing(axis, mode) for axis, mode in modes.items()) + ". "
+    if report.compensation is None:
+        lead += "No profile can be made from these recordings."
+    else:
+        none, racking = (report.compensation.rms(strategy) for strategy in ("none", "racking"))
+        cards.append(Card("Predicted, rectangle", f"{racking:.1f}", "µm RMS",
+                          f"{none:.0f} µm without compensation", "best"))  # fmt: skip
+        lead += (
+            f"With compensation the nozzle would stay within {racking:.1f} µm (RMS) of a 120 × 20 "
+            f"mm rectangle, instead of {none:.0f} µm."
+        )
+    sections = [Section(TITLES[G], _charts(G, measured[G], found)) for G, found in fits.items()]
+    sections += [
+        Section(f"Coupling: what {one.axis} does to {one.other}", [_coupling_chart(one)])
+        for one in identified.couplings
+        if one.size
+    ]
+    facts = [(G, _fact(measured[G], found)) for G, found in fits.items()]
+    facts += report.gathered.rows()
+    return page(name, lead, cards, sections, report.remarks(), facts)
+
+
+def _strongest(found: Fit) -> tuple[float, float] | None:
+    """Return Hz and damping ratio of the mode that rings most, None if none rings."""
+    hz = np.array([hz for hz, _ in found.modes])
+    strength = np.abs(found.G.response(2.0 * np.pi * TS * hz))
+    return found.modes[int(strength.argmax())] if len(hz) else None
+
+
+def _ringing(axis: str, mode: tuple[float, float] | None) -> str:
+    if mode is None:
+        return f"{axis} does not ring"
+    return f"{axis} rings at {mode[0]:.0f} Hz, damping {mode[1]:.2f}"
+
+
+def _ringing_card(axis: str, mode: tuple[float, float] | None) -> Card:
+    if mode is None:
+        return Card(f"{axis} rings at", "–", "", "no mode rings")
+    return Card(f"{axis} rings at", f"{mode[0]:.1f}", "Hz", f"damping {mode[1]:.2f}")
+
+
+def _fact(measured: Measured, found: Fit) -> str:
+    modes = ", ".join(f"{hz:.1f} Hz (damping {damping:.2f})" for hz, damping in found.modes)
+    several = len(measured.places) > 1
+    variation = f"; variation between positions {100 * measured.spread:.1f} %" if several else ""
+    return (
+        f"modes: {modes or 'none'}; fit error {100 * found.residual:.2f} % (order {found.order}); "
+        f"delay {found.printer_delay * 1e3:.2f} ms{variation}"
+    )
+
+
+def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
+    """Return charts of the responses without the sensor's gain and the recording's delay."""
+    mean, hz = measured.mean, measured.mean.hz
+    several = len(measured.places) > 1
+    runs = [(f"x = {at:.0f} mm", run, "") for at, run in measured.places]
+    runs += [("mean", mean, "var(--ink)")] if several else []
+
+    def model(hz: Array) -> Complex:
+        return found.G.response(2.0 * np.pi * TS * hz)
+
+    def clean(run: FrequencyResponse) -> Complex:
+        late = np.exp(2j * np.pi * run.hz * found.recording_delay)
+        return np.asarray(run.H * late / found.gain)
+
+    def phase(run: FrequencyResponse) -> Array:
+        near = degrees(model(run.hz)) + np.degrees(np.angle(clean(run) / model(run.hz)))
+        return np.where(run.coherence >= RELIABLE, near, np.nan)
+
+    magnitudes = [Line(label, run.hz, decibel(clean(run)), ink or None) for label, run, ink in runs]
+    phases = [Line(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
+    for lines, of in ((magnitudes, decibel), (phases, degrees)):
+        lines.append(Line("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
+    coherence = Line("coherence", hz, mean.coherence, "var(--ink)")
+    residual = Line("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
+    unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
+    frequency = "frequency, Hz"
+    return [
+        Chart("Magnitude", frequency, unit, magnitudes, (True, False)),
+        Chart("Phase, where the coherence is above 0.5", frequency, "°", phases, (True, False)),
+        Chart("Coherence", frequency, "", [coherence], (True, False)),
+        Chart("Residual of the model", frequency, "relative", [residual], (True, True)),
+    ]
+
+
+def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
+    """Return the recorded couplings, and at each place what is compensated, if anything is."""
+    hz, gain = coupling.runs[0].across.hz, coupling.along.gain
+    at = [f"at x = {run.place[X]:.0f}, y = {run.place[Y]:.0f} mm" for run in coupling.runs]
+    lines = [
+        Line(f"recording {k} {where}", hz, decibel(run.across.H / gain))
+        for k, (where, run) in enumerate(zip(at, coupling.runs, strict=True), 1)
+    ]
+    for where, run in dict(zip(at, coupling.runs, strict=True)).items():
+        parts = [term.response(hz, run.place) / gain for term in coupling.terms]
+        if parts:
+            known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
+            lines.append(Line(f"compensated {where}", hz, known, colour, strong=True, dashed=True))
+    return Chart("Magnitude", "frequency, Hz", "dB (mm/mm)", lines, (True, False))
+
+
+def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]]) -> bytes:
+    measured, predicted, ringing = verdict.measured, verdict.predicted, verdict.ringing
+    kind = "bad" if verdict.fault else "best"
+    reduction = f"{100 * verdict.reduction:.0f}"
+    cards = [
+        Card("Reduction of contour error", reduction, "%",
+             f"{100 * verdict.expected:.0f} % predicted", kind),
+        Card("Measured", f"{measured[1]:.1f}", "µm RMS", f"{measured[0]:.1f} µm without"),
+        Card("Predicted", f"{predicted[1]:.1f}", "µm RMS", f"{predicted[0]:.1f} µm without"),
+        Card("Ringing after corners", f"{ringing[1]:.0f}", "mm/s²", f"{ringing[0]:.0f} without"),
+        Card("Model misses", f"{100 * verdict.unexplained:.0f}", "%",
+             "of the nozzle's motion off its path"),
+    ]  # fmt: skip
+    lead = verdict.fault or (
+        f"The profile helps: it reduces the contour error on the machine by {reduction} %."
+    )
+    charts = [
+        Chart(title, "time, s", "µm", [
+            Line("not compensated", verdict.at, errors[0], "var(--none)"),
+            Line("compensated", verdict.at, errors[1], "var(--racking)"),
+        ])
+        for title, errors in (
+            ("Contour error, measured", verdict.errors_measured),
+            ("Contour error, predicted", verdict.errors_predicted),
+        )
+    ]  # fmt: skip
+    notes = verdict.as_text().splitlines()[-1:]  # the verdict; the cards show the rest
+    lead = lead[:1].upper() + lead[1:]
+    return page(name, lead, cards, [Section("Along the motion", charts)], notes, setup)
