@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.model.strategies import Compensator, StrategyState, strategy
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import stretches
@@ -25,15 +25,16 @@ def compensate(
 ) -> Iterator[Samples]:
     """Yield the same samples with the commands of the strategies of these names.
 
-    Every stretch starts again from rest. Raises HframeError for an unknown strategy.
+    Every stretch starts again from rest, with the bed as heavy as it is by then. Raises
+    HframeError for an unknown strategy, or where the bed gets too heavy for a window.
     """
     chosen = [strategy(name) for name in names]
     for stretch in stretches(chunks):
         states: _States | None = None
         for chunk in stretch:
             if states is None and len(chunk):
-                origin = chunk.xyze[0, :Z]
-                states = _States({s.name: s.begin(compensator, origin) for s in chosen})
+                origin, loaded = chunk.xyze[0, :Z], compensator.at(float(chunk.xyze[0, E]))
+                states = _States({s.name: s.begin(loaded, origin) for s in chosen})
             if states is not None:
                 yield from states.feed(chunk)
             else:  # lines before the first known position

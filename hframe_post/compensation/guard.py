@@ -14,7 +14,7 @@ from itertools import chain, product
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, X, Y, Z
+from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.plant import Plant
@@ -78,10 +78,15 @@ def max_deviation(plant: Plant, limits: Limits) -> float:
     return 3.0 + 2.0 * lead
 
 
-def check_deviation(chunks: Iterable[Samples], strategy: str, most: float) -> Iterator[Samples]:
-    """Yield the chunks. Raise HframeError if a command is over ``most`` mm off its path."""
+def check_deviation(
+    chunks: Iterable[Samples], strategy: str, plant: Plant, limits: Limits
+) -> Iterator[Samples]:
+    """Yield the chunks. Raise HframeError if a command is over ``max_deviation`` off its path."""
+    load, most = 0, max_deviation(plant, limits)
     for chunk in chunks:
         if len(chunk):
+            if load != (now := plant.load(float(chunk.xyze[0, E]))):
+                load, most = now, max_deviation(plant.loaded(now), limits)
             command = chunk.commands[strategy]
             k = _farthest(chunk.xyze, command)
             off = float(np.hypot(*(command[k] - chunk.xyze[k, :Z])))

@@ -43,28 +43,40 @@ def rests(stops: str, strategy: str, lifts: Rests = AT_REST) -> Rests:
     return replace(lifts, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
 
 
-def stop_solvers(
-    compensator: Compensator, names: Iterable[str], printer: Printer
-) -> dict[str, StopSolver]:
-    """Return solvers by strategy, without the strategies whose command is the path."""
-    effort = compensator.x.window.effort, compensator.y.window.effort
-    belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
-    bed = printer.travel.x, printer.travel.y
-    plants = {name: strategy(name).assumed(compensator.plant) for name in names}
-    return {
-        name: StopSolver(plant, effort, belts, motors, bed)
-        for name, plant in plants.items()
-        if plant is not None
-    }
+class StopSolvers:
+    """Solvers by strategy, without the strategies whose command is the path."""
+
+    def __init__(self, compensator: Compensator, names: Iterable[str], printer: Printer) -> None:
+        self._compensator, self._names, self._printer = compensator, tuple(names), printer
+        self._latest = compensator, self._of(compensator)
+
+    def at(self, filament: float) -> dict[str, StopSolver]:
+        """Return those for the bed with this filament (mm) on it; the latest are kept."""
+        loaded = self._compensator.at(filament)
+        if self._latest[0] is not loaded:
+            self._latest = loaded, self._of(loaded)
+        return self._latest[1]
+
+    def _of(self, compensator: Compensator) -> dict[str, StopSolver]:
+        printer = self._printer
+        effort = compensator.x.window.effort, compensator.y.window.effort
+        belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
+        bed = printer.travel.x, printer.travel.y
+        plants = {name: strategy(name).assumed(compensator.plant) for name in self._names}
+        return {
+            name: StopSolver(plant, effort, belts, motors, bed)
+            for name, plant in plants.items()
+            if plant is not None
+        }
 
 
-def hold_at_stops(chunks: Iterable[Samples], solvers: dict[str, StopSolver]) -> Iterator[Samples]:
+def hold_at_stops(chunks: Iterable[Samples], solvers: StopSolvers) -> Iterator[Samples]:
     """Yield the stream with commands that stand still at stops, of the strategies with solvers."""
     for first_chunks in stretches(chunks):
         stretch: _Stretch | None = None
         for chunk in first_chunks:
             if stretch is None and len(chunk):
-                stretch = _Stretch(chunk, solvers)
+                stretch = _Stretch(chunk, solvers.at(float(chunk.xyze[0, E])))
             if stretch is None:
                 yield chunk
             else:

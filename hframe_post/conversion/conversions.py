@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from hframe_post.compensation.stops import stop_solvers
+from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import MotionSummary
 from hframe_post.conversion.pipeline import (
     Options,
@@ -95,7 +95,7 @@ class SpanWriter:
 
     def __init__(self, printer: Printer, options: Options, compensator: Compensator) -> None:
         self.made_of = printer, options, compensator
-        self._at_stops = stop_solvers(compensator, options.strategies, printer)
+        self._at_stops = StopSolvers(compensator, options.strategies, printer)
 
     def streamed(self, span: Span, threads: bool = True) -> WrittenSpan:
         """Return a span that is computed while its output is taken."""

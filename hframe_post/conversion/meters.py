@@ -199,12 +199,13 @@ class PrintTime:
 class MotionSummary:
     """What the stages saw of one span or of several.
 
-    samples: all; resting: those where the path waits for the command. seconds: processor time by
-    stage. picture: if one was asked for.
+    samples: all; resting: those where the path waits for the command. fed: most filament in one
+    stretch, mm. seconds: processor time by stage. picture: if one was asked for.
     """
 
     samples: int = 0
     resting: int = 0
+    fed: float = 0.0
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
@@ -218,6 +219,7 @@ class MotionSummary:
     def join(self, later: MotionSummary) -> None:
         self.samples += later.samples
         self.resting += later.resting
+        self.fed = max(self.fed, later.fed)
         one, other = self.peaks, later.peaks
         (x, y), (other_x, other_y) = one.axis_acceleration, other.axis_acceleration
         self.peaks = Peaks(
@@ -236,15 +238,26 @@ class MotionSummary:
 
 
 class Clock:
-    """Counts samples: all (``end``), and those in which the path rests (``resting``)."""
+    """Counts samples: all (``end``), and those in which the path rests (``resting``).
+
+    fed: most filament in one stretch, mm.
+    """
 
     def __init__(self) -> None:
         self.end, self.resting = 0, 0
+        self.fed = 0.0
+        self._begun: float | None = None  # filament at the beginning of the stretch
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         for chunk in chunks:
             self.resting += sum(e.samples for e in chunk.events if isinstance(e, Rest))
             self.end = chunk.end
+            if len(chunk):
+                first, last = chunk.xyze[[0, -1], E].tolist()
+                self._begun = first if self._begun is None else self._begun
+                self.fed = max(self.fed, last - self._begun)
+            if chunk.ends_stretch:
+                self._begun = None
             yield chunk
 
 

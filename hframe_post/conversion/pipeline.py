@@ -25,24 +25,22 @@ from hframe_post.compensation.guard import (
     check_deviation,
     check_model,
     check_prediction,
-    max_deviation,
 )  # fmt: skip
-from hframe_post.compensation.stops import hold_at_stops, rests, stop_solvers
+from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
-from hframe_post.model.stop import StopSolver
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer, Speed
-from hframe_post.stream.chunks import shifted
+from hframe_post.stream.chunks import ended, shifted
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
 from hframe_post.stream.types import Item, Planned, Samples
@@ -128,12 +126,12 @@ class Stages:
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
-        strategies: tuple[str, ...] = (), at_stops: dict[str, StopSolver] | None = None,
+        strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
         printing: Place | None = None,
     ) -> None:  # fmt: skip
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
-        self._at_stops = at_stops or stop_solvers(compensator, self._strategies, printer)
+        self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
         checked = (printer.travel, printer.motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock = Clock()
@@ -156,9 +154,8 @@ class Stages:
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""
-        strategy = self._options.strategy
-        farthest = max_deviation(self._printer.plant, self._printer.limits)
-        commands = check_deviation(commands, strategy, farthest)
+        strategy, printer = self._options.strategy, self._printer
+        commands = check_deviation(commands, strategy, printer.plant, printer.limits)
         if self._options.clamp:
             commands = self._clamp.limit(commands, strategy)
         return self.times.timed("guard", self._guard.check(commands, strategy))
@@ -184,8 +181,8 @@ class Stages:
     def summary(self) -> MotionSummary:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
-            self._clock.end, self._clock.resting, self._guard.peaks, self._clamp.clamped,
-            self._errors.contour, self.times.seconds, self._errors.picture,
+            self._clock.end, self._clock.resting, self._clock.fed, self._guard.peaks,
+            self._clamp.clamped, self._errors.contour, self.times.seconds, self._errors.picture,
         )  # fmt: skip
 
 
@@ -223,7 +220,16 @@ class Source:
             motion.peaks, motion.clamped, motion.contour,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
+            plastic=self._plastic(motion.fed),
         )  # fmt: skip
+
+    def _plastic(self, fed: float) -> Plastic | None:
+        bed, limits = self._printer.plant.bed, self._printer.limits
+        if bed is None or self._options.strategy == "none":
+            return None
+        filament = limits.filament_diameter, limits.filament_density
+        printed = self._input.summary.filament
+        return Plastic(bed.mass, printed * bed.filament, fed * bed.filament, *filament)
 
     def check_filament(self, written: float, late: float = 0.0) -> None:
         """Raise HframeError unless all filament read was written, both in mm.
@@ -246,6 +252,7 @@ class Commands:
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
+        self._printer = printer
         self._source = Source(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
         self.check_filament = self._source.check_filament
@@ -258,7 +265,8 @@ class Commands:
         """Yield the commands alone: no threads, no prediction, no print time."""
         first = end = 0
         for span in self._source.spans():
-            for chunk in self._stages.commands(span.items):
+            chunks = self._stages.commands(span.items)
+            for chunk in chunks if self._printer.plant.bed is None else ended(chunks):
                 yield shifted(chunk, first)
                 end = first + chunk.end
             first = end

@@ -34,6 +34,20 @@ class StepReport:
 
 
 @dataclass(frozen=True, slots=True)
+class Plastic:
+    """What y's model followed on a moving bed, kg: mass of bed, print, and the largest step.
+
+    diameter (mm), density (g/cm³): those of the filament that were assumed.
+    """
+
+    bed: float
+    printed: float
+    step: float
+    diameter: float
+    density: float
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """What one conversion did: the summaries of its stages. Lengths in mm.
 
@@ -41,7 +55,8 @@ class Report:
     motion in a second, compared with the firmware's lines_per_second; approximation: what the lines
     are off the command (RMS) where that bounds them. seconds: processor time by
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
-    with its errors, if one was asked for. notices: warnings of the printer's profile.
+    with its errors, if one was asked for. notices: warnings of the printer's profile. plastic: of
+    a bed that moves.
     """
 
     strategy: str
@@ -62,6 +77,7 @@ class Report:
     speed_text: str = ""
     picture: Picture | None = field(default=None, compare=False, repr=False)
     notices: tuple[str, ...] = ()
+    plastic: Plastic | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
@@ -73,6 +89,7 @@ class Report:
             "approximation_um": round(1e3 * self.approximation, 2) or None,
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
+            "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
         }
         path = self.path
         limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
@@ -136,6 +153,12 @@ class Report:
             lines.append(
                 f"lines            at most {self.busiest_second} in a second, "
                 f"{1e3 * self.approximation:.1f} µm RMS off the exact command"
+            )
+        if (on := self.plastic) is not None:
+            lines.append(
+                f"bed              y's model followed {1e3 * on.printed:.0f} g of plastic on "
+                f"{on.bed:g} kg, in steps of at most {1e3 * on.step:.2g} g (filament of "
+                f"{on.diameter:g} mm, {on.density:g} g/cm³)"
             )
         lines += self._path_as_text()
         if self.steps:

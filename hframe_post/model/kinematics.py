@@ -46,6 +46,11 @@ class Kinematics:
         return self.type == "hbot"
 
     @property
+    def bed_moves(self) -> bool:
+        """Return whether the bed moves in y, with what is printed on it."""
+        return self.type in ("cartesian", "corexz")
+
+    @property
     def z_is_separate(self) -> bool:
         return self.type != "corexz"
 

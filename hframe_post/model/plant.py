@@ -4,12 +4,16 @@ The printer of the paper moves as (eq. 1, 2 and Fig. 2b)
 
     x = Gxx·x_d        θ = Gxθ·x_d        y = Gyy·y_d + (x − x_c)·θ
 
+A bed that moves in y gets heavier by what is printed on it, and Gyy follows (``loaded``).
+
 θ is one coupling: what a command adds to the nozzle's place, beyond its own axis' part. A plant
 may have others, each the same all over the bed or with a lever arm as θ has.
 """
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +22,8 @@ import numpy as np
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native import kernel
+
+HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
 
 @dataclass(frozen=True)
@@ -40,11 +46,20 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class Bed:
+    """A bed that moves in y. mass: kg that Gyy was measured with; filament: kg in a mm of it."""
+
+    mass: float
+    filament: float
+
+
+@dataclass(frozen=True)
 class Plant:
     """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
 
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
-    does not move the nozzle. cross: couplings other than racking.
+    does not move the nozzle. cross: couplings other than racking. bed: None if it does not move,
+    or nothing is known of it.
     """
 
     Gxx: TransferFunction
@@ -52,6 +67,7 @@ class Plant:
     Gxtheta: TransferFunction | None
     x_c: float
     cross: tuple[Coupling, ...] = ()
+    bed: Bed | None = None
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:
@@ -63,6 +79,40 @@ class Plant:
     def decoupled(self) -> Plant:
         """Return the plant without couplings."""
         return replace(self, Gxtheta=None, cross=())
+
+    def load(self, filament: float) -> int:
+        """Return in how many steps of HEAVIER this filament (mm) makes the bed heavier."""
+        if self.bed is None:
+            return 0
+        added = max(filament, 0.0) * self.bed.filament / self.bed.mass
+        return round(math.log1p(added) / HEAVIER)
+
+    def loaded(self, load: int) -> Plant:
+        """Return the plant under a load, which then stays."""
+        if not load:
+            return replace(self, bed=None)
+        return replace(self, Gyy=heavier(self.Gyy, math.exp(HEAVIER * load)), bed=None)
+
+
+def heavier(G: TransferFunction, factor: float) -> TransferFunction:
+    """Return G with ``factor`` times the mass behind its modes.
+
+    Of s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first term grows: ω and ζ fall
+    by √factor, and G at rest and the lag at low speed stay. So do real roots, and pairs above a
+    quarter of the sampling rate: lags and delays.
+    """
+
+    def moved(root: complex) -> complex:
+        if root.imag == 0.0 or root.real <= 0.0:
+            return root
+        s = cmath.log(root)
+        decay = s.real / factor
+        ringing = math.sqrt(abs(s) ** 2 / factor - decay * decay)
+        return cmath.exp(complex(decay, math.copysign(ringing, s.imag)))
+
+    zeros, poles = (np.array([*map(moved, roots.tolist())]) for roots in (G.zeros, G.poles))
+    new = TransferFunction(zeros, poles, G.gain)
+    return replace(new, gain=G.gain * G.dc_gain / new.dc_gain)
 
 
 class Filter:

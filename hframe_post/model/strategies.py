@@ -17,7 +17,9 @@ Racking is one coupling; others are subtracted likewise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -25,9 +27,9 @@ from typing import Protocol
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.errors import HframeError
+from hframe_post.errors import ArgumentError, HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import Coupled, Coupling, Plant
+from hframe_post.model.plant import HEAVIER, Coupled, Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed
 
 
@@ -41,6 +43,29 @@ class Compensator:
         self.plant = plant
         self.x, self.y = Lpfbs(plant.Gxx, windows[X]), Lpfbs(plant.Gyy, windows[Y])
         self.rounds = rounds_needed(plant, windows)
+        self._latest: tuple[int, Compensator] = 0, self
+
+    def at(self, filament: float) -> Compensator:
+        """Return the compensator for the bed with this filament (mm) on it; the latest is kept.
+
+        Raises HframeError if a window does not suit a bed as heavy.
+        """
+        load = self.plant.load(filament)
+        if self._latest[0] != load:
+            self._latest = load, self._loaded(load) if load else self
+        return self._latest[1]
+
+    def _loaded(self, load: int) -> Compensator:
+        loaded = copy(self)
+        loaded.plant = self.plant.loaded(load)
+        try:
+            loaded.y = Lpfbs(loaded.plant.Gyy, self.y.window)
+            loaded.rounds = rounds_needed(loaded.plant, (self.x.window, self.y.window))
+        except ArgumentError as error:
+            percent = 100.0 * math.expm1(HEAVIER * load)
+            raise HframeError(f"with the bed {percent:.0f} % heavier, {error}") from None
+        loaded._latest = 0, loaded
+        return loaded
 
 
 class StrategyState(Protocol):

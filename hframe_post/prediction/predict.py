@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, Integers, X, Y, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import NEAREST
@@ -28,7 +28,11 @@ def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
         responses: dict[str, Response] = {}
         for chunk in stretch:
             if len(chunk) and not responses:
-                responses = {name: Response(plant, chunk.xyze[0, :Z]) for name in chunk.commands}
+                loaded, origin = (
+                    plant.loaded(plant.load(float(chunk.xyze[0, E]))),
+                    chunk.xyze[0, :Z],
+                )
+                responses = {name: Response(loaded, origin) for name in chunk.commands}
             yield chunk, {name: r.run(chunk.commands[name]) for name, r in responses.items()}
 
 

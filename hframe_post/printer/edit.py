@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from typing import Any
 
@@ -54,7 +55,7 @@ def with_plant(
     tables = {"compensation": {**_settings(windows), **strategy}}
     if plant.Gxtheta is not None and before.kinematics.type == "corexy":
         tables["kinematics"] = {"type": "hbot"}  # which Klipper calls corexy, too
-    table = _plant(plant, notes, uncertainty, measured)
+    table = _plant(replace(plant, bed=before.plant.bed), notes, uncertainty, measured)
     return _changed(name_or_path, tables, table, ("plant", "verified"), source)
 
 
@@ -187,6 +188,7 @@ def _plant(
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
     known += "" if measured is None else f'measured = "{measured}"\n'
+    known += "" if plant.bed is None else f"moving_mass = {plant.bed.mass!r}\n"
     head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     tables = [f"\n[plant.{name}]\n{_transfer_function(G)}" for name, G in functions.items()]
     return "".join([head, *tables, *map(_coupling, plant.cross)])

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from hframe_post.arrays import TS, X, Y
 from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Coupling, Plant
+from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.decoding import decoded
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
@@ -35,7 +35,8 @@ from hframe_post.printer.settings import (
 )
 
 T = TypeVar("T")
-PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross")
+PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
+MASS = {"least": 0.05, "most": 50.0}  # kg
 FUNCTION = ("zeros", "poles", "gain")
 AXES = {"x": X, "y": Y}
 MOST_CROSS = 16
@@ -138,7 +139,11 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     if not isinstance(description, str):
         raise PrinterError("must be text", "description")
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
-    plant = _plant(document["plant"])
+    limits = checked(Limits, document["limits"], "limits")
+    plant = replace(
+        _plant(document["plant"]),
+        bed=_bed(document["plant"].get("moving_mass"), limits, kinematics),
+    )
     if plant.Gxtheta is not None and not kinematics.racks:
         cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
         raise PrinterError(cause, "plant.Gxtheta")
@@ -154,7 +159,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         name,
         description,
         checked(Travel, document["travel"], "travel"),
-        checked(Limits, document["limits"], "limits"),
+        limits,
         kinematics,
         checked(Motors, document["motors"], "motors"),
         optional_table(Steps),
@@ -190,7 +195,11 @@ def _verified(document: dict[str, Any]) -> Verified | None:
 
 
 def _model_digest(document: dict[str, Any]) -> str:
-    plant = {key: value for key, value in document["plant"].items() if key != "measured"}
+    plant = {
+        key: value
+        for key, value in document["plant"].items()
+        if key not in ("measured", "moving_mass")
+    }
     deciding = repr((plant, document["compensation"]))
     return hashlib.sha256(deciding.encode()).hexdigest()[:12]
 
@@ -247,6 +256,16 @@ def _plant(table: dict[str, Any]) -> Plant:
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
+
+
+def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
+    if mass is None:
+        return None
+    if not kinematics.bed_moves:
+        cause = f"the bed of a {kinematics.type} printer does not move in y: leave it out"
+        raise PrinterError(cause, "plant.moving_mass")
+    mass = checked_value(float, mass, MASS, "plant.moving_mass")
+    return Bed(mass, limits.filament_mass)
 
 
 def _check_at_rest(G: TransferFunction, key: str) -> None:

@@ -43,7 +43,8 @@ class Limits:
     """Limits of the planned path; mm, s. The shipped profiles explain each.
 
     deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
-    only what is printed faster than in the file.
+    only what is printed faster than in the file. filament_density (g/cm³) makes a moving bed
+    heavier.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
     Raises ArgumentError if reaching full speed would take more than LONGEST_RAMP.
     """
@@ -61,6 +62,7 @@ class Limits:
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
+    filament_density: float = within(0.1, 25.0, default=1.24)
     min_layer_time: float = not_negative(5.0, most=600.0)
     travel_velocity: float = not_negative(0.0, most=1e4)
     travel_acceleration: float = not_negative(0.0, most=1e6)
@@ -68,7 +70,16 @@ class Limits:
     @property
     def filament_velocity(self) -> float:
         """Return how fast the hot end can melt filament, mm/s."""
-        return self.flow / (math.pi / 4.0 * self.filament_diameter**2)
+        return self.flow / self._filament_area
+
+    @property
+    def filament_mass(self) -> float:
+        """Return the mass of a mm of filament, kg."""
+        return 1e-6 * self.filament_density * self._filament_area
+
+    @property
+    def _filament_area(self) -> float:
+        return math.pi / 4.0 * self.filament_diameter**2
 
     @property
     def fastest(self) -> float:

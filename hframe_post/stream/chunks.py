@@ -32,6 +32,17 @@ def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
         yield stretch(first)
 
 
+def ended(chunks: Iterable[Samples]) -> Iterator[Samples]:
+    """Yield the stream as a whole stretch: stages begin again after its last chunk."""
+    last: Samples | None = None
+    for chunk in chunks:
+        if last is not None:
+            yield last
+        last = chunk
+    if last is not None:
+        yield replace(last, ends_stretch=True)
+
+
 def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
     waiting: list[Samples] = []
     for chunk in chunks:

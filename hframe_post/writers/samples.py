@@ -16,7 +16,7 @@ from typing import IO
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.model.plant import Plant, Response
 from hframe_post.stream.chunks import batches, stretches
 from hframe_post.stream.types import Samples
@@ -39,7 +39,9 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
             if not len(chunk):
                 continue
             command = chunk.commands[strategy]
-            response = response or Response(plant, chunk.xyze[0, :Z])
+            if response is None:
+                loaded = plant.loaded(plant.load(float(chunk.xyze[0, E])))
+                response = Response(loaded, chunk.xyze[0, :Z])
             nozzle, turns = response.motion(command)
             theta = turns[:, 0] if plant.Gxtheta else np.zeros(len(command))
             t = np.arange(chunk.first + 1, chunk.end + 1) * TS

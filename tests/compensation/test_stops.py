@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import LONGEST, hold_at_stops, rests, stop_solvers
+from hframe_post.compensation.stops import LONGEST, StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -43,7 +43,7 @@ def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     compensator = prepared(printer)
     commands = compensate(chunks, compensator, NAMES)
-    return list(hold_at_stops(commands, stop_solvers(compensator, NAMES, printer)))
+    return list(hold_at_stops(commands, StopSolvers(compensator, NAMES, printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -139,7 +139,7 @@ def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
     assert not any(isinstance(e, Rest) for chunk in chunks for e in chunk.events)
     compensator = prepared(paper)
     commands = compensate(chunks, compensator, ("none",))
-    for chunk in hold_at_stops(commands, stop_solvers(compensator, ("none",), paper)):
+    for chunk in hold_at_stops(commands, StopSolvers(compensator, ("none",), paper)):
         np.testing.assert_array_equal(chunk.commands["none"], chunk.xyze[:, :2])
 
 
@@ -205,7 +205,7 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
     compensator = prepared(paper)
     commanded = list(compensate(planned(lines, paper), compensator, NAMES))
-    at_stops = stop_solvers(compensator, NAMES, paper)
+    at_stops = StopSolvers(compensator, NAMES, paper)
     whole = whole_stretches(hold_at_stops(commanded, at_stops))
     pieces = list(hold_at_stops(cut(commanded, n), at_stops))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
@@ -232,7 +232,7 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
     returned = 0
     for chunk in hold_at_stops(
         compensate(counted(), compensator, ("racking",)),
-        stop_solvers(compensator, NAMES[1:], paper),
+        StopSolvers(compensator, NAMES[1:], paper),
     ):
         returned += len(chunk)
         buffered = max(buffered, taken - returned)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.compensation.stops import stop_solvers
+from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.model import stop_problem
 from hframe_post.model.linear import product
@@ -26,7 +26,7 @@ def solver(request: pytest.FixtureRequest) -> StopSolver:
     printer = load("paper")
     if request.param == "coupled":
         printer = replace(printer, plant=coupled_plant(1, racks=True))
-    return stop_solvers(prepared(printer), ["racking"], printer)["racking"]
+    return StopSolvers(prepared(printer), ["racking"], printer).at(0.0)["racking"]
 
 
 def by_cholesky(squares: Array) -> Array:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from hframe_post.compensation.stops import stop_solvers
+from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.pipeline import (
     Commands,
     Options,
@@ -69,7 +69,7 @@ class Drive:
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._compensator = prepared(printer)
-        self._at_stops = stop_solvers(self._compensator, options.strategies, printer)
+        self._at_stops = StopSolvers(self._compensator, options.strategies, printer)
         # The path may use half of the belts' acceleration; compensation needs the rest.
         belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
         most = printer.speed.acceleration

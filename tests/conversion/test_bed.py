@@ -1,0 +1,242 @@
+"""A bed that gets heavier by the print: y's model follows it, and nothing jumps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from hframe_post.arrays import TS, Array, E, Y
+from hframe_post.conversion import spans
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.model.plant import Bed, Filter, heavier
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.prediction.predict import contour_error, in_motion
+from hframe_post.printer.edit import with_plant
+from hframe_post.printer.profile import load, model_digest, parse
+from hframe_post.printer.settings import Printer
+from tests.gcode_tools import converted
+
+FBS = Options("fbs", limits="printer")
+HZ, DAMPING, LAG = 30.0, 0.08, 1e-3  # of y in example-cartesian
+
+
+WAY = [(100, 100), (160, 100), (160, 140), (100, 140), (100, 100), (160, 140), (130, 100),
+       (100, 140), (110, 140), (110, 130), (120, 130), (120, 120), (100, 100)]  # fmt: skip
+LAPS = 14
+PER_MM = 0.033  # mm of filament
+LAP = PER_MM * sum(math.dist(a, b) for a, b in pairwise(WAY))
+
+
+def laps() -> list[bytes]:
+    """Return lines of a rectangle with strokes of infill, again and again, a lift after each."""
+    lines = [b"G28\n", b"M83\n", b"G1 Z0.2 F600\n", b"G0 X100 Y100 F9000\n"]
+    for lap in range(LAPS):
+        for at, to in pairwise(WAY):
+            lines.append(b"G1 X%d Y%d E%.5f F6000\n" % (*to, PER_MM * math.dist(at, to)))
+        lines += [b"G1 E-1 F2400\n", b"G1 Z%.1f F600\n" % (0.3 + 0.1 * (lap % 2)), b"G1 E1 F2400\n"]
+    return lines
+
+
+@pytest.fixture
+def fixed() -> Printer:
+    return load("example-cartesian")
+
+
+@pytest.fixture
+def slinger(fixed: Printer, monkeypatch: pytest.MonkeyPatch) -> Printer:
+    """Return a printer whose bed of 1 kg gets heavier by 0.3 kg, a little at each of many spans."""
+    monkeypatch.setattr(spans, "SECONDS", 4.0)
+    return replace(fixed, plant=replace(fixed.plant, bed=Bed(1.0, 0.3 / (LAPS * LAP))))
+
+
+# ---------------------------------------------------------------------- the model
+
+
+def bed(M: float) -> tuple[Array, Array]:
+    """Return the step of M·ÿ + c·ẏ + k·(y − w) = 0 behind a lag, for a held command.
+
+    k and c are those of a mode of HZ and DAMPING with 1 kg.
+    """
+    w, whole = 2.0 * math.pi * HZ, np.zeros((4, 4))
+    whole[0, [0, 3]] = -1.0 / LAG, 1.0 / LAG
+    whole[1, 2] = 1.0
+    whole[2, :3] = w * w / M, -w * w / M, -2.0 * DAMPING * w / M
+    step = linalg.expm(TS * whole)
+    return step[:3, :3], step[:3, 3]
+
+
+class Truth:
+    """The bed itself, its mass that of each moment, its state the same when that changes."""
+
+    def __init__(self, origin: float, filament: float) -> None:
+        self._origin, self._filament, self._state = origin, filament, np.zeros(3)
+
+    def run(self, command: Array, e: Array) -> Array:
+        y = np.empty(len(command))
+        A, held = bed(1.0)
+        for k, u in enumerate((command - self._origin).tolist()):
+            if k % 200 == 0:
+                A, held = bed(1.0 + self._filament * float(e[k]))
+            y[k] = self._state[1]
+            self._state = A @ self._state + held * u
+        return y + self._origin
+
+
+def wandering(n: int) -> Array:
+    """Return a command that accelerates at random, by some 1000 mm/s²."""
+    return np.cumsum(np.cumsum(np.random.default_rng(0).normal(0.0, 5e-4, n)))
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.1, 1.3, 2.0])
+def test_a_heavier_mode_is_that_of_a_heavier_bed(fixed: Printer, factor: float) -> None:
+    u, G = wandering(3000), heavier(fixed.plant.Gyy, factor)
+    off = Filter(G).run(u) - Truth(0.0, 1.0).run(u, np.full(len(u), factor - 1.0))
+    assert np.ptp(u) > 50.0
+    assert np.abs(off).max() < 0.002
+    s = np.log(G.poles[0]) / TS
+    assert abs(s) == pytest.approx(2.0 * math.pi * HZ / math.sqrt(factor), rel=1e-9)
+    assert -s.real / abs(s) == pytest.approx(DAMPING / math.sqrt(factor), rel=1e-9)
+    assert pytest.approx(1.0, abs=1e-12) == G.dc_gain
+
+
+def test_lags_and_delays_stay(paper: Printer) -> None:
+    """So does the lag at low speed, which does not depend on the mass."""
+    for G in (
+        paper.plant.Gyy,
+        TransferFunction(np.zeros(0, complex), np.array([0.0, 0.5], complex), 0.5),
+    ):
+        new = heavier(G, 1.3)
+        real = G.poles.imag == 0.0
+        np.testing.assert_array_equal(new.poles[real], G.poles[real])
+        slow = np.array([2.0 * math.pi * 0.05 * TS])
+        assert np.angle(new.response(slow)) == pytest.approx(np.angle(G.response(slow)), rel=0.01)
+
+
+# ---------------------------------------------------------------------- prints
+
+
+def errors(printer: Printer, filament: float) -> tuple[float, float]:
+    """Return the RMS contour error, mm, on the bed itself: of the first and of the last quarter."""
+    chunks = [c for c in Commands(iter(laps()), printer, FBS).computed() if len(c)]
+    xyze, command = (
+        np.concatenate(parts)
+        for parts in ([c.xyze for c in chunks], [c.commands["fbs"] for c in chunks])
+    )
+    y = Truth(xyze[0, Y], filament).run(command[:, Y], xyze[:, E])
+    nozzle = np.column_stack([xyze[:, 0], y])  # x as it is to be
+    _, extruding = in_motion(xyze)
+    at = np.flatnonzero(extruding)
+    off = contour_error(xyze, nozzle, at)
+    quarter = len(at) // 4
+    first, last = (
+        np.sqrt(np.square(off[:quarter]).mean()),
+        np.sqrt(np.square(off[-quarter:]).mean()),
+    )
+    return float(first), float(last)
+
+
+def test_the_last_layers_are_as_good_as_the_first(slinger: Printer, fixed: Printer) -> None:
+    """The mass grows a hundred times as fast as in a real print, hence the second factor."""
+    assert slinger.plant.bed is not None
+    filament = slinger.plant.bed.filament
+    exact, _ = errors(fixed, 0.0)
+    first, last = errors(slinger, filament)
+    assert last < 1.3 * first < 2.5 * exact
+    assert errors(fixed, filament)[1] > 8.0 * last  # what the first layer's model leaves
+
+
+def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
+    last, ended, changes = None, False, 0
+    for chunk in Commands(iter(laps()), slinger, FBS).computed():
+        if len(chunk):
+            command = chunk.commands["fbs"]
+            if ended and last is not None:
+                assert np.abs(command[:28] - last).max() < 1e-9
+                changes += 1
+            last, ended = command[-1], False
+        ended |= chunk.ends_stretch
+    assert changes >= LAPS - 1
+
+
+def test_bytes_do_not_depend_on_processes(slinger: Printer) -> None:
+    texts = [
+        b"".join(
+            piece if isinstance(piece, bytes) else piece.line
+            for piece in GcodeConversion(iter(laps()), slinger, FBS, jobs)
+        )
+        for jobs in (1, 2)
+    ]
+    assert texts[0] == texts[1]
+
+
+def test_the_summary_says_what_was_followed(slinger: Printer, fixed: Printer) -> None:
+    text = converted(laps(), slinger, FBS)[1].as_text()
+    assert "y's model followed 300 g of plastic on 1 kg, in steps of at most 2" in text
+    assert "1.75 mm, 1.24 g/cm³" in text
+    assert "plastic" not in converted(laps(), fixed, FBS)[1].as_text()
+
+
+def test_a_bed_that_stays_as_heavy_changes_no_line(fixed: Printer) -> None:
+    heavy = replace(fixed, plant=replace(fixed.plant, bed=Bed(50.0, fixed.limits.filament_mass)))
+    one, other = (converted(laps(), p, FBS)[0].splitlines() for p in (fixed, heavy))
+    assert [line for line in other if not line.startswith(b";")] == [
+        line for line in one if not line.startswith(b";")
+    ]
+
+
+# ---------------------------------------------------------------------- windows and profiles
+
+
+def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:
+    for name in ("example-cartesian", "example-ender"):
+        printer = load(name)
+        printer = replace(printer, plant=replace(printer.plant, bed=Bed(1.0, 1e-3)))
+        compensator = prepared(printer)
+        for grams in (0, 5, 50, 300, 1000):
+            assert compensator.at(float(grams)).y.radius < 1.0
+        assert compensator.at(300.0) is compensator.at(300.1)
+
+
+def test_a_window_that_no_longer_suits_is_refused(fixed: Printer) -> None:
+    compensation = replace(fixed.compensation, L=5, n_C=3, n_up=3, effort=(0.0, 0.0))
+    rigid = replace(fixed.plant, bed=Bed(1.0, 1.0))
+    with pytest.raises(HframeError, match="diverges"):
+        prepared(replace(fixed, plant=rigid, compensation=compensation)).at(2.0)
+
+
+MINE = """extends = "example-cartesian"
+[plant]
+moving_mass = 0.8
+[limits]
+filament_density = 1.27
+"""
+
+
+def test_a_profile_knows_its_bed() -> None:
+    plant = parse(MINE, "mine").plant
+    assert plant.bed is not None
+    assert plant.bed.mass == 0.8
+    assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
+    assert model_digest(MINE) == model_digest(MINE.replace("moving_mass = 0.8\n", ""))
+
+
+def test_a_bed_that_does_not_move_has_no_moving_mass() -> None:
+    with pytest.raises(PrinterError, match="does not move in y") as caught:
+        parse(MINE.replace("cartesian", "corexy"), "mine")
+    assert caught.value.key == "plant.moving_mass"
+
+
+def test_the_mass_stays_when_a_printer_is_identified_again(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(MINE)
+    before = load(str(file))
+    text = with_plant(str(file), load("example-cartesian").plant, before.compensation.windows, [])
+    assert parse(text, "mine").plant.bed == before.plant.bed
