@@ -143,11 +143,13 @@ class Player(Protocol):
         before: greatest speed at the end of the stroke that precedes it.
         """
 
-    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
+    def corners(
+        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+    ) -> tuple[float, float]:
         """Return the greatest speeds, mm/s, of motion into a stroke and on from it; 0: it stops.
 
         at (2, 4): from place to place, mm; speed: the user's; planned: of z in the plan, where
-        they are certain.
+        they are certain; previous (2, 4): of a stroke that directly precedes it.
         """
 
     def stroke(

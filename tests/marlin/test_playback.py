@@ -257,10 +257,10 @@ def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
     for k in range(1, 9):
         lines += [
             b"G1 X%d E3 F2400\n" % (100 + 60 * (k % 2)), b"G1 E-2 F1800\n", b"G1 Z1.4 F600\n",
-            b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1 F600\n", b"G1 E2 F1800\n",
+            b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1.5 F600\n", b"G1 Z1\n", b"G1 E2 F1800\n",
         ]  # fmt: skip
     _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
-    assert np.ptp(late) < 2e-3
+    assert np.ptp(late[1:]) < 2e-3  # the start apart
 
 
 def layers_of_cube(last: int) -> list[bytes]:

@@ -175,7 +175,9 @@ class Klipper:
     def entry(self, at: Array, v: float, before: float) -> float:
         return min(v, before)
 
-    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
+    def corners(
+        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+    ) -> tuple[float, float]:
         """Return the speeds in the corners of a lift that the plan joins to motion."""
         lift = abs(float(at[1, Z] - at[0, Z]))
         # a short lift needs the other half of its way to brake

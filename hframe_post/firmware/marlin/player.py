@@ -35,7 +35,7 @@ from hframe_post.stream.types import ModalState, Rests
 
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
-SLOWEST_STROKE = 0.5  # of the speed that the file asks for
+SLOWEST_STROKE = 0.3  # of the speed that the file asks for
 Z_JERK = 0.3  # mm/s, Marlin's default; profiles have none
 JERK = 1000.0  # mm/s, the same where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
@@ -175,11 +175,15 @@ class Marlin:
     def entry(self, at: Array, v: float, before: float) -> float:
         return float(self.planner.entry(self._blocks(at), np.array([v]), before)[0])
 
-    def corners(self, at: Array, speed: float, planned: tuple[float, float]) -> tuple[float, float]:
-        """Return the speeds of the user's corners: Marlin never stops there.
+    def corners(
+        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+    ) -> tuple[float, float]:
+        """Return the speeds of the user's corners: Marlin does not stop there, but to turn back.
 
         Corners are square. On from a stroke, both axes are at their limit.
         """
+        if previous is not None and ((at[1] - at[0]) * (previous[1] - previous[0])).sum() < 0.0:
+            return 0.0, self.corners(at, speed, planned)[1]
         lifts = bool(at[0, Z] != at[1, Z])
         if self.table.classic_jerk:
             into = out = Z_JERK if lifts else self.table.jerk_e
@@ -207,6 +211,7 @@ class Marlin:
         v = min(max(v, SLOWEST_STROKE * speed), speed)
         if self.planner.fixed_time:
             v = max(v, leaving)
+        v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
         taken = self.planner.stroke(blocks, np.array([entry, leaving]), np.array([v]))[2]
         lifts = bool(at[0, Z] != at[1, Z])
         words = (self._stroke_corners(users, lifts) for users in (True, False))

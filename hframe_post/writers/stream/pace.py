@@ -176,7 +176,8 @@ class Pace:
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
         places = move.at / self._units.per_mm
-        into, out = self._player.corners(places, move.speed, (pause.entry, pause.leaving))
+        previous = self._lift[0].move.at / self._units.per_mm if self._lift else None
+        into, out = self._player.corners(places, move.speed, (pause.entry, pause.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
         if self._before == 0.0:
