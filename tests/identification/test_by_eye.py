@@ -234,6 +234,14 @@ def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
     assert corner == pytest.approx(20.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("profile", ["example-ender", "paper-marlin"])
+def test_marlin_takes_every_deviation(profile: str) -> None:
+    """It ignores M205 J below 0.01 and above 0.3 mm."""
+    lines = tower(load(profile), Heat(210.0, 60.0))
+    asked = [float(line.split("J")[1]) for line in lines if line.startswith("M205 J")]
+    assert 0.01 <= min(asked) < max(asked) <= 0.3
+
+
 def written_form(own: Path) -> Path:
     """Return the form of a tower for a profile, as the owner of a 40 and 28 Hz printer fills it."""
     own.write_text('extends = "example-ender"\n[limits]\nacceleration = 1500.0\n')

@@ -34,7 +34,7 @@ LAYER, WIDTH = 0.2, 0.5  # mm
 LAYERS, LOW = 20, 10  # of a band; of a low square, over which the print head can pass
 SPEEDS = (60.0, 100.0, 150.0)  # mm/s of bands, as far as the printer reaches them
 HARD, SOFT = 20.0, 0.4  # mm/s at corners, and the share of it at soft ones
-DEVIATION, RIGHT_ANGLE = 0.3, 2.414  # most that M205 J takes, mm; v² = RIGHT_ANGLE·J·a
+DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
 BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
 COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
@@ -59,7 +59,7 @@ COLD = ["M104 S0", "M140 S0", "M106 S0"]
 def bands(printer: Printer) -> list[Band]:
     """Return the bands of a tower, from the bottom; the last has soft corners."""
     limits = printer.limits
-    a, corner = limits.acceleration, _hard_corner(printer)
+    a, (hard, soft) = limits.acceleration, _corners(printer)
     fastest = min(limits.velocity, limits.flow / (LAYER * WIDTH), np.sqrt(0.5 * SIDE * a))
     speeds = [v for v in SPEEDS if v <= fastest]  # on half of a wall at full speed
     if not speeds:
@@ -67,14 +67,19 @@ def bands(printer: Printer) -> list[Band]:
             f"at {limits.velocity:g} mm/s and {a:g} mm/s² no waves would show: the profile needs "
             f"limits of {SPEEDS[0]:g} mm/s and {2.0 * SPEEDS[0] ** 2 / SIDE:g} mm/s²"
         )
-    return [*(Band(v, corner) for v in speeds), Band(speeds[-1], SOFT * corner)]
+    return [*(Band(v, hard) for v in speeds), Band(speeds[-1], soft)]
 
 
-def _hard_corner(printer: Printer) -> float:
+def _corners(printer: Printer) -> tuple[float, float]:
+    """Return the mm/s of hard and of soft corners, as far as Marlin takes their deviation."""
     marlin = printer.firmware.marlin if printer.firmware.dialect == "marlin" else None
     if marlin is None or marlin.classic_jerk:
-        return HARD
-    return min(HARD, float(np.sqrt(DEVIATION * RIGHT_ANGLE * printer.limits.acceleration)))
+        return HARD, SOFT * HARD
+    least, most = (
+        float(np.sqrt(J * RIGHT_ANGLE * printer.limits.acceleration)) for J in DEVIATIONS
+    )
+    hard = min(HARD, most)
+    return hard, min(max(SOFT * hard, least), hard)
 
 
 def tower(printer: Printer, heat: Heat) -> list[str]:
@@ -158,10 +163,10 @@ def comb(printer: Printer) -> Comb | None:
 def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
     """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
     right = wall.left + wall.blocks * BLOCK
-    yield from ["; wall for racking", *_limits(printer, wall.acceleration, SOFT * HARD)]
+    yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
     yield _travel(wall.left, y)
     for layer in range(LOW):
-        yield _height(layer)
+        yield from (_height(layer), "G4 P0")
         for x, (a, b) in zip(wall.borders(), pairwise(wall.accelerations), strict=True):
             for to, hard in ((x + BLOCK / 2.0, a), (x + BLOCK, b)):
                 yield _acceleration(printer, hard)
@@ -170,7 +175,6 @@ def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
         for place, way in (((right, y + DEPTH), DEPTH), ((wall.left, y + DEPTH), right - wall.left),
                            ((wall.left, y), DEPTH)):  # fmt: skip
             yield _line(printer, place, way, FIRST)
-        yield "G4 P0"
     yield _height(LOW + LAYERS)
 
 
@@ -211,7 +215,7 @@ def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> Iterator[b
     side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
     if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
         raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
-    hard = replace(printer.limits, square_corner_velocity=_hard_corner(printer), jerk=HARDEST_JERK)
+    hard = replace(printer.limits, square_corner_velocity=_corners(printer)[0], jerk=HARDEST_JERK)
     speed = bands(printer)[-1].speed
     head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *heat.lines()]
     yield "\n".join([*head, ""]).encode()
