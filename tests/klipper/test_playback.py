@@ -14,10 +14,14 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
 from hframe_post.gcode.state import LimitSource
+from hframe_post.model.plant import Plant, Response
+from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
+from hframe_post.studies.inputs import rectangle
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
+from tests.coupled import coupled_plant
 
 from .host import Playback, play
 
@@ -118,6 +122,31 @@ def check(run: Played) -> None:
     end = run.playback.end
     assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
     assert run.playback.position([end])[0, 2] == pytest.approx(run.z_e[-1, 0], abs=1e-3)
+
+
+def nozzle_error(run: Played, path: Array, plant: Plant) -> float:
+    """Return the RMS contour error of the printer that plays this, mm."""
+    start, offset = first_offset(run)
+    t = np.arange(len(run.command)) * TS + offset
+    command = np.vstack([run.command[:start], run.playback.position(t[start:])[:, :2]])
+    nozzle = Response(plant, command[0]).run(command)
+    moving = np.flatnonzero(np.abs(np.diff(path, axis=0)).max(axis=1) > 0.0)
+    return float(np.sqrt(np.square(contour_error(path, nozzle, moving)).mean()))
+
+
+@pytest.mark.klipper
+def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
+    paper = profile.load("paper")
+    coupled = replace(paper, plant=coupled_plant(2), invented=False)
+    decoupled = replace(coupled, plant=coupled.plant.decoupled())
+    lines, options = rectangle(coupled), Options("racking", limits="printer", clamp=True)
+    path = np.concatenate([c.xyze[:, :2] for c in Commands(lines, coupled, options).computed()])
+    errors = []
+    for printer in (decoupled, coupled):
+        run = lines_played(lines, tmp_path, options, printer)
+        check(run)
+        errors.append(nozzle_error(run, path, coupled.plant))
+    assert errors[1] < 0.25 * errors[0]
 
 
 @pytest.mark.klipper
