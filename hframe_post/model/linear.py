@@ -25,10 +25,10 @@ def windows_product(x: Array, step: int, B: Array) -> Array:
 
 
 def _by_rows(x: Array, step: int, m: int, B: Array) -> Array:
-    k, n = B.shape
+    (k, n), B = B.shape, np.ascontiguousarray(B)  # else numpy adds pairs of a column's terms
     if compiled := kernel("product"):
         out = np.empty((m, n))
-        compiled(x, step, np.ascontiguousarray(B), m, k, n, out)
+        compiled(x, step, B, m, k, n, out)
         return out
     strides = (step * x.itemsize, x.itemsize)
     return _product(np.lib.stride_tricks.as_strided(x, (m, k), strides), B)
