@@ -309,6 +309,13 @@ def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
     assert "lines in a second" in report.as_text()
 
 
+def test_short_segments_do_not_cut_turns_off() -> None:
+    """Settling at stops turns x and y back at different moments, a few steps apart."""
+    ender = load("example-ender")
+    report = converted(layers("cube.gcode", 1), ender)[1]
+    assert report.approximation < 0.012  # it was 0.026
+
+
 def test_density_follows_the_serial_line(marlin: Printer) -> None:
     """A real 2.1.2 behind a sender that waits 2 ms for each ok then loses no time."""
     card = converted(sample("rectangle.gcode"), marlin)[1]

@@ -87,15 +87,20 @@ def _chain(following: Integers) -> Integers:
 def _superfluous(ends: Integers, places: Integers, least: int, last: bool) -> Integers:
     """Return which ends to drop so that segments of too few steps join a neighbour.
 
-    They join the segment before, or the one after if the one before is too short or stands
-    still. The last end stays if motion ends there. Of short segments in a row every other one
-    is handled: call again.
+    They join the segment before, or the one after if the one before is too short or stands still,
+    if less steps there and back cancel out with the one after, or if that is too short, too: else a
+    row of them would all join the one before. The last end stays if motion ends there. Of short
+    segments in a row every other one is handled: call again.
     """
-    steps = most_steps(np.diff(places[np.append(0, ends)], axis=0))
+    at = places[np.append(0, ends)]
+    steps = most_steps(np.diff(at, axis=0))
+    cancelled = np.append(steps[:-1] + steps[1:] - most_steps(at[2:] - at[:-2]), 0)
     short = (steps > 0) & (steps < least)
+    row = np.append(short, False)
     short[1:] &= ~short[:-1]
     j = np.flatnonzero(short)
     final = last & (j == len(ends) - 1)
-    joins_before = (j > 0) & ((steps[j - 1] >= least) | final)
+    onward = cancelled[j - 1] + row[j + 1] <= cancelled[j]
+    joins_before = (j > 0) & (((steps[j - 1] >= least) & onward) | final)
     drop = np.where(joins_before, j - 1, j)
     return drop[drop < len(ends) - 1] if last else drop
