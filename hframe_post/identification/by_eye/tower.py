@@ -143,9 +143,17 @@ def _square(
     printer: Printer, middle: tuple[float, float], side: float, speed: float
 ) -> Iterator[str]:
     (x, y), half = middle, side / 2.0
-    yield _travel(x - half, y - half)
-    for u, v in ((1, -1), (1, 1), (-1, 1), (-1, -1)):
-        yield _line(printer, (x + u * half, y + v * half), side, speed)
+    return _rectangle(printer, (x - half, y - half), (x + half, y + half), speed)
+
+
+def _rectangle(
+    printer: Printer, low: tuple[float, float], high: tuple[float, float], speed: float
+) -> Iterator[str]:
+    (x, y), (to_x, to_y) = low, high
+    yield _travel(x, y)
+    for place, way in (((to_x, y), to_x - x), ((to_x, to_y), to_y - y), ((x, to_y), to_x - x),
+                       ((x, y), to_y - y)):  # fmt: skip
+        yield _line(printer, place, way, speed)
 
 
 def comb(printer: Printer) -> Comb | None:
@@ -164,6 +172,11 @@ def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
     """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
     right = wall.left + wall.blocks * BLOCK
     yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
+    yield _travel(wall.left - BRIM * WIDTH, y - BRIM * WIDTH)
+    yield _height(0)
+    for w in (k * WIDTH for k in range(BRIM, 0, -1)):
+        low, high = (wall.left - w, y - w), (right + w, y + DEPTH + w)
+        yield from _rectangle(printer, low, high, FIRST)
     yield _travel(wall.left, y)
     for layer in range(LOW):
         yield from (_height(layer), "G4 P0")
