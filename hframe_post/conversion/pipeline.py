@@ -147,6 +147,16 @@ class Stages:
         samples = self.times.timed("sample", sampled(items, self._printer, self._options))
         return self.checked(self.compensated(samples))
 
+    def whole(self, spans: Spans) -> Iterator[Samples]:
+        """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
+        first = end = 0
+        for span in spans:
+            chunks = self.commands(span.items)
+            for chunk in chunks if self._printer.plant.bed is None else ended(chunks):
+                yield shifted(chunk, first)
+                end = first + chunk.end
+            first = end
+
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
         commands = hold_at_stops(self.times.timed("compensate", commands), self._at_stops)
@@ -263,13 +273,7 @@ class Commands:
 
     def computed(self) -> Iterator[Samples]:
         """Yield the commands alone: no threads, no prediction, no print time."""
-        first = end = 0
-        for span in self._source.spans():
-            chunks = self._stages.commands(span.items)
-            for chunk in chunks if self._printer.plant.bed is None else ended(chunks):
-                yield shifted(chunk, first)
-                end = first + chunk.end
-            first = end
+        return self._stages.whole(self._source.spans())
 
     def report(self) -> Report:
         """Return what is known of the commands taken so far."""

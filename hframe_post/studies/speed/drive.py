@@ -6,19 +6,12 @@ print, or pieces of it ──► paces ──► plan ──► commands ──�
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from hframe_post.compensation.stops import StopSolvers
-from hframe_post.conversion.pipeline import (
-    Commands,
-    Options,
-    Stages,
-    parsed,
-    planned,
-    prepared,
-    sampled,
-)  # fmt: skip
+from hframe_post.conversion.pipeline import Options, Stages, parsed, prepared, sampled
+from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
@@ -27,6 +20,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
+from hframe_post.stream.types import Item, Moves, Samples
 from hframe_post.studies.inputs import Piece, excerpt, useful_feeds
 from hframe_post.studies.speed.trial import (
     FIRST_LAYERS,
@@ -44,6 +38,7 @@ from hframe_post.studies.speed.trial import (
 # Searches for the following gave no faster prints than these values.
 JERK = 1e7  # mm/s³
 CORNER = 4e-3  # s: speed at square corners over acceleration
+MOST_KEPT = 300_000  # moves of a file that are kept between trials; 20 MB
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
 
 Lines = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
@@ -65,6 +60,7 @@ class Drive:
         self, lines: Lines, printer: Printer, options: Options, measure: Measure, freedom: Freedom
     ) -> None:
         self._lines, self._printer = lines, printer
+        self._kept: list[Item] | None = None
         self._measure, self._freedom = measure, freedom
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
@@ -106,7 +102,7 @@ class Drive:
     # ------------------------------------------------------------------ trials
 
     def excerpt(self) -> list[Piece]:
-        return excerpt(parsed(self._lines(), self._printer, self._options), FIRST_LAYERS)
+        return excerpt(self._items(), FIRST_LAYERS)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
@@ -129,16 +125,19 @@ class Drive:
             refused = str(error)
         return meter.trial(stages.summary.clamped.samples, refused)
 
-    def try_whole(self, settings: SpeedSettings, plants: tuple[Plant, ...]) -> Trial:
+    def try_whole(
+        self, settings: SpeedSettings, plants: tuple[Plant, ...], may_clamp: bool
+    ) -> Trial:
+        """Print the whole file; refuse settings that need a clamp if there may be none."""
         printer, options = self.configured(settings)
-        options = replace(self._options, paces=options.paces)
-        commands = Commands(self._lines(), printer, options, compensator=self._compensator)
+        options = replace(self._options, paces=options.paces, clamp=may_clamp)
+        stages, commands = self._printed(printer, options)
         meter = self._meter(settings)
         try:
             meter.add(commands, Labels(by_name=False), plants)
         except HframeError as error:  # not from the file, which was read to its end before
             return meter.trial(0, str(error))
-        return meter.trial(commands.report().clamped.samples)
+        return meter.trial(stages.summary.clamped.samples)
 
     def _meter(self, settings: SpeedSettings) -> TrialMeter:
         return TrialMeter(settings, self._freedom, self._measure, self.max_acceleration)
@@ -147,15 +146,14 @@ class Drive:
         """Return the seconds of each layer by its number, planned without compensation."""
         printer, options = self.configured(settings)
         options = replace(options, retract="standing")
-        items = planned(self._lines(), printer, options)
+        items = plan(self._items(options.paces), printer.limits)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sampled(items, printer, options):
             add_layer_times(layers, labels.number(chunk)[0])
         return layers
 
     def original(self) -> Original:
-        options = replace(self._options, strategy="none")
-        commands = Commands(self._lines(), self._printer, options, compensator=self._compensator)
+        stages, commands = self._printed(self._printer, replace(self._options, strategy="none"))
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
         for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
@@ -165,7 +163,28 @@ class Drive:
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
         found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
-        return Original(commands.report().time.before, layers, found)
+        return Original(stages.summary.time.before, layers, found)
+
+    def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
+        """Return the commands of the whole print, and the stages that compute them."""
+        stages = Stages(printer, options, self._compensator)
+        spans = Spans(plan(self._items(options.paces), printer.limits))
+        return stages, stages.predicted(stages.whole(spans), threads=True)
+
+    def _items(self, paces: Paces | None = None) -> Iterator[Item]:
+        """Yield the items of the file, which is read once if they take little memory."""
+        items = self._read() if self._kept is None else iter(self._kept)
+        return items if paces is None else pace(items, paces)
+
+    def _read(self) -> Iterator[Item]:
+        kept, moves = list[Item](), 0
+        for item in parsed(self._lines(), self._printer, self._options):
+            moves += len(item.line) if isinstance(item, Moves) else 1
+            if moves <= MOST_KEPT:
+                kept.append(item)
+            yield item
+        if moves <= MOST_KEPT:
+            self._kept = kept
 
 
 # ---------------------------------------------------------------------- cooling

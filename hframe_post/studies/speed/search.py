@@ -116,9 +116,9 @@ def _fastest_whole(
     searches = _Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
         settings = least.planned(drive, settings)
-        trial = drive.try_whole(settings, plants)
+        trial = drive.try_whole(settings, plants, may_clamp or limit == 1.0)
         shares = bound.shares(trial)
-        if trial.refused or (trial.clamped and not may_clamp and limit < 1.0):
+        if trial.refused:
             settings = _gentler(settings)
             continue
         short = least.short(settings, trial.layers)
