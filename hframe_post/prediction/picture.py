@@ -80,11 +80,11 @@ class Picture:
             end = at[last]
             x, y = chunk.xyze[:, :Z].T
             speed = np.hypot(x[end] - x[end - 1], y[end] - y[end - 1]) / TS
-            begins = np.zeros(len(end))
+            place, begins = chunk.xyze[end, :Z], np.zeros(len(end))
             begins[0] = self._apart
             self._append(np.vstack([
                 x[end], y[end], chunk.line[end], layer[last], feature[last], begins, speed,
-                *(judgement.tracking(name)[last].T for name in self.strategies),
+                *((judgement.motion[name][end] - place).T for name in self.strategies),
                 *(judgement.off[name][last].T for name in self.strategies),
                 np.maximum.reduceat(errors, starts, axis=1),
             ]))  # fmt: skip
