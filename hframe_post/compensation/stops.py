@@ -12,7 +12,7 @@ last REMEMBERED samples, because the plant has forgotten all before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,8 +97,9 @@ class _Stretch:
         self._free = chunk.first + 1  # end of the last solved stop: from here on a command may move
 
     def feed(self, chunk: Samples) -> Iterator[Samples]:
-        self._buffered.append(chunk)
         self._window.append(chunk.xyze, chunk.commands)
+        others = {k: xy for k, xy in chunk.commands.items() if k not in self._window.names}
+        self._buffered.append(replace(chunk, commands=others))
         for event in chunk.events:
             if isinstance(event, Pause):
                 self._add_stop(event.index - 1, event.index + event.samples)
@@ -155,6 +156,14 @@ class _Stretch:
         yield replace(ready, commands={**ready.commands, **commands})
 
 
+def _longer(known: Array, following: Array, origin: Array) -> Array:
+    """Return places (n, 2) from the origin with those that follow them on the bed, (m, 2)."""
+    longer = np.empty((len(known) + len(following), 2))
+    longer[: len(known)] = known
+    np.subtract(following, origin, out=longer[len(known) :])
+    return longer
+
+
 @dataclass
 class _Track:
     """One strategy's command (n, 2) in the window, from the origin.
@@ -187,6 +196,10 @@ class _Window:
         }
 
     @property
+    def names(self) -> Set[str]:
+        return self._tracks.keys()
+
+    @property
     def end(self) -> int:
         return self._first + len(self._path)
 
@@ -195,15 +208,15 @@ class _Window:
         return slice(max(a - self._first, 0), max(b - self._first, 0))
 
     def append(self, xyze: Array, commands: dict[str, Array]) -> None:
-        path, e = xyze[:, :Z] - self._origin, xyze[:, E]
-        x, y = np.concatenate([self._path[-1:], path]).T
+        before = len(self._path)
+        self._path = _longer(self._path, xyze[:, :Z], self._origin)
+        x, y = self._path[before - 1 :].T
+        e = np.concatenate([self._e, xyze[:, E]])
         moving = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
-        extruding = moving & (np.diff(e, prepend=self._e) > 0.0)
-        self._e = e[-1:] if len(e) else self._e
-        self._path = np.concatenate([self._path, path])
-        self._extruding = np.concatenate([self._extruding, extruding])
+        self._extruding = np.concatenate([self._extruding, moving & (e[1:] > e[:-1])])
+        self._e = e[-1:].copy()
         for name, track in self._tracks.items():
-            track.command = np.concatenate([track.command, commands[name] - self._origin])
+            track.command = _longer(track.command, commands[name], self._origin)
 
     def append_standstill(self, n: int) -> None:
         last = np.tile([*(self._path[-1] + self._origin), 0.0, self._e[0]], (n, 1))

@@ -192,17 +192,5 @@ def _end_with_parent() -> None:
 
 def _write_in_worker(span: Span) -> WrittenSpan:
     result = _writer[0].streamed(span, threads=False)
-    result.output = list(_with_joined_text(result.output))
+    result.output = list(result.output)
     return result
-
-
-def _with_joined_text(output: Iterable[Output]) -> Iterator[Output]:
-    """Yield the output with neighbouring texts joined: fewer pieces to send."""
-    text = list[bytes]()
-    for piece in output:
-        if isinstance(piece, bytes):
-            text.append(piece)
-        else:
-            yield from (b"".join(text), piece)
-            text.clear()
-    yield b"".join(text)

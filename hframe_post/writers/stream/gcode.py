@@ -29,6 +29,8 @@ from hframe_post.writers.stream.pace import Pace, TimedCommand, TimedMotion, Tim
 from hframe_post.writers.stream.print_time import DeferredLine, Output
 from hframe_post.writers.stream.segments import Units
 
+TEXT_AT_ONCE = 1 << 16  # bytes
+
 
 @dataclass(frozen=True, slots=True)
 class GcodeSummary:
@@ -85,7 +87,7 @@ class GcodeWriter:
     def write(self, chunks: Iterable[Samples]) -> Iterator[Output]:
         """Yield the text in order; ``summary`` counts what was yielded so far."""
         timed = self._pace.timed(self._machine.commands(chunks))
-        for output in _as_text(timed, self._units):
+        for output in _joined(_as_text(timed, self._units)):
             self._lines += 1 if isinstance(output, DeferredLine) else output.count(b"\n")
             yield output
 
@@ -101,6 +103,23 @@ class GcodeWriter:
         return GcodeSummary(
             self._lines, ledger.busiest, ledger.written, ledger.samples, ledger.missed
         )
+
+
+def _joined(output: Iterable[Output]) -> Iterator[Output]:
+    """Yield the output with neighbouring texts joined: fewer pieces to handle."""
+    text, size = list[bytes](), 0
+    for piece in output:
+        if isinstance(piece, bytes):
+            text.append(piece)
+            size += len(piece)
+            if size < TEXT_AT_ONCE:
+                continue
+        yield b"".join(text)
+        text.clear()
+        size = 0
+        if not isinstance(piece, bytes):
+            yield piece
+    yield b"".join(text)
 
 
 def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]:
