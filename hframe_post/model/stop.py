@@ -44,7 +44,7 @@ from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings
 from hframe_post.model.stop_plant import AroundStops
-from hframe_post.model.stop_problem import Problem, Splines
+from hframe_post.model.stop_problem import ROOM, Problem, Splines
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 AT_HOLD = 0.5  # share of that next to the hold, where firmware stops within one segment
@@ -73,6 +73,7 @@ class StopSolver:
         away, self._reach = _graded_splines()
         self._N_before, self._N_after = away[::-1, ::-1], away
         self.around = AroundStops(plant, self._N_before, self._N_after)
+        self._room = np.empty(ROOM)
         self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
     def solve(self, around: Surroundings, command: Array, before: Response, stop: Stop) -> Array:
@@ -96,7 +97,7 @@ class StopSolver:
         bed = self._bed - around.origin[:, None]
         problem = Problem(
             rows, known, levers, self.around.axes, splines, sequence, self._effort, self._belts,
-            self._limit, bed,
+            self._limit, bed, self._room,
         )  # fmt: skip
         sequence += product(splines.N, problem.solution())
         command = command[2 : 2 + n + 2 * BESIDE]

@@ -78,6 +78,7 @@ class Problem:
     belts: Array
     full_limit: float
     bed: Array
+    room: Array
 
     def solution(self) -> Array:
         """Return p (k, 2)."""
@@ -94,7 +95,7 @@ class Problem:
             rows.path, rows.index, len(rows.index), rows.held.start, rows.held.stop, rows.weight,
             rows.extruding, self.known, self.levers, self.axes, len(self.axes), splines.by_p,
             splines.first, len(p), self.command, len(self.command), splines.N, splines.D,
-            splines.bands, splines.limit, bounds, np.empty(ROOM), p,
+            splines.bands, splines.limit, bounds, self.room, p,
         )  # fmt: skip
         assert fits
         return p
