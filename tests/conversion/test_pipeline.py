@@ -293,7 +293,7 @@ def test_no_filament_is_lost_where_the_machine_is_released_again_and_again(
         x = 100 + 20 * (k % 2)
         text += b"G1 X%d E0.8 F1800\nUNHEARD_OF\nG1 X%d Y100 F6000\n" % (x, x)
     output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
-    assert len(list(output)) > 40
+    assert sum(piece.count(b"\n") for piece in output if isinstance(piece, bytes)) > 40
     assert output.report().filament_after == pytest.approx(32.0, abs=1e-4)
 
 
