@@ -303,5 +303,5 @@ def test_what_is_extruded_on_less_than_a_micrometre_is_extruded(
 ) -> None:
     text = b"M83\nG1 X100 Y100 F1200\nG1 X120 Y110 E95\n;HERE\nG1 X121 Y110.5 E900\n"
     output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
-    assert len(list(output)) > 3
+    assert b"".join(piece for piece in output if isinstance(piece, bytes)).count(b"G1") > 2
     assert output.report().filament_after == pytest.approx(995.0, abs=1e-3)
