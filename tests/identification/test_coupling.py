@@ -16,7 +16,7 @@ from hframe_post.identification.fitting.modal import Data, Modal, Parameters, St
 from hframe_post.identification.fitting.shared import in_print
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.excitation import trajectory
-from hframe_post.identification.responses.crossed import Crossed
+from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     estimate,
@@ -27,6 +27,7 @@ from hframe_post.identification.responses.full_response import (
     FullResponse,
     full_response,
 )
+from hframe_post.identification.responses.measured import RunGroup, RunResponse
 from hframe_post.printer.settings import Sweep
 
 BAND = (4.0, 100.0)
@@ -256,7 +257,7 @@ def test_coupling_counts_only_if_a_second_recording_shows_it() -> None:
     single = coupling(printer)
     assert single.unexplained is None
     assert not single.counts
-    assert "record x again" in single.as_text()
+    assert "two tests of x alone" in single.as_text()
     assert not single.cross(0.0)
     slight = coupling(Coupled(angle=0.003))
     assert 0.0 < slight.size < 0.06
@@ -315,6 +316,19 @@ def test_a_coupling_that_changes_along_x_is_found_from_three_places() -> None:
     # two places tell a line, and not whether it is one
     two = at_places([(printer, x) for x in (80.0, 200.0)])
     assert all(one.along is None for one in two.cross(0.0))
+
+
+def test_diagonals_are_one_recording_however_many() -> None:
+    printer, runs = Coupled(), []
+    for seed, sign in enumerate((1.0, 1.0, -1.0, -1.0, 1.0)):
+        d = (0.5**0.5, sign * 0.5**0.5)
+        x, y = (replace(one, H=one.H / d[0]) for one in printer.measured(d, seed))
+        runs.append(RunResponse(X_C, x, x, 0.0, COMMAND, None, y, None, None, d, (X_C, 150.0)))
+    (found,) = crossed(0, RunGroup(runs, (0.0, 0.0), 4.0, 32.0, 32.0), BAND)
+    true = printer.response(found.along.hz)
+    assert off(found.along.H, true[:, 0, 0]) < 0.05
+    assert off(found.across.H, true[:, 1, 0]) < 0.05
+    assert not crossed(0, RunGroup(runs[:2], (0.0, 0.0), 4.0, 32.0, 32.0), BAND)
 
 
 # ---------------------------------------------------------------------- a head that pitches

@@ -104,7 +104,8 @@ class MeasuredCoupling:
             f"{100 * self.size / self.wrong:.0f} % of {self.axis}'s own error there"
         )
         if self.unexplained is None:
-            return f"{text}; it is not compensated: record {self.axis} again to see if it repeats"
+            tests = f"two tests of {self.axis} alone show whether it repeats"
+            return f"{text}; it is not compensated: {tests}"
         if not self.counts:
             differ = f"{100 * self.unexplained:.0f} % differ"
             return f"{text}; it does not repeat ({differ}) and is not compensated"

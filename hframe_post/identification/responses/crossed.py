@@ -49,17 +49,17 @@ def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Cr
 
 
 def _of_diagonals(axis: int, runs: Sequence[RunResponse]) -> list[Crossed]:
-    """Return what a command in an axis does, from each pair of runs along both diagonals."""
-    rising = [run for run in runs if run.direction and run.direction[0] * run.direction[1] > 0.0]
-    falling = [run for run in runs if run not in rising]
-    found = list[Crossed]()
-    for pair in zip(rising, falling, strict=False):  # a run may have no partner
-        try:
-            full = full_response([_directed(axis, run) for run in pair])
-        except IdentificationError:
-            continue  # almost the same direction
-        found.append(Crossed(full.entry(axis, axis), full.entry(1 - axis, axis), full.middle))
-    return found
+    """Return what a command in an axis does, from all runs along diagonals together.
+
+    It is a difference of recordings whose starts are not known to each other, wrong alike if all
+    are repeated. So it counts as one recording.
+    """
+    directed = [_directed(axis, run) for run in runs if run.across is not None]
+    try:
+        full = full_response(directed)
+    except IdentificationError:  # all have one direction
+        return []
+    return [Crossed(full.entry(axis, axis), full.entry(1 - axis, axis), full.middle)]
 
 
 def _directed(axis: int, run: RunResponse) -> DirectedRun:
