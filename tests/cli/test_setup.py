@@ -71,10 +71,12 @@ def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Pa
     assert own.motors.belt_velocity > 2**0.5 * 800.0
     assert own.motors.belt_acceleration == round(2**0.5 * 22000.0)
     assert own.limits.jerk == own.limits.acceleration / 0.01
+    assert own.limits.deceleration == 5000.0
     assert own.sweep.amplitude == 5000.0
     edited(config, "max_accel: 10000", "max_accel: 3000")
     set_up(config)
-    assert load(str(config.parent / "printer.toml")).sweep.amplitude == 3000.0
+    slow = load(str(config.parent / "printer.toml"))
+    assert slow.sweep.amplitude == slow.limits.deceleration == 3000.0
 
 
 def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: Path) -> None:
