@@ -21,7 +21,7 @@ from hframe_post.stream.types import Samples, frozen
 NAMES = ("none", "racking")  # the strategies that are compared
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
-LOOKED_AT, LONGEST, SHORTEST = 200_000, 40_000, 5_000  # samples of a print: of these, from … to
+LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
 SHORTEST_STOP, STANDS = 20, 1e-9  # samples and mm per sample of a standstill
 QUIET = 1000  # samples of rest before, between and after the parts
 
@@ -55,7 +55,9 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     chunks = list(_until(source.computed(), LOOKED_AT))
     if not chunks:
         raise HframeError("the print does not move in x and y")
-    commands = {name: np.concatenate([c.commands[name] for c in chunks]) for name in NAMES}
+    commands = {
+        name: np.concatenate([c.commands[name] for c in chunks])[:LOOKED_AT] for name in NAMES
+    }
     part = slice(None)
     if lines is not None:
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
