@@ -54,7 +54,8 @@ def recursion(A: Array, W: Array, s: Array) -> Array:
         compiled(M, W, len(W), len(A), states)
     else:
         for k, w in enumerate(W):
-            states[k + 1] = _product(states[k : k + 1], M)[0] + w
+            np.add.reduce(states[k][:, None] * M, axis=0, initial=0.0, out=states[k + 1])
+            states[k + 1] += w
     return states
 
 

@@ -14,8 +14,13 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -128,12 +133,9 @@ class Filter:
             u, y = np.ascontiguousarray(u), np.empty(len(u))
             compiled(self.sections, len(self.sections), self.state, u, len(u), y)
             return y
-        if not len(u):  # scipy takes no empty array
-            return np.zeros(0)
-        from scipy.signal import sosfilt  # takes long to import
-
-        y, self.state[:] = sosfilt(self.sections, u, zi=self.state)
-        return np.asarray(y)
+        signals = np.array(u, ndmin=2)
+        _cascade()(self.sections, signals, self.state[None])
+        return np.asarray(signals[0])
 
     def settle(self, u: float) -> None:
         """Take the state that a constant input leads to."""
@@ -142,6 +144,31 @@ class Filter:
             state[1] = b2 * u - a2 * y
             state[0] = b1 * u - a1 * y + state[1]
             u = y
+
+
+@cache
+def _cascade() -> Callable[[Array, Array, Array], None]:
+    """Return scipy's filter of sections (k, 6), which replaces signals (1, n) and states (1, k, 2).
+
+    It is loaded alone, because all of scipy.signal takes 0.7 s and 70 MB; a scipy that has it
+    elsewhere is asked in the usual way.
+    """
+    import scipy
+
+    place = str(Path(scipy.__file__).parent / "signal")
+    spec = PathFinder.find_spec("_sosfilt", [place])
+    if spec is None or spec.loader is None:
+        return _by_scipy_signal
+    alone = module_from_spec(spec)
+    spec.loader.exec_module(alone)
+    return cast(Callable[[Array, Array, Array], None], alone._sosfilt)
+
+
+def _by_scipy_signal(sections: Array, signals: Array, states: Array) -> None:
+    from scipy.signal import sosfilt
+
+    if signals.size:  # scipy takes no empty array
+        signals[0], states[0] = sosfilt(sections, signals[0], zi=states[0])
 
 
 class _Filters:
