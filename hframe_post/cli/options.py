@@ -72,8 +72,8 @@ printer_option = click.option(
 
 compensation_option = click.option(
     "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
-    help="Compensate racking and ringing (racking), ringing only (fbs), or nothing (none). "
-    "Default: compensation.strategy of the profile.",
+    help="Compensate ringing, racking and other couplings (racking), ringing only (fbs) or nothing "
+    "(none). Default: compensation.strategy of the profile.",
 )  # fmt: skip
 
 limits_option = click.option(
