@@ -246,7 +246,8 @@ class _Window:
         around = Surroundings(self._path, self._origin, self._extruding)
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
         n = self._first
-        local = replace(stop, a=stop.a - n, b=stop.b - n, ends=stop.ends - n)
+        a, b, ends = stop.a - n, stop.b - n, stop.ends - n
+        local = Stop(a, b, stop.before, stop.after, stop.movable, ends)
         for track in self._tracks.values():
             before = self._response_before(stop.a - BESIDE, track)
             track.command[changed] = track.solver.solve(around, track.command, before, local)

@@ -34,6 +34,7 @@ squares: a row that exceeds its bound gets more weight, and the problem is solve
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from functools import lru_cache
 
 import numpy as np
@@ -70,7 +71,8 @@ class StopSolver:
         self._effort = np.array([max(0.1 * e, 1e-3) for e in effort])
         self._belts, self._limit = belts, USABLE * acceleration * TS**2
         self._bed = np.array(bed)
-        away, self._reach = _graded_splines()
+        away, reach = _graded_splines()
+        self._reach = reach.tolist()
         self._N_before, self._N_after = away[::-1, ::-1], away
         self.around = AroundStops(plant, self._N_before, self._N_after)
         self._room = np.empty(ROOM)
@@ -88,7 +90,7 @@ class StopSolver:
         command[BESIDE + 2 : BESIDE + 2 + n] = command[BESIDE + 2]
         path = around.path[rows.index] + around.origin
         known, levers = self.around.known(before, command[2:], path, n)
-        reach = self._reach.searchsorted([stop.before, stop.after], side="right").tolist()
+        reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
         splines = self._splines(*reach, stop.movable, n)
         # with two samples more on either side for second differences, and a shortened hold
         hold = command[BESIDE + 2 :][: min(n, HOLD_ROWS)]
