@@ -237,6 +237,8 @@ class _Sampler:
 
         They get the vertex's filament, so that what is extruded between two marks is exact.
         """
+        if not marks:
+            return marks
         vertices = np.array([mark.index for mark in marks], dtype=np.int64)
         rows = np.searchsorted(s, plan.s[vertices])
         here = int(np.searchsorted(rows, len(s)))
