@@ -81,6 +81,8 @@ class MarlinSettings:
         found = VERSION.search(text)
         self.firmware = found[1] if found else ""
         self.planner = _planner(found)
+        if self.defined("NO_STANDARD_MOTION"):
+            self.planner = Known("ft-motion", "NO_STANDARD_MOTION of the build")
 
     def _add(self, command: str, words: Sequence[tuple[str, str]]) -> None:
         values = {letter: float(value) for letter, value in words if value}

@@ -72,7 +72,8 @@ def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
     assert 165.0 - 1e-9 <= one.command[:, 1].min() < one.command[:, 1].max() <= 215.0 + 1e-9
     moves = [line for line in lines if line.startswith("G1 Y")]
     assert len(moves) / one.seconds < 200.0
-    assert "G1 Z12 F300" in lines
+    # builds of 2026 do not plan the moves before it
+    assert lines.index("M494 T0 X0 Y0 Z0 E0") < lines.index("G1 Z12 F300")
     assert lines[0] == "; hframe-post: off"  # a slicer's hook must not compensate it
     assert "M204 P500 T500 R1000" in lines[-6:]
     assert not any("ACCELEROMETER" in line for line in lines)

@@ -401,11 +401,11 @@ def development(block: Block, build: Build) -> Array:
     """
     a, n = block.acceleration, block.n
     nominal = math.ceil(block.rate)
-    first, final = (max(round(v * n / block.d), 1) for v in (block.entry, block.exit))
+    first, final = (max(math.floor(v * n / block.d + 0.5), 1) for v in (block.entry, block.exit))
     rise, fall = ((nominal**2 - rate**2) / (2.0 * a) for rate in (first, final))
     up, down = math.ceil(rise), math.ceil(fall)
     if up + down > n:
-        up = min(max(round((n + rise - fall) / 2.0), 0), n)
+        up = min(max(math.floor((n + rise - fall + 1.0) / 2.0), 0), n)
         down = n - up
     timer = _Timer(build, nominal)
     scale = 1 << timer.shift

@@ -129,6 +129,10 @@ def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) 
     marlin = profile(settings, "hbot").firmware.marlin
     assert marlin is not None
     assert marlin.s_curve_acceleration
+    header.write_text("#define NO_STANDARD_MOTION\n")
+    only = MarlinSettings([answers, header]).planner
+    assert only is not None
+    assert only.value == "ft-motion"
     header.write_text("#define DELTA\n")
     with pytest.raises(HframeError, match="DELTA"):
         MarlinSettings([answers, header]).kinematics()

@@ -127,9 +127,10 @@ def times_2_1_dev(
     s_curve must be false: a profile with an S-curve for this generation is refused.
     """
     n, _, a, _ = blocks
-    begin, end = (np.minimum(np.maximum(np.rint(w), 1.0), rate) for w in (begin, end))
+    # Marlin rounds halves up
+    begin, end = (np.minimum(np.maximum(np.floor(w + 0.5), 1.0), rate) for w in (begin, end))
     rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
-    up, down = _fitting(n, np.ceil(rise), np.ceil(fall), np.rint(meet))
+    up, down = _fitting(n, np.ceil(rise), np.ceil(fall), np.floor(meet + 0.5))
     shares = timer.interrupts(rate)
     after_first = n * shares - 1
     rising = np.clip(up * shares - 1, 0, after_first)

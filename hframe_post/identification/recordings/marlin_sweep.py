@@ -21,7 +21,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.marlin.planner import Blocks
-from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, Marlin
+from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, TRAPEZOIDS, Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import SPARED, plain
 from hframe_post.gcode.commands import OFF
@@ -120,7 +120,8 @@ def _pulses(
             way = -way
         at += way * travel
         for n, v in ((slow, SLOW), (fast, SLOW + rise)):
-            yield way * n, (round(v / belt) - 0.5) * belt  # Marlin rounds steps a second up
+            # Marlin rounds steps a second up; the development branch rounds them where moves meet
+            yield way * n, (round(v / belt) - 0.4) * belt
 
 
 def _motion(marlin: Marlin, moves: _Moves, cells: Integers, a: float) -> Array:
@@ -159,9 +160,9 @@ def _gcode(
     corners = "X1 Y1 E1" if marlin.table.classic_jerk else "J0.3"  # to turn is to stop with either
     fastest, most = plain(float(v.max()) + 1.0, 0), plain(a, 0)
     begin = [
+        "M400", "M593 F0", FIXED_TIME if marlin.planner.fixed_time else RAMPED, TRAPEZOIDS,
         "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
-        f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}", "M400", "M593 F0",
-        FIXED_TIME if marlin.planner.fixed_time else RAMPED,
+        f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}", "M400",
         f"M201 X{most} Y{most}", f"M203 X{fastest} Y{fastest}", f"M204 P{most} T{most}",
         f"M205 B0 S0 T0 {corners}", f"G4 P{BEFORE * 1000}",
     ]  # fmt: skip
