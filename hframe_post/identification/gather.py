@@ -148,9 +148,25 @@ def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tupl
         motion, shown = found.test.command(), _described(found.test, config)
         rough = (found.start - float(one.recording.t[0]), found.drift)
     calibrated = rough is None and has_marks(motion)
-    run = Run(one.label, motion, one.recording, calibrated=calibrated, rough_clock=rough)
+    nozzle = one.recording if calibrated else _in_sensor_axes(one, config)
+    run = Run(one.label, motion, nozzle, calibrated=calibrated, rough_clock=rough)
     notes = tuple(accelerometer.diagnose(one.recording, QUIET))
     return run, Used(one.label, shown, one.digest, one.session, notes)
+
+
+def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerometer.Recording:
+    """Return the recording without the axes_map of printer.cfg.
+
+    Owners' maps often mirror, and then gravity does not tell on which side the other axis lies.
+    """
+    assert one.direction is not None
+    chip = "" if config is None else _chip(config, "x" if one.direction[0] else "y")
+    given = "" if config is None else config.text(chip, "axes_map")
+    if not given:
+        return one.recording
+    named = ",".join(f"{axis}={seen}" for axis, seen in zip("xyz", given.split(","), strict=False))
+    matrix = accelerometer.axis_map(named.replace(" ", ""))
+    return replace(one.recording, a=one.recording.a @ matrix)
 
 
 def check_travel(motion: Array, travel: Travel) -> None:
@@ -196,11 +212,12 @@ def _chips(config: KlipperConfig | None) -> dict[str, str]:
     """Return the names of the sensors for x and for y, as files have them."""
     if config is None:
         return {}
-    both = config.text(SECTION, "accel_chip")
-    return {
-        axis: "_".join((config.text(SECTION, f"accel_chip_{axis}") or both).lower().split())
-        for axis in "xy"
-    }
+    return {axis: "_".join(_chip(config, axis).lower().split()) for axis in "xy"}
+
+
+def _chip(config: KlipperConfig, axis: str) -> str:
+    """Return the section of the sensor for an axis, x or y."""
+    return config.text(SECTION, f"accel_chip_{axis}") or config.text(SECTION, "accel_chip")
 
 
 # ---------------------------------------------------------------------- files that the user pairs

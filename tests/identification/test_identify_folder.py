@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.errors import IdentificationError
 from hframe_post.identification.gather import along_printer, from_folders
 from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
 from hframe_post.identification.recordings.excitation import read_command
@@ -141,3 +142,21 @@ def test_our_sweeps_need_neither_names_nor_axes(
         np.testing.assert_array_equal(run.command, read_command(played.command))
         assert run.nozzle is not None
         np.testing.assert_allclose(run.nozzle.a, oriented(read(path), AXES, QUIET).a, atol=1e-3)
+
+
+def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:
+    """Else the other axis, of which a test of one axis shows no sign, would lie opposite."""
+    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
+    held = tmp_path / "held"
+    held.mkdir()
+    shutil.copy(REAL, held)
+    (plain,) = from_folders([held], KlipperConfig(config), travel).runs
+    config.write_text(f"{CONFIG}[adxl345]\naxes_map: -x, z, y\n")
+    (undone,) = from_folders([held], KlipperConfig(config), travel).runs
+    assert plain.nozzle is not None
+    assert undone.nozzle is not None
+    x, y, z = plain.nozzle.a.T
+    np.testing.assert_array_equal(undone.nozzle.a, np.column_stack([-x, z, y]))
+    config.write_text(f"{CONFIG}[adxl345]\naxes_map: x, y\n")
+    with pytest.raises(IdentificationError, match="invalid axis map"):
+        from_folders([held], KlipperConfig(config), travel)
