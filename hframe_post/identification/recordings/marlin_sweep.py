@@ -112,7 +112,8 @@ def _pulses(
         ramp = rise / a
         hold = max((period - 2.0 * ramp - shortest) / 2.0, 0.0)  # at full speed, and as long slow
         slow = max(least, round(SLOW * (period - 2.0 * ramp - hold) / belt))
-        fast = max(least, round((SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / belt))
+        fast = (SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / belt
+        fast = max(least, 2 * round(fast / 2.0))  # even: both ramps have as many steps
         travel = (slow + fast) * belt
         if travel > reach:
             continue  # too slow for the room that there is
