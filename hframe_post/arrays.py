@@ -1,5 +1,8 @@
 """Array types, their columns and the sampling time, named once."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
 from typing import TypeAlias
 
 import numpy as np
@@ -19,3 +22,12 @@ def lengths(steps: Array) -> Array:
     # by columns: a sum along so short an axis takes ten times as long
     x, y, z = steps.T
     return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def moved(columns: Iterable[Array], by: Array, out: Array | None = None) -> Array:
+    """Return places (n, 2) whose x and y, (n,) each, are moved by (2,); in ``out`` if given."""
+    x, y = columns
+    out = np.empty((len(x), 2)) if out is None else out
+    np.add(x, by[X], out=out[:, X])  # by columns, as for lengths
+    np.add(y, by[Y], out=out[:, Y])
+    return out

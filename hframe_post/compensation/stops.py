@@ -12,18 +12,19 @@ last REMEMBERED samples, because the plant has forgotten all before.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Z
+from hframe_post.arrays import Array, E, Z, moved
 from hframe_post.model.plant import Response
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, NEAREST, Stop, Surroundings
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.printer.settings import STOPS, Printer
-from hframe_post.stream.chunks import join, part, stretches
+from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen
 
 LONGEST = 1000  # samples of a stop that is treated as one
@@ -90,7 +91,7 @@ class _Stretch:
 
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
         self._window = _Window(chunk, solvers)
-        self._buffered: list[Samples] = []
+        self._buffered: deque[Samples] = deque()
         # samples from which and before which the command stands still; the stretch begins with one
         self._stops = [(-FOREVER, chunk.first + 1)]
         self._arrived = True  # at the first of the stops, which is a long one
@@ -145,22 +146,19 @@ class _Stretch:
         return window.end - 1 - BEFORE
 
     def _release(self, end: int) -> Iterator[Samples]:
-        whole = join(self._buffered)
-        n = min(end - whole.first, len(whole))
-        if n <= 0 and len(whole):
-            return
-        ready = part(whole, 0, n)
-        self._buffered = [part(whole, n, len(whole))]
-        commands = self._window.commands(whole.first, whole.first + n)
-        self._window.forget(end)
-        yield replace(ready, commands={**ready.commands, **commands})
+        """Yield the chunks of which all samples are before ``end``."""
+        while self._buffered and self._buffered[0].end <= end:
+            chunk = self._buffered.popleft()
+            commands = self._window.commands(chunk.first, chunk.end)
+            self._window.forget(chunk.end)
+            yield replace(chunk, commands={**chunk.commands, **commands})
 
 
 def _longer(known: Array, following: Array, origin: Array) -> Array:
     """Return places (n, 2) from the origin with those that follow them on the bed, (m, 2)."""
     longer = np.empty((len(known) + len(following), 2))
     longer[: len(known)] = known
-    np.subtract(following, origin, out=longer[len(known) :])
+    moved(following.T, -origin, longer[len(known) :])
     return longer
 
 
@@ -234,7 +232,7 @@ class _Window:
 
     def commands(self, a: int, b: int) -> dict[str, Array]:
         return {
-            name: frozen(track.command[self._rows(a, b)] + self._origin)
+            name: frozen(moved(track.command[self._rows(a, b)].T, self._origin))
             for name, track in self._tracks.items()
         }
 

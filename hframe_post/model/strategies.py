@@ -26,7 +26,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError, HframeError
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.plant import HEAVIER, Coupled, Coupling, Plant
@@ -120,7 +120,7 @@ class FilteredSplines:
         ]
 
     def feed(self, xy: Array) -> Array:
-        self._path = np.concatenate([self._path, xy - self._origin])
+        self._path = np.concatenate([self._path, moved(xy.T, -self._origin)])
         return self._command(last=False)
 
     def finish(self) -> Array:
@@ -132,11 +132,11 @@ class FilteredSplines:
         for stage in self._stages:
             latest[stage.axis] = stage.solve(self._path, latest, last)
         n = min(map(len, latest))
-        command = np.column_stack([axis[:n] for axis in latest]) + self._origin
+        command = moved([axis[:n] for axis in latest], self._origin)
         self._path = self._path[n:].copy()
         for stage in self._stages:
             stage.forget(n)
-        return np.asarray(command)
+        return command
 
 
 class _Stage:

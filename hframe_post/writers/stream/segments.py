@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.player import Player
 from hframe_post.native import kernel
@@ -102,8 +102,9 @@ class SampleBuffer:
             self._points[0] = stand if self._before is None else self._before
         first = 1 + self._count
         n = min(len(xy), SAMPLES_AT_ONCE - self._count)
-        self._points[first : first + n, :Z] = xy[:n]
-        self._points[first : first + n, Z:] = z_e[:n]
+        points = self._points[first : first + n].T
+        for column, values in zip(points, (*xy[:n].T, *z_e[:n].T), strict=True):
+            column[:] = values  # numpy is slow along axes as short as two
         self._count += n
         return n
 
