@@ -23,6 +23,7 @@
     EACH(klipper_feed_rates)                                                                  \
     EACH(least_squares)                                                                       \
     EACH(limit_moves)                                                                         \
+    EACH(marlin_block_times)                                                                  \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \

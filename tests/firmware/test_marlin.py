@@ -14,13 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
-from hframe_post.firmware.marlin.planner import (
-    GENERATIONS,
-    Blocks,
-    SteppedPlanner,
-    Timer,
-    make_planner,
-)
+from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import player
 from hframe_post.gcode import batching
@@ -509,20 +503,3 @@ def test_marlin_profile_needs_no_klipper(marlin: Printer) -> None:
     assert mine.firmware.marlin == marlin.firmware.marlin
     with pytest.raises(PrinterError, match=r"firmware\.klipper"):
         played_by(mine, "klipper")
-
-
-@pytest.mark.parametrize("planner", ["2.0", "2.1", "2.1-dev"])
-def test_one_block_alone_takes_the_same_time_as_among_others(planner: str) -> None:
-    """A loop over numbers, which is faster, gives the bits of the one over arrays."""
-    stepped = make_planner(planner, Timer(2e6, extra_tick=True))
-    assert isinstance(stepped, SteppedPlanner)
-    n, d, a, begin, rate, end = (
-        np.array([x, x]) for x in (333.0, 0.8, 8e5, 1957.0, 17358.0, 3913.0)
-    )
-    both, alone = (
-        stepped.block_times(
-            Blocks(n[:k], d[:k], a[:k]), begin[:k], rate[:k], end[:k], stepped.timer, False
-        )
-        for k in (2, 1)
-    )
-    assert alone[0] == both[0]

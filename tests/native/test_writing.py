@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.klipper import ramps, segments
+from hframe_post.firmware.marlin.planner import Blocks, SteppedPlanner, Timer, make_planner
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream import digits
 from hframe_post.writers.stream.segments import Units, _moving
@@ -47,6 +48,28 @@ def test_ramps(
     for function, numbers in ((ramps.feed_rates, T), (ramps.durations, v)):
         found = function(at, numbers, rest, before, np.inf, limits)
         same(found, in_numpy(function, at, numbers, rest, before, np.inf, limits))
+
+
+@thorough
+@given(
+    seeds, st.integers(1, 40), st.sampled_from(["2.0", "2.1", "2.1 curved", "2.1-dev"]),
+    st.booleans(), st.sampled_from([0.0, 4e4]),
+)  # fmt: skip
+def test_block_times(
+    compiled: None, seed: int, k: int, planner: str, extra_tick: bool, smoothing_hz: float
+) -> None:
+    """Some blocks are too short for their ramps, and some begin or end at their own rate."""
+    rng = np.random.default_rng(seed)
+    generation, *curved = planner.split()
+    timer = Timer(float(rng.choice([2e6, 1e15])), extra_tick, smoothing_hz)
+    stepped = make_planner(generation, timer, s_curve=bool(curved))
+    assert isinstance(stepped, SteppedPlanner)
+    n = np.ceil(10.0 ** rng.uniform(0.0, 2.5, k))
+    rate = np.ceil(10.0 ** rng.uniform(1.0, 4.5, k))
+    begin, end = rate * np.minimum(rng.uniform(0.0, 1.5, (2, k)), 1.0)
+    blocks = Blocks(n, n * 0.0025, 10.0 ** rng.uniform(4.0, 7.0, k))
+    arguments = blocks, begin, rate, end, timer, stepped.s_curve
+    same(stepped.block_times(*arguments), in_numpy(stepped.block_times, *arguments))
 
 
 @thorough

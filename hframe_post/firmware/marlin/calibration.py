@@ -106,7 +106,8 @@ def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) ->
     n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
     d = np.diff(cells[:, 0]) * belt
     total = 0.0
-    for n_, d_, v in ((n, d, part.v), (n[::-1], d[::-1], part.v[::-1])):  # there, and back
+    for order in (1, -1):  # there, and back
+        n_, d_, v = (each[::order].copy() for each in (n, d, part.v))
         blocks = Blocks(n_, d_, np.floor(printer.limits.acceleration * n_ / d_))
         v = np.ceil(60.0 * v) / 60.0  # F is whole
         joint = np.concatenate([[0.0], np.minimum(v[:-1], v[1:]), [0.0]])

@@ -32,6 +32,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.firmware import ramps
+from hframe_post.native import kernel
 
 SLOWEST = 120.0  # steps/s, before the development branch
 ROUNDS = 3  # of the rates' dependence on their neighbours'
@@ -63,6 +64,11 @@ class Timer:
     extra_tick: bool = False
     smoothing_hz: float = 0.0
 
+    @property
+    def row(self) -> Array:
+        """Return it as the compiled loop takes it, (3,)."""
+        return np.array([self.hz, self.extra_tick, self.smoothing_hz])
+
     def interrupts(self, rate: Array) -> Array:
         """Return the interrupts a step, (k,), in blocks of nominal rates (k,)."""
         below = np.ceil(self.smoothing_hz / rate) - 1.0  # most that stay under smoothing_hz
@@ -90,10 +96,31 @@ UNROUNDED = Timer(1e15)  # with ticks too short for rounding to matter
 BlockTimes = Callable[[Blocks, Array, Array, Array, Timer, bool], Array]
 
 
+def _block_times(
+    blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool,
+    ahead: float, development: bool = False,
+) -> Array:  # fmt: skip
+    """Return block times; ahead: share of the first interval, see the table.
+
+    s_curve must be false for 2.1-dev: a profile with an S-curve for it is refused.
+    """
+    if (compiled := kernel("marlin_block_times")) is None:
+        times = _development_times if development else _released_times
+        return times(blocks, begin, rate, end, timer, s_curve, ahead)
+    k, taken = len(rate), np.empty(len(rate))
+    compiled(k, blocks.n, blocks.a, begin, rate, end, timer.row, ahead, development, s_curve, taken)
+    return taken
+
+
+times_2_0 = partial(_block_times, ahead=0.0)
+times_2_1 = partial(_block_times, ahead=1.0)
+times_2_1_dev = partial(_block_times, ahead=0.5, development=True)
+
+
 def _released_times(
     blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool, ahead: float
 ) -> Array:
-    """Return block times of 2.0 and 2.1; ahead: share of the first interval, see the table."""
+    """Return block times of 2.0 and 2.1."""
     n, _, a, _ = blocks
     begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), SLOWEST), rate) for w in (begin, end))
     rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
@@ -114,17 +141,12 @@ def _released_times(
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
 
 
-times_2_0 = partial(_released_times, ahead=0.0)
-times_2_1 = partial(_released_times, ahead=1.0)
-
-
-def times_2_1_dev(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool
+def _development_times(
+    blocks: Blocks, begin: Array, rate: Array, end: Array, timer: Timer, s_curve: bool, ahead: float
 ) -> Array:
     """Return block times of 2.1-dev, whose ramps are ahead by half an interval.
 
     They are an interval shorter at the top than before, and an interval longer at the foot.
-    s_curve must be false: a profile with an S-curve for this generation is refused.
     """
     n, _, a, _ = blocks
     # Marlin rounds halves up
@@ -137,11 +159,11 @@ def times_2_1_dev(
     falling = np.clip(down * shares, 0, after_first - rising)
     cruising = after_first - rising - falling
     first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
-    climb, top = _ramp(begin, rate, a, rising, 0.5 * first, shares, timer, s_curve)
-    ahead = np.where(rising > 0, 0.0, 0.5 * first)
-    ahead = np.where(cruising > 0, 0.5 * cruise, ahead)
+    climb, top = _ramp(begin, rate, a, rising, ahead * first, shares, timer, s_curve)
+    lead = np.where(rising > 0, 0.0, ahead * first)
+    lead = np.where(cruising > 0, ahead * cruise, lead)
     top = np.maximum(np.where(cruising > 0, rate, top), end)
-    drop, _ = _ramp(top, end, a, falling, ahead, shares, timer, s_curve)
+    drop, _ = _ramp(top, end, a, falling, lead, shares, timer, s_curve)
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
 
 
@@ -169,11 +191,6 @@ def _ramp(
     interrupts (k,): how many each ramp has; ahead (k,): ticks by which it is ahead; shares (k,):
     interrupts a step.
     """
-    if len(start) == 1 and not s_curve:  # a retraction or a lift
-        return _ramp_of_one(
-            float(start[0]), float(end[0]), float(a[0]), int(interrupts[0]), float(ahead[0]),
-            float(shares[0]), timer,
-        )  # fmt: skip
     taken, t, now = np.zeros(len(start)), ahead / timer.hz, start
     for k in range(int(interrupts.max(initial=0.0))):
         ramping = k < interrupts
@@ -182,20 +199,6 @@ def _ramp(
         taken = np.where(ramping, taken + timer.seconds(ticks), taken)
         t = t + ticks / timer.hz
     return taken, now
-
-
-def _ramp_of_one(
-    start: float, end: float, a: float, interrupts: int, ahead: float, shares: float, timer: Timer
-) -> tuple[Array, Array]:
-    """Return ``_ramp`` of a single block, ten times as fast as with arrays."""
-    taken, t, now, way = 0.0, ahead / timer.hz, start, abs(end - start)
-    up = 1.0 if end > start else -1.0
-    for _ in range(interrupts):
-        now = start + up * min(float(math.floor(a * t)), way)
-        ticks = math.floor(timer.hz / (now * shares))
-        taken += (ticks + float(timer.extra_tick)) / timer.hz
-        t += ticks / timer.hz
-    return np.array([taken]), np.array([now])
 
 
 def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Array:
