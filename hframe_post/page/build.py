@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
@@ -134,10 +134,12 @@ def _rms(sums: Array, columns: list[int]) -> list[float]:
 def _worst(pieces: Pieces, column: int) -> list[int]:
     """Return the pieces with the largest errors while printing, none near another."""
     errors = np.where(pieces.feature > 0, pieces.error[:, column], 0.0)
+    x, y = pieces.xy.T
     found = list[int]()
     while len(found) < WORST and errors.max(initial=0.0) > 0.0:
-        found.append(int(errors.argmax()))
-        errors[np.hypot(*(pieces.xy - pieces.xy[found[-1]]).T) < APART] = 0.0
+        k = int(errors.argmax())
+        found.append(k)
+        errors[np.square(x - x[k]) + np.square(y - y[k]) < APART * APART] = 0.0
     return found
 
 
@@ -171,17 +173,22 @@ def _packed(pieces: Pieces, columns: list[int]) -> bytes:
     int32 x, y, line; uint16 speed and each strategy's error; int16 x, y of each strategy's nozzle
     and then of each one's way to it from the path; uint8 feature, 128 more where the path begins.
     """
-    feature = np.minimum(pieces.feature, 127) + 128 * pieces.begins
-    places = np.column_stack([np.rint(pieces.xy * PER_MM).astype(np.int64), pieces.line])
-    ways = [
-        np.clip(np.rint(way[:, columns] * scale), -32767, 32767).reshape(len(places), -1).T
+    places = (*(np.rint(row * PER_MM) for row in pieces.xy.T), pieces.line)
+    ways = (
+        np.clip(np.rint(way[:, column, axis] * scale), -32767, 32767)
         for way, scale in ((pieces.nozzle, PER_MM), (pieces.off, PER_MM_OFF))
-    ]
-    parts = (
-        np.diff(places, axis=0, prepend=np.zeros((1, 3), np.int64)).T.astype("<i4"),
-        np.minimum(pieces.speed, 65535.0).astype("<u2"),
-        np.minimum(np.rint(pieces.error[:, columns] * PER_MM_OF_ERROR), 65535.0).T.astype("<u2"),
-        np.vstack(ways).astype("<i2"),
-        feature.astype("u1"),
+        for column in columns
+        for axis in (X, Y)
     )
-    return zlib.compress(b"".join(part.tobytes() for part in parts), 6)
+    squeeze = zlib.compressobj(6)
+    parts = (
+        *(np.diff(row.astype("<i4"), prepend=np.int32(0)) for row in places),
+        np.minimum(pieces.speed, 65535.0).astype("<u2"),
+        *(
+            np.minimum(np.rint(pieces.error[:, k] * PER_MM_OF_ERROR), 65535.0).astype("<u2")
+            for k in columns
+        ),
+        *(way.astype("<i2") for way in ways),
+        (np.minimum(pieces.feature, 127) + 128 * pieces.begins).astype("u1"),
+    )
+    return b"".join([*(squeeze.compress(part.tobytes()) for part in parts), squeeze.flush()])

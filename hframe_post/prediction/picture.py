@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, Integers, Z
+from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 
@@ -22,7 +23,10 @@ FINER = 2.5  # times as exact is the way from the path to the nozzle, which is d
 PASSES = 4  # of joining pairs, as long as they join an eighth
 SHAPED = 11  # steps that keep shape and feature; after them any neighbours are joined
 MOST = 300_000  # pieces of a print
-LINE, LAYER, FEATURE, BEGINS, SPEED, LINES = range(Z, Z + 6)  # rows of a table, after x and y
+MERGED = 8  # tables that become one with each step
+LINE, LAYER, FEATURE, BEGINS, WAYS = range(Z, Z + 5)  # rows of a table, after x and y
+
+Table = NDArray[np.float32]  # numbers of lines, layers and features are the bits of int32 in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +41,15 @@ class Pieces:
     in the piece.
     """
 
-    xy: Array
+    xy: Table
     line: Integers
     layer: Integers
     feature: Integers
     begins: Integers
-    speed: Array
-    nozzle: Array
-    off: Array
-    error: Array
+    speed: Table
+    nozzle: Table
+    off: Table
+    error: Table
 
 
 class Picture:
@@ -60,7 +64,7 @@ class Picture:
         self.labels = labels
         self.sums: dict[tuple[int, int], Array] = {}
         self.coarser = 0  # by how many steps
-        self._tables: list[Array] = []
+        self._tables: list[Table] = []
         self._count, self._apart = 0, True
 
     @property
@@ -77,17 +81,21 @@ class Picture:
             self._sum(layer, feature, errors)
             starts = _starts((chunk.first + at) // PIECE, chunk.line[at], layer, feature)
             last = np.append(starts[1:], len(at)) - 1
-            end = at[last]
-            x, y = chunk.xyze[:, :Z].T
-            speed = np.hypot(x[end] - x[end - 1], y[end] - y[end - 1]) / TS
-            place, begins = chunk.xyze[end, :Z], np.zeros(len(end))
-            begins[0] = self._apart
+            shape = np.empty((self._speed, len(last)), np.float32)
+            shape[:Z] = chunk.xyze[at[last], :Z].T
+            numbers = _numbers(shape)
+            numbers[:] = chunk.line[at[last]], layer[last], feature[last], np.zeros(len(last))
+            numbers[-1, 0] = self._apart
+            shape[WAYS:] = np.vstack([judgement.off[name][last].T for name in self.strategies])
+            kept = self._kept(shape)
+            end, starts = at[last[kept]], starts[_begun(kept)]
+            place = chunk.xyze[end, :Z]
             self._append(np.vstack([
-                x[end], y[end], chunk.line[end], layer[last], feature[last], begins, speed,
+                shape[:, kept],
+                np.hypot(*(place - chunk.xyze[end - 1, :Z]).T)[None] / TS,
                 *((judgement.motion[name][end] - place).T for name in self.strategies),
-                *(judgement.off[name][last].T for name in self.strategies),
                 np.maximum.reduceat(errors, starts, axis=1),
-            ]))  # fmt: skip
+            ], dtype=np.float32, casting="same_kind"), self.coarser)  # fmt: skip
             self._apart = False
         self._apart = self._apart or chunk.ends_stretch
 
@@ -102,27 +110,32 @@ class Picture:
         while self.coarser < later.coarser:
             self._coarsen()
         for table in later._tables:
-            table[LAYER] = layers[table[LAYER].astype(np.int64)]
-            table[FEATURE] = features[table[FEATURE].astype(np.int64)]
+            _, layer, feature, _ = _numbers(table)
+            layer[:], feature[:] = layers[layer], features[feature]
             self._append(table, later.coarser)
 
     def pieces(self) -> Pieces:
-        count = len(self.strategies)
-        table = np.hstack(self._tables) if self._tables else np.zeros((LINES, 0))
-        if (np.diff(table[LAYER]) < 0.0).any():  # objects are printed one at a time
-            table = table[:, np.argsort(table[LAYER], kind="stable")]
-        line, layer, feature, begins = table[LINE:SPEED].astype(np.int64)
-        lines = table[LINES : self._errors].reshape(2, count, 2, table.shape[1])
-        nozzle, off = lines.transpose(0, 3, 1, 2)
-        return Pieces(
-            table[:Z].T, line, layer, feature, begins, table[SPEED], nozzle, off,
-            table[self._errors :].T,
-        )  # fmt: skip
+        count, speed = len(self.strategies), self._speed
+        table = np.hstack(self._tables or [np.zeros((speed + 1, 0), np.float32)])
+        if (np.diff(_numbers(table)[LAYER - LINE]) < 0).any():  # objects are printed one at a time
+            table = table[:, np.argsort(_numbers(table)[LAYER - LINE], kind="stable")]
+        line, layer, feature, begins = _numbers(table).astype(np.int64)
+        off, nozzle = (
+            rows.reshape(count, 2, -1).transpose(2, 0, 1) if count else rows.reshape(0, 0, 2)
+            for rows in (table[WAYS:speed], table[speed + 1 : self._errors])
+        )
+        error = table[self._errors :].T
+        return Pieces(table[:Z].T, line, layer, feature, begins, table[speed], nozzle, off, error)
+
+    @property
+    def _speed(self) -> int:
+        """Return the row of the speed; the rows above it decide what is joined."""
+        return WAYS + 2 * len(self.strategies)
 
     @property
     def _errors(self) -> int:
-        """Return the first row of the largest errors, which follow nozzle and off."""
-        return LINES + 4 * len(self.strategies)
+        """Return the first row of the largest errors, which follow speed and nozzle."""
+        return self._speed + 1 + 2 * len(self.strategies)
 
     def _sum(self, layer: Integers, feature: Integers, errors: Array) -> None:
         starts = _starts(layer, feature)
@@ -131,7 +144,7 @@ class Picture:
         for key, here in zip(keys, sums.T, strict=True):
             self.sums[key] = self.sums.get(key, 0.0) + here
 
-    def _append(self, table: Array, coarser: int = -1) -> None:
+    def _append(self, table: Table, coarser: int) -> None:
         """Add a table, which is already as coarse as after some steps."""
         self._tables.append(self._simplified(table) if coarser < self.coarser else table)
         self._count += self._tables[-1].shape[1]
@@ -140,51 +153,70 @@ class Picture:
 
     def _coarsen(self) -> None:
         self.coarser += 1
-        if self._tables:
-            self._tables = [self._simplified(np.hstack(self._tables))]
-            self._count = self._tables[0].shape[1]
+        groups = range(0, len(self._tables), MERGED)
+        merged = (np.hstack(self._tables[k : k + MERGED]) for k in groups)
+        self._tables = [self._simplified(table) for table in merged]
+        self._count = sum(table.shape[1] for table in self._tables)
 
-    def _simplified(self, table: Array) -> Array:
-        """Join neighbours, pair by pair, as far as the present step allows."""
+    def _simplified(self, table: Table) -> Table:
+        """Join neighbours: the last position, the largest error."""
+        kept = self._kept(table[: self._speed])
+        joined = table[:, kept]
+        joined[self._errors :] = np.maximum.reduceat(table[self._errors :], _begun(kept), axis=1)
+        return joined
+
+    def _kept(self, shape: Table) -> Integers:
+        """Return where pieces end after joining, pair by pair, as far as the present step allows.
+
+        shape: rows of a table above the speed.
+        """
+        n = shape.shape[1]
         if self.coarser > SHAPED:
-            return self._joined(table, np.arange(0, table.shape[1], 2))
+            return np.append(np.arange(1, n - 1, 2), n - 1)
+        kept = np.arange(n)
         for _ in range(PASSES):
-            pairs = self._pairs(table)
-            if len(pairs):
-                table = self._joined(table, np.delete(np.arange(table.shape[1]), pairs))
-            if 8 * len(pairs) < table.shape[1]:
+            joined = self._pairs(shape)
+            if joined.any():
+                kept, shape = kept[~joined], shape[:, ~joined]
+            if 8 * np.count_nonzero(joined) < len(kept):
                 break
-        return table
+        return kept
 
-    def _joined(self, table: Array, starts: Integers) -> Array:
-        """Join the columns from each start to the next: the last position, the largest error."""
-        joined = table[:, np.append(starts[1:], table.shape[1]) - 1]
-        joined[self._errors :] = np.maximum.reduceat(table[self._errors :], starts, axis=1)
-        return np.asarray(joined)
-
-    def _pairs(self, table: Array) -> Integers:
-        """Return columns that may be joined to the one before: alike, and both lines straight."""
-        n, (length, near) = table.shape[1], self.finest
+    def _pairs(self, shape: Table) -> Flags:
+        """Return which may be joined to the next, as pairs: alike, and both lines straight."""
+        n, (length, near) = shape.shape[1], self.finest
+        joined = np.zeros(n, dtype=bool)
         if n < 3:
-            return np.arange(0)
-        x, y = table[:Z]
+            return joined
+        x, y = shape[:Z]
         dx, dy = x[2:] - x[:-2], y[2:] - y[:-2]
         square = dx * dx + dy * dy
         share = (x[1:-1] - x[:-2]) * dx + (y[1:-1] - y[:-2]) * dy
-        share /= np.maximum(square, 1e-12)
+        share /= np.maximum(square, np.float32(1e-12))
         straight = (square <= length * length) & (share >= 0.0) & (share <= 1.0)
-        ways = table[LINES + 2 * len(self.strategies) : self._errors]
-        for rows, most in ((table[:Z], near), (ways, near / FINER)):
+        numbers = _numbers(shape)
+        for row in numbers[LAYER - LINE if self.coarser else 0 : -1]:
+            straight &= row[2:] == row[1:-1]
+        begins = numbers[-1] != 0
+        straight &= ~(begins[2:] | begins[1:-1])
+        for rows, most in ((shape[:Z], near), (shape[WAYS:], near / FINER)):
             for row in rows:
                 straight &= np.abs(row[1:-1] - row[:-2] - share * (row[2:] - row[:-2])) <= most
-        for row in table[LAYER if self.coarser else LINE : BEGINS]:
-            straight &= row[2:] == row[1:-1]
-        begins = table[BEGINS] != 0.0
-        joinable = np.zeros(n, dtype=bool)
-        joinable[2:] = straight & ~begins[2:] & ~begins[1:-1]
-        k = np.arange(n)
-        first = np.maximum.accumulate(np.where(joinable, 0, k))  # the last one that may not
-        return np.flatnonzero(joinable & ((k - first) % 2 == 1))  # disjoint pairs
+        k = np.arange(1, n - 1)
+        first = np.maximum.accumulate(np.where(straight, 0, k))  # the last one that may not
+        joined[1:-1] = straight & ((k - first) % 2 == 1)
+        return joined
+
+
+def _numbers(table: Table) -> NDArray[np.int32]:
+    """Return the rows LINE, LAYER, FEATURE and BEGINS of a table, which can be written to."""
+    numbers: NDArray[np.int32] = table.view(np.int32)[LINE:WAYS]
+    return numbers
+
+
+def _begun(kept: Integers) -> Integers:
+    """Return where pieces begin that end at ``kept``."""
+    return np.append(0, kept[:-1] + 1)
 
 
 def _starts(*rows: Integers) -> Integers:

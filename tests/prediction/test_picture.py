@@ -82,11 +82,11 @@ def beside(place: np.ndarray, path: np.ndarray) -> float:
 
 
 def test_what_has_no_shape_is_bounded_too(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_module, "MOST", 3)
+    monkeypatch.setattr(picture_module, "MOST", 2)
     picture, peaks = taken(paper)
     pieces = picture.pieces()
     assert picture.coarser > picture_module.SHAPED
-    assert len(pieces.line) <= 3
+    assert len(pieces.line) <= 2
     found = dict(zip(picture.strategies, pieces.error.max(axis=0), strict=True))
     assert found == pytest.approx(peaks)
 
