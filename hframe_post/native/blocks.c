@@ -1,10 +1,76 @@
-/* The block times of firmware/marlin/planner.py, with its symbols. */
+/* The loops of firmware/marlin/blocks.py and planner.py, with their symbols. */
 
 #include "kernels.h"
+
+#define STRAIGHT 0.999999
+
+struct limits { /* as BlockLimits */
+    double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
+};
+enum { LIMITS = sizeof(struct limits) / sizeof(double) };
 
 struct timer { double hz, extra_tick, smoothing_hz; };
 
 struct ramp { double start, end, a, interrupts, ahead; };
+
+static double between(double x, double least, double most)
+{
+    return lesser(greater(x, least), most);
+}
+
+/* n, d, a: of the block between two places; unit (4): the direction of its way. */
+static void block(const double *from, const double *to, const struct limits *limits,
+                  const double *matrix, double *n, double *d, double *a, double *unit)
+{
+    double step[COLUMNS], mm[COLUMNS] = {limits->belt, limits->belt, limits->z, limits->e};
+    for (int c = 0; c < COLUMNS; c++)
+        step[c] = rint(to[c] / mm[c]) - rint(from[c] / mm[c]);
+    double motor[2] = {matrix[0] * step[X] + matrix[1] * step[Y],
+                       matrix[2] * step[X] + matrix[3] * step[Y]};
+    double xy = greater(fabs(motor[0]), fabs(motor[1])), z = fabs(step[Z]), e = fabs(step[E]);
+    *n = greater(greater(xy, z), greater(e, 1.0));
+    double x = step[X] * mm[X], y = step[Y] * mm[Y], lift = to[Z] - from[Z], fed = to[E] - from[E];
+    *d = sqrt(x * x + y * y + lift * lift);
+    if (!(*d > 0.0))
+        *d = greater(fabs(fed), limits->belt);
+    double of_e = xy + z > 0.0 ? limits->e_acceleration : limits->retraction;
+    *a = lesser(limits->z_acceleration / limits->z * *n / z, of_e / limits->e * *n / e);
+    *a = lesser(*a, limits->belt_acceleration / limits->belt);
+    double way[COLUMNS] = {motor[0] * mm[X], motor[1] * mm[Y], lift, fed};
+    double norm = sqrt(way[0] * way[0] + way[1] * way[1] + lift * lift + fed * fed + 1e-30);
+    for (int c = 0; c < COLUMNS; c++)
+        unit[c] = way[c] / norm;
+}
+
+/* Return the greatest speed between blocks, of which the second has acceleration a, mm/s². */
+static double corner(const double *unit, const double *next, double a, double deviation)
+{
+    double cosine = -(unit[0] * next[0] + unit[1] * next[1] + unit[2] * next[2] + unit[3] * next[3]);
+    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -STRAIGHT, STRAIGHT)));
+    return cosine > STRAIGHT ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
+}
+
+/* n, d, a (k), corners (k + 1): of blocks between places at (k + 1, 4). matrix (2, 2): from x, y to
+ * the motors. */
+static int64_t marlin_blocks(const double *at, int64_t k, const struct limits *limits,
+                             const double *matrix, double after, double *n, double *d, double *a,
+                             double *corners)
+{
+    double unit[2][COLUMNS];
+    for (int64_t i = 0; i < k; i++) {
+        double *last = unit[(i + 1) % 2], *now = unit[i % 2];
+        block(at + COLUMNS * i, at + COLUMNS * (i + 1), limits, matrix, n + i, d + i, a + i, now);
+        corners[i] = INFINITY;
+        if (i && limits->deviation < INFINITY)
+            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation);
+    }
+    corners[k] = after;
+    return k;
+}
+
+LOOP(marlin_blocks, FLOATS(0, COLUMNS * (WHOLE(1) + 1)), WHOLE(1),
+     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), OUT_FLOATS(5, WHOLE(1)),
+     OUT_FLOATS(6, WHOLE(1)), OUT_FLOATS(7, WHOLE(1)), OUT_FLOATS(8, WHOLE(1) + 1))
 
 static double interrupts(const struct timer *timer, double rate)
 {
@@ -16,11 +82,6 @@ static double interrupts(const struct timer *timer, double rate)
 static double seconds(const struct timer *timer, double ticks)
 {
     return (ticks + timer->extra_tick) / timer->hz;
-}
-
-static double between(double x, double least, double most)
-{
-    return lesser(greater(x, least), most);
 }
 
 static double rate_at(double t, const struct ramp *ramp, int64_t s_curve)

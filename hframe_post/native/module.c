@@ -24,6 +24,7 @@
     EACH(least_squares)                                                                       \
     EACH(limit_moves)                                                                         \
     EACH(marlin_block_times)                                                                  \
+    EACH(marlin_blocks)                                                                       \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \

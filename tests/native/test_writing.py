@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.klipper import ramps, segments
-from hframe_post.firmware.marlin.planner import Blocks, SteppedPlanner, Timer, make_planner
+from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
+from hframe_post.firmware.marlin.planner import SteppedPlanner, Timer, make_planner
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream import digits
 from hframe_post.writers.stream.segments import Units, _moving
@@ -70,6 +72,27 @@ def test_block_times(
     blocks = Blocks(n, n * 0.0025, 10.0 ** rng.uniform(4.0, 7.0, k))
     arguments = blocks, begin, rate, end, timer, stepped.s_curve
     same(stepped.block_times(*arguments), in_numpy(stepped.block_times, *arguments))
+
+
+@thorough
+@given(
+    seeds,
+    st.integers(1, 40),
+    st.sampled_from([0.3, np.inf]),
+    st.sampled_from(["corexy", "cartesian"]),
+)
+def test_blocks(compiled: None, seed: int, k: int, deviation: float, kinematics: str) -> None:
+    """Some blocks stand in x and y, some in all, and some turn straight back."""
+    rng = np.random.default_rng(seed)
+    moves = rng.normal(0.0, 1.0, (k, 4)) * (rng.random((k, 4)) < rng.choice([0.5, 0.9]))
+    moves[rng.random(k) < 0.2] = moves[0] * rng.choice([1.0, -1.0])
+    at = np.cumsum(np.vstack([np.zeros(4), moves]), axis=0)
+    limits = BlockLimits(0.0125, 0.0025, 0.0024, 3e4, 100.0, 6e3, 5e3, deviation)
+    arguments = at, float(rng.choice([30.0, np.inf])), limits, Kinematics(kinematics)
+    for one, other in zip(
+        blocks_between(*arguments), in_numpy(blocks_between, *arguments), strict=True
+    ):
+        same(np.asarray(one), np.asarray(other))
 
 
 @thorough

@@ -26,30 +26,18 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.firmware import ramps
+from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.native import kernel
 
 SLOWEST = 120.0  # steps/s, before the development branch
 ROUNDS = 3  # of the rates' dependence on their neighbours'
 FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make up for its ramps
 MOST_LOST = 0.01  # share of time that rounding can lose
-
-
-class Blocks(NamedTuple):
-    """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
-
-    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed, or one for all.
-    """
-
-    n: Array
-    d: Array
-    a: Array
-    corners: Array | float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

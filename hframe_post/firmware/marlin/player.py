@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z, lengths
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware import ramps
-from hframe_post.firmware.marlin.planner import Blocks, Planner, Timer, make_planner
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps, segment_ends
+from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
+from hframe_post.firmware.marlin.planner import Planner, Timer, make_planner
+from hframe_post.firmware.marlin.segments import motor_steps, segment_ends
 from hframe_post.firmware.player import (
     SPARED,
     VELOCITY_HEADROOM,
@@ -298,38 +299,10 @@ class Marlin:
         return Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
 
     def _blocks(self, at: Array, after: float = math.inf) -> Blocks:
-        cells = np.rint(at[:, :Z] / self.steps.belt).astype(np.int64)
-        motors = motor_steps(cells, self.kinematics)
-        xy = most_steps(motors)
-        z, e = (np.abs(np.diff(np.rint(at[:, axis] / mm)))
-                for axis, mm in ((Z, self.steps.z), (E, self.steps.e)))  # fmt: skip
-        n = np.maximum.reduce([xy, z, e, np.ones(len(xy))])
-        moved = np.diff(at[:, :E], axis=0)
-        moved[:, :Z] = np.diff(cells, axis=0) * self.steps.belt
-        d = lengths(moved)
-        d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), self.steps.belt))
-        of_e = np.where(xy + z, self._filament_acceleration, self.limits.extruder_acceleration)
-        with np.errstate(divide="ignore"):
-            a = np.minimum(
-                self.limits.z_acceleration / self.steps.z * n / z, of_e / self.steps.e * n / e
-            )
-        a = np.minimum(a, self._acceleration / self.steps.belt)
-        way = np.column_stack([motors * self.steps.belt, np.diff(at[:, Z:], axis=0)])
-        return Blocks(n, d, a, self._corner_speeds(way, a * d / n, after))
-
-    def _corner_speeds(self, way: Array, a: Array, after: float) -> Array:
-        """Return the speeds (k + 1,), mm/s, at which the ends of blocks may be passed.
-
-        way (k, 4): mm of the motors, of z and of filament; a (k,): acceleration along the path.
-        The first may begin at any speed, the last ends at ``after`` or less. The stream's junction
-        deviation limits nothing but a move straight back, where Marlin stops.
-        """
-        straight = 0.999999  # cosine of the angle between two blocks
-        if self.table.classic_jerk or len(way) < 2:
-            return np.append(np.full(len(way), math.inf), after)
-        unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
-        cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
-        sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -straight, straight)))
-        v2 = JUNCTION_DEVIATION * a[1:] * sin_half / (1.0 - sin_half)
-        inner = np.where(cosine > straight, 0.0, np.sqrt(v2))
-        return np.concatenate([[math.inf], inner, [after]])
+        limits = BlockLimits(
+            self.steps.belt, self.steps.z, self.steps.e, self._acceleration,
+            self.limits.z_acceleration, self._filament_acceleration,
+            self.limits.extruder_acceleration,
+            math.inf if self.table.classic_jerk else JUNCTION_DEVIATION,
+        )  # fmt: skip
+        return blocks_between(at, after, limits, self.kinematics)

@@ -20,7 +20,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import LimitError
-from hframe_post.firmware.marlin.planner import Blocks
+from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, TRAPEZOIDS, Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import SPARED, plain

@@ -1,0 +1,92 @@
+"""What Marlin makes of segments: blocks in whole steps, within its limits."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hframe_post.arrays import Array, E, Z, lengths
+from hframe_post.firmware.marlin.segments import most_steps, motor_steps
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.native import kernel
+
+STRAIGHT = 0.999999  # cosine of the angle between two blocks
+
+
+class Blocks(NamedTuple):
+    """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
+
+    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed, or one for all.
+    """
+
+    n: Array
+    d: Array
+    a: Array
+    corners: Array | float = math.inf
+
+
+class BlockLimits(NamedTuple):
+    """mm of a step of belts, z and filament, and their greatest accelerations, mm/s².
+
+    retraction: acceleration of filament alone. deviation: junction deviation, mm, which limits
+    nothing but a move straight back, where Marlin stops; inf: not even that.
+    """
+
+    belt: float
+    z: float
+    e: float
+    belt_acceleration: float
+    z_acceleration: float
+    e_acceleration: float
+    retraction: float
+    deviation: float
+
+
+def blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kinematics) -> Blocks:
+    """Return the blocks between places at (k + 1, 4), mm.
+
+    The first may begin at any speed, the last ends at ``after`` or less.
+    """
+    if (compiled := kernel("marlin_blocks")) is None:
+        return _blocks_between(at, after, limits, kinematics)
+    k = len(at) - 1
+    n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
+    row = np.array(limits)
+    compiled(at, k, row, kinematics.matrix, after, n, d, a, corners)
+    return Blocks(n, d, a, corners)
+
+
+def _blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kinematics) -> Blocks:
+    cells = np.rint(at[:, :Z] / limits.belt).astype(np.int64)
+    motors = motor_steps(cells, kinematics)
+    xy = most_steps(motors)
+    z, e = (np.abs(np.diff(np.rint(at[:, axis] / mm)))
+            for axis, mm in ((Z, limits.z), (E, limits.e)))  # fmt: skip
+    n = np.maximum.reduce([xy, z, e, np.ones(len(xy))])
+    moved = np.diff(at[:, :E], axis=0)
+    moved[:, :Z] = np.diff(cells, axis=0) * limits.belt
+    d = lengths(moved)
+    d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), limits.belt))
+    of_e = np.where(xy + z, limits.e_acceleration, limits.retraction)
+    with np.errstate(divide="ignore"):
+        a = np.minimum(limits.z_acceleration / limits.z * n / z, of_e / limits.e * n / e)
+    a = np.minimum(a, limits.belt_acceleration / limits.belt)
+    way = np.column_stack([motors * limits.belt, np.diff(at[:, Z:], axis=0)])
+    return Blocks(n, d, a, _corner_speeds(way, a * d / n, limits.deviation, after))
+
+
+def _corner_speeds(way: Array, a: Array, deviation: float, after: float) -> Array:
+    """Return the speeds (k + 1,), mm/s, at which the ends of blocks may be passed.
+
+    way (k, 4): mm of the motors, of z and of filament; a (k,): acceleration along the path.
+    """
+    if deviation == math.inf or len(way) < 2:
+        return np.append(np.full(len(way), math.inf), after)
+    unit = way / np.sqrt(np.square(way).sum(axis=1, keepdims=True) + 1e-30)
+    cosine = -(unit[:-1] * unit[1:]).sum(axis=1)
+    sin_half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -STRAIGHT, STRAIGHT)))
+    v2 = deviation * a[1:] * sin_half / (1.0 - sin_half)
+    inner = np.where(cosine > STRAIGHT, 0.0, np.sqrt(v2))
+    return np.concatenate([[math.inf], inner, [after]])
