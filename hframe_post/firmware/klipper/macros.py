@@ -23,7 +23,7 @@ WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CA
 """Klipper's command, and the spelling of the section that is called before it."""
 
 _HEAD = f"""\
-# {FILE}, written by hframe-post. Do not edit: it is written anew when the profile changes.
+# {FILE}, written by hframe-post. Do not edit: 'hframe-post setup' overwrites it.
 #
 # A converted file raises Klipper's velocity limits and turns input shaping off while it prints.
 # These macros restore your own settings when such a print is paused, cancelled or fails, and
