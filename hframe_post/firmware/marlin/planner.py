@@ -234,11 +234,12 @@ class SteppedPlanner:
     def feed_rates(self, blocks: Blocks, T: Array, before: float) -> Array:
         """Return speeds (k,), mm/s, at which blocks take the time T (k,)."""
         n, d, *_ = blocks
-        rate, lost = n / T, 0.0
+        mean, lost = n / T, 0.0
+        rate, slowest, fastest = mean, mean / FASTEST, mean * FASTEST
         for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
             for _ in range(ROUNDS):
-                rate *= self._times(blocks, rate, before) / (T * (1.0 - lost))
-                rate = np.clip(rate, n / T / FASTEST, n / T * FASTEST)  # ramps may be too long
+                rate = rate * (self._times(blocks, rate, before) / (T * (1.0 - lost)))
+                rate = np.minimum(np.maximum(rate, slowest), fastest)  # ramps may be too long
             whole = _dithered(rate, self.timer)
             v = (whole - 0.5) * d / n  # Marlin rounds up
             late = self._times(blocks, whole, before, v) - T

@@ -56,18 +56,21 @@ def _turns(place: Integers, least: int, stall: int) -> Integers:
     place (n + 1,): of the motor, in steps. A segment across a turn would cut it off, or make so
     few steps that it had to be dropped.
     """
-    moving = np.flatnonzero(np.diff(place))
-    onward = np.sign(np.diff(place)[moving])
+    steps = place[1:] - place[:-1]
+    moving = np.flatnonzero(steps)
+    onward = np.sign(steps[moving])
     turned = np.flatnonzero(onward[1:] != onward[:-1])
     turns = np.maximum(moving[turned] + 1, moving[turned + 1] - stall)
     while len(turns):
-        legs = np.abs(np.diff(place[np.concatenate([[0], turns, [len(place) - 1]])]))
-        short = legs < least
+        at = place[np.concatenate([[0], turns, [len(place) - 1]])]
+        short = np.abs(at[1:] - at[:-1]) < least
         short[1:] &= ~short[:-1]
         j = np.flatnonzero(short)
         if not len(j):
             break
-        turns = np.delete(turns, np.unique(np.clip([j - 1, j], 0, len(turns) - 1)))
+        kept = np.ones(len(turns), dtype=bool)
+        kept[np.maximum(j - 1, 0)] = kept[np.minimum(j, len(turns) - 1)] = False
+        turns = turns[kept]
     return np.asarray(turns)
 
 
