@@ -11,6 +11,12 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock_sync import (
+    Resampler,
+    clock_from_windows,
+    moving_samples,
+)
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.marlin_sweep import PAD, played
 from hframe_post.identification.recordings.sweep import Run
@@ -22,7 +28,7 @@ from tests.marlin.planner import Build, xy
 from tests.marlin.planner import Machine as Board
 from tests.printers import M503
 from tests.resonance_recordings import SENSORS
-from tests.simulator import Axis, Machine, Mode
+from tests.simulator import Axis, Chip, Machine, Mode
 
 MACHINE = Machine(Axis((Mode(42.0, 0.06),)), Axis((Mode(27.0, 0.09),)), kinematics="cartesian")
 FINE = 20  # samples of a board a millisecond
@@ -96,6 +102,25 @@ def record(folder: Path, name: str, kind: str, seed: int) -> None:
     recordings = folder / "recordings"
     recordings.mkdir(exist_ok=True)
     np.savetxt(recordings / f"{name}.csv", rows, "%.6f", ",", header="time,x,y,z", comments="")
+
+
+@pytest.mark.parametrize("drift", few([0.01, -0.018, 0.02], 1))
+def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
+    printer = ender(acceleration=3000.0)
+    assert printer.steps is not None
+    printer = replace(
+        printer,
+        steps=replace(printer.steps, belt=1 / 48.54),
+        sweep=replace(printer.sweep, amplitude=2142.0),
+    )
+    command = played(printer, at(1, 110.0, 110.0), 10.0)[0].command
+    chip = Chip(noise=20.0, rate=800.0, rate_error=drift, drift=drift, lead=3.0, filtered=True)
+    recording = chip.record(replace(MACHINE, y=Axis((Mode(52.6, 0.13),))), command, 0)
+    sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
+    swept = acceleration(command[:, 1])
+    start, found, _ = clock_from_windows(swept, moving_samples(swept), sensor, False)
+    assert start == pytest.approx(3.0 * (1.0 + drift), abs=0.03)
+    assert found == pytest.approx(drift, abs=6e-4)
 
 
 def test_a_marlin_owner_measures_a_bed_slinger(tmp_path: Path) -> None:

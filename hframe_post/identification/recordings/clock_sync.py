@@ -26,6 +26,7 @@ RATE = 1000.0  # of commands, samples a second
 MOST_DRIFT = 0.022  # a little more than the worst clocks have
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number, without marks
+CLOCKS, SOME = 11, 3  # drifts that are tried, and every how many windows count for that
 UNKNOWN_START = 0.25  # s between start and answer that no plant explains
 ROUNDS = 6
 DISPERSION = 0.02  # s by which a plant's delay may differ from window to window
@@ -161,8 +162,8 @@ def clock_from_windows(
     Raises IdentificationError if the command is too short.
     """
     windows = _Windows(command, moving, sensor)
-    start = 0.0 if started else windows.rough_start()
-    drift, step = 0.0, 0.5  # step: share of the lags' growth that is taken as drift
+    start, drift = (0.0, 0.0) if started else windows.rough()
+    step = 0.5  # share of the lags' growth that is taken as drift
     lag, growth = windows.lag(start, drift)
     for _ in range(ROUNDS):
         following = float(np.clip(drift + step * growth, -MOST_DRIFT, MOST_DRIFT))
@@ -210,17 +211,24 @@ class _Windows:
             lags.append((first + int(np.argmax(likeness)) - place) * TS)
         return _line(np.asarray(self._places * TS), np.array(lags))
 
-    def rough_start(self) -> float:
-        """Return when the command starts on the recording's clock, s, by most windows."""
-        track = self._sensor.resampled(0.0, 0.0, self._samples)
-        first = self._places[0]
-        total = np.zeros(len(track))
-        for place in self._places:
-            likeness = _envelope(self._command[place : place + self._length], track)
-            wide = int(2.0 * MOST_DRIFT * (place - first)) * 2 + 1
-            spread = maximum_filter1d(likeness, wide, mode="constant")[place - first :]
-            total[: len(spread)] += spread
-        return float(np.argmax(total) - first) * TS
+    def rough(self) -> tuple[float, float]:
+        """Return start, s, and drift of the clock on which most windows are found.
+
+        On a clock that is 1 % off, a window of fast motion is not like its own answer.
+        """
+        first, found = int(self._places[0]), []
+        for drift in np.linspace(-MOST_DRIFT, MOST_DRIFT, CLOCKS):
+            samples = int(self._sensor.seconds / (1.0 + drift) * RATE) + 1
+            track = self._sensor.resampled(0.0, float(drift), samples)
+            total = np.zeros(len(track))
+            for place in self._places[::SOME]:
+                likeness = _envelope(self._command[place : place + self._length], track)
+                wide = int(2.0 * MOST_DRIFT / CLOCKS * (place - first)) * 2 + 1
+                spread = maximum_filter1d(likeness, wide, mode="constant")[place - first :]
+                total[: len(spread)] += spread
+            at = int(np.argmax(total))
+            found.append((float(total[at]), (1.0 + float(drift)) * (at - first) * TS, float(drift)))
+        return max(found)[1:]
 
 
 def _line(t: Array, lags: Array) -> tuple[float, float]:
