@@ -193,6 +193,7 @@ class Report:
                 f"up to {self.busiest_second} lines in a second; the printer takes "
                 f"{self.lines_per_second:.0f} (lines_per_second in the profile), so it may stutter"
             )
+        found += self._too_coarse()
         if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
             found.append(
                 f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
@@ -205,6 +206,20 @@ class Report:
                 "compensated there"
             )
         return found
+
+    def _too_coarse(self) -> list[str]:
+        """Return a warning if the firmware's lines miss by more than compensation gains."""
+        if not self.approximation or self.strategy == "none" or "none" not in self.contour:
+            return []
+        names = "none", self.strategy
+        plain, ours = (self.contour[name].micrometres()["rms"] for name in names)
+        missed = 1e3 * self.approximation
+        if math.hypot(ours, missed) <= plain:
+            return []
+        return [
+            f"the lines are {missed:.1f} µm RMS off the exact command, and without compensation "
+            f"the nozzle is {plain:.1f} µm off: this print is better as sliced"
+        ]
 
     # ------------------------------------------------------------------ the path
 

@@ -316,6 +316,14 @@ def test_short_segments_do_not_cut_turns_off() -> None:
     assert report.approximation < 0.012  # it was 0.026
 
 
+def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
+    """A slow one on a printer that hardly rings: its nozzle is off by less than half a step."""
+    options = Options("racking", ("none", "racking"))
+    for printer, slow in ((load("example-ender"), True), (marlin, False)):
+        report = converted(layers("cube.gcode", 1), printer, options)[1]
+        assert any("better as sliced" in text for text in report.warnings()) == slow
+
+
 def test_density_follows_the_serial_line(marlin: Printer) -> None:
     """A real 2.1.2 behind a sender that waits 2 ms for each ok then loses no time."""
     card = converted(sample("rectangle.gcode"), marlin)[1]
