@@ -11,7 +11,13 @@ import click
 
 from hframe_post.arrays import X, Y
 from hframe_post.cli.options import files_read, json_option, open_json, printer_option, say
-from hframe_post.cli.sweep import chips_option, recorded_on, write_motion
+from hframe_post.cli.sweep import (
+    axes_option,
+    chips_option,
+    recorded_on,
+    recordings_argument,
+    write_motion,
+)
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.edit import with_check
 from hframe_post.printer.profile import check_identified, load
@@ -23,10 +29,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 
 
 @click.command()
-@click.argument(
-    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
-    type=click.Path(path_type=Path, exists=True),
-)  # fmt: skip
+@recordings_argument
 @printer_option
 @click.option(
     "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="CHECK.GCODE",
@@ -36,11 +39,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
     "--axis", type=click.Choice(["x", "y"]),
     help="With --gcode: this axis only, such as x of a printer whose bed moves in y.",
 )  # fmt: skip
-@click.option(
-    "--axes", metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
-    "the recordings show.",
-)  # fmt: skip
+@axes_option
 @chips_option
 @json_option
 @click.option(

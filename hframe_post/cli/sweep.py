@@ -36,6 +36,15 @@ def _chip(text: str) -> str:
     return text
 
 
+recordings_argument = click.argument(
+    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
+    type=click.Path(path_type=Path, exists=True),
+)  # fmt: skip
+axes_option = click.option(
+    "--axes", metavar="MAP",
+    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
+    "the recordings show.",
+)  # fmt: skip
 chips_option = click.option(
     "--chip", "chips", type=_chip, multiple=True, default=("adxl345",), show_default=True,
     metavar="NAME", help="Accelerometer to record, by its name in Klipper; may be repeated.",

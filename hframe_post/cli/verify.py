@@ -17,7 +17,15 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.cli.sweep import FILE, chips_option, height_option, recorded_on, write_motion
+from hframe_post.cli.sweep import (
+    FILE,
+    axes_option,
+    chips_option,
+    height_option,
+    recorded_on,
+    recordings_argument,
+    write_motion,
+)
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
@@ -28,10 +36,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 
 
 @click.command()
-@click.argument(
-    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
-    type=click.Path(path_type=Path, exists=True),
-)  # fmt: skip
+@recordings_argument
 @printer_option
 @click.option(
     "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="VERIFY.GCODE",
@@ -50,11 +55,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
     "--compensated", type=(FILE, FILE), metavar="COMMAND RECORDING",
     help="The same two files of the compensated motion.",
 )  # fmt: skip
-@click.option(
-    "--axes", metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
-    "the recordings show.",
-)  # fmt: skip
+@axes_option
 @chips_option
 @height_option
 @page_option

@@ -25,7 +25,7 @@ static inline double next(struct cascade f, double value)
     return value;
 }
 
-/* The cascade of so many sections that follows another in memory. */
+/* The cascade of count sections that follows another in memory. */
 static inline struct cascade after(struct cascade f, int64_t count)
 {
     struct cascade following = {f.sections + COEFFICIENTS * f.count, count, f.state + STATES * f.count};

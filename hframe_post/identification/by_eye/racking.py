@@ -38,7 +38,7 @@ VAGUE, UNKNOWN, INCONSISTENT = 0.25, 0.7, 1.5
 class Comb:
     """A wall from x = left (mm) to the right in a number of blocks, at mm/s and mm/s².
 
-    The acceleration at every second border is lower, so that the gantry's own mode can be told
+    The acceleration at every second border is lower, which distinguishes the gantry's own mode
     from that of x.
     """
 
