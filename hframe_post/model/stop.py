@@ -139,5 +139,5 @@ def _graded_splines() -> tuple[Array, Array]:
     knots = np.concatenate([np.zeros(degree), inner, beyond])
     N = bsplines(knots, degree, np.minimum(np.arange(1.0, BESIDE + 1.0), knots[-1]))
     reach = knots[degree + 1 :]
-    inside = reach <= inner[-1]
+    inside = (reach <= inner[-1]) & N.any(axis=0)  # the first spline ends before the first sample
     return N[:, inside], reach[inside]

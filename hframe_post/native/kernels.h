@@ -16,7 +16,7 @@
 /* WIDE functions are compiled for wider registers, too, with all that is INSIDE them; the processor
  * chooses. Only sums that do not depend on each other share a register: the bits are the same. */
 #if defined(__x86_64__) && defined(__GLIBC__)
-#define WIDE __attribute__((target_clones("avx2", "default")))
+#define WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
 #define INSIDE static inline __attribute__((always_inline))
 #else
 #define WIDE

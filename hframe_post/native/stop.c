@@ -10,7 +10,7 @@
 
 enum {
     SEARCHES = 2, EMPHASES = 3, TRIALS = 10, NEAREST = 24, PIECES = 2 * NEAREST,
-    MOST_SPLINES = 39, MOST_ROWS = 147, MOST_SAMPLES = 206,
+    MOST_SPLINES = 37, MOST_ROWS = 147, MOST_SAMPLES = 206, MOST_PIECES = 400,
     TOGETHER = 4, /* rows of add_rows */
     LINE = 8, WIDTH = 80 /* columns, in whole lines */
 };
@@ -55,10 +55,19 @@ struct bound_weights {
     vector bed[MOST_SAMPLES], inside[MOST_SAMPLES];
 };
 
+/* The path from sample to sample around the rows: from x, y by dx, dy; share: factor from a product
+ * with a piece to a share of it. */
+struct pieces {
+    double x[MOST_PIECES], y[MOST_PIECES], dx[MOST_PIECES], dy[MOST_PIECES];
+    double length2[MOST_PIECES], share[MOST_PIECES];
+    int64_t of_row[MOST_ROWS]; /* the first of the PIECES around a row */
+};
+
 struct room {
     double J[2 * MOST_ROWS + TOGETHER][WIDTH]; /* and some of zeros */
     double squares[WIDTH][WIDTH], gradient[WIDTH], solved[WIDTH][WIDTH];
-    vector nozzle[MOST_ROWS], foot[MOST_ROWS], direction[MOST_ROWS], t[MOST_ROWS];
+    struct pieces pieces;
+    vector foot[MOST_ROWS], direction[MOST_ROWS], t[MOST_ROWS];
     double weight[MOST_ROWS], off[MOST_ROWS];
     vector rates[MOST_SAMPLES], place[MOST_SAMPLES], outside[MOST_SAMPLES];
     double share[MOST_SAMPLES];
@@ -114,31 +123,30 @@ INSIDE void moved(const struct problem *q, int64_t row, const vector *p, vector 
     at[1] = q->known[row][1] + by_p[1];
 }
 
-/* The path's nearest point to the nozzle, and the path's step there. */
-INSIDE void nearest(const struct problem *q, int64_t row, const vector at, vector foot, vector step)
+/* The path's nearest point to the nozzle, and the path's step there, among PIECES from one on. */
+INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, vector foot, vector step)
 {
-    const vector *path = q->path + q->index[row];
-    double dx[PIECES], dy[PIECES], along[PIECES], squared[PIECES];
-    if (held(q, row)) {
-        foot[0] = path[0][0], foot[1] = path[0][1];
-        step[0] = step[1] = 0.0;
-        return;
-    }
-    path -= NEAREST;
+    const double *x = path->x + from, *y = path->y + from, *dx = path->dx + from, *dy = path->dy + from;
+    const double *length2 = path->length2 + from, *share = path->share + from;
+    double along[PIECES], squared[PIECES], least[LINE];
     for (int i = 0; i < PIECES; i++) {
-        double to_x = at[0] - path[i][0], to_y = at[1] - path[i][1];
-        dx[i] = path[i + 1][0] - path[i][0], dy[i] = path[i + 1][1] - path[i][1];
-        double length2 = dx[i] * dx[i] + dy[i] * dy[i], share = 1.0 / greater(length2, 1e-18);
-        along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share, 0.0, 1.0);
+        double to_x = at[0] - x[i], to_y = at[1] - y[i];
+        along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share[i], 0.0, 1.0);
         double off_x = to_x - along[i] * dx[i], off_y = to_y - along[i] * dy[i];
-        squared[i] = length2 > SHORT2 ? off_x * off_x + off_y * off_y : INFINITY;
+        squared[i] = length2[i] > SHORT2 ? off_x * off_x + off_y * off_y : INFINITY;
     }
+    for (int lane = 0; lane < LINE; lane++)
+        least[lane] = squared[lane];
+    for (int i = LINE; i < PIECES; i += LINE)
+        for (int lane = 0; lane < LINE; lane++)
+            least[lane] = lesser(least[lane], squared[i + lane]);
+    for (int lane = 1; lane < LINE; lane++)
+        least[0] = lesser(least[0], least[lane]);
     int best = 0;
-    for (int i = 1; i < PIECES; i++)
-        if (squared[i] < squared[best])
-            best = i;
-    foot[0] = path[best][0] + along[best] * dx[best];
-    foot[1] = path[best][1] + along[best] * dy[best];
+    while (best < PIECES - 1 && squared[best] != least[0])
+        best++;
+    foot[0] = x[best] + along[best] * dx[best];
+    foot[1] = y[best] + along[best] * dy[best];
     step[0] = dx[best], step[1] = dy[best];
 }
 
@@ -368,22 +376,46 @@ INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
     room->weights = room->kept;
 }
 
-/* The greatest distance of the nozzle to the path while it extrudes; all of them in room->off. */
-INSIDE double peak_of(const struct problem *q, struct room *room, const vector *p)
+/* Feet of the nozzle, and the path's directions there, for rows that extrude or for the others. Their
+ * distances go into room->off. Return the greatest. */
+INSIDE double seek_feet(const struct problem *q, struct room *room, const vector *p, int extruding)
 {
-    double peak = 0.0;
+    double most = 0.0;
     for (int64_t row = 0; row < q->r; row++) {
-        vector at, foot, step;
-        room->off[row] = 0.0;
-        if (!q->extruding[row])
+        vector at, step;
+        double *foot = room->foot[row];
+        if (q->extruding[row] != extruding || held(q, row))
             continue;
         moved(q, row, p, at);
-        nearest(q, row, (const double *)at, foot, step);
+        nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, foot, step);
+        unit(step[0], step[1], (const double *)room->direction[row], room->t[row]);
         double x = at[0] - foot[0], y = at[1] - foot[1];
         room->off[row] = sqrt(x * x + y * y);
-        peak = greater(peak, room->off[row]);
+        most = greater(most, room->off[row]);
     }
-    return peak;
+    return most;
+}
+
+/* The pieces around the rows outside the hold. Return whether there is room for them. */
+INSIDE int cut_path(const struct problem *q, struct pieces *pieces)
+{
+    int64_t n = 0, next = 0; /* piece, and its place in the path */
+    for (int64_t row = 0; row < q->r; row++) {
+        int64_t from = q->index[row] - NEAREST;
+        if (held(q, row))
+            continue;
+        for (next = next < from ? from : next; next < from + PIECES; next++, n++) {
+            const vector *path = q->path + next;
+            if (n == MOST_PIECES)
+                return 0;
+            pieces->x[n] = path[0][0], pieces->dx[n] = path[1][0] - path[0][0];
+            pieces->y[n] = path[0][1], pieces->dy[n] = path[1][1] - path[0][1];
+            double length2 = pieces->dx[n] * pieces->dx[n] + pieces->dy[n] * pieces->dy[n];
+            pieces->length2[n] = length2, pieces->share[n] = 1.0 / greater(length2, 1e-18);
+        }
+        pieces->of_row[row] = n - PIECES;
+    }
+    return 1;
 }
 
 INSIDE void begin(const struct problem *q, struct room *room)
@@ -407,34 +439,33 @@ INSIDE void begin(const struct problem *q, struct room *room)
     }
 }
 
-WIDE static void search(const struct problem *q, struct room *room, vector *best)
+/* The best p. Return whether there is room for the path. */
+WIDE static int search(const struct problem *q, struct room *room, vector *best)
 {
     vector p[MOST_SPLINES];
     double least = INFINITY;
+    if (!cut_path(q, &room->pieces))
+        return 0;
     begin(q, room);
-    memset(p, 0, sizeof p);
-    for (int searched = 0; searched < SEARCHES + EMPHASES; searched++) {
-        for (int64_t row = 0; searched && row < q->r; row++) {
-            vector at, step;
-            moved(q, row, (const vector *)p, at);
-            nearest(q, row, (const double *)at, room->foot[row], step);
-            unit(step[0], step[1], (const double *)room->direction[row], room->t[row]);
-        }
+    for (int searched = 1; searched <= SEARCHES + EMPHASES; searched++) {
         jacobian(q, room);
         sum_squares(q, room);
         bounded(q, room, p);
-        if (searched < SEARCHES - 1)
-            continue;
-        double peak = peak_of(q, room, (const vector *)p);
-        if (peak < least) {
-            memcpy(best, p, sizeof(vector) * (size_t)q->k);
-            least = peak;
+        double peak = seek_feet(q, room, (const vector *)p, 1);
+        if (searched >= SEARCHES) {
+            if (peak < least) {
+                memcpy(best, p, sizeof(vector) * (size_t)q->k);
+                least = peak;
+            }
+            if (least <= FAR_OFF || searched == SEARCHES + EMPHASES)
+                break;
+            for (int64_t row = 0; row < q->r; row++)
+                if (q->extruding[row])
+                    room->weight[row] *= reweighted(room->off[row] / FAR_OFF, EMPHASIS, MOST_EMPHASIS);
         }
-        if (least <= FAR_OFF)
-            break;
-        for (int64_t row = 0; row < q->r; row++)
-            room->weight[row] *= reweighted(room->off[row] / FAR_OFF, EMPHASIS, MOST_EMPHASIS);
+        seek_feet(q, room, (const vector *)p, 0);
     }
+    return 1;
 }
 
 /* p (k, 2) of a stop; bounds: effort (2), belts (2, 2), the least and the greatest place (2, 2),
@@ -454,8 +485,7 @@ static int64_t least_squares(const double *path, const int64_t *index, int64_t r
     if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
         return 0;
     room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
-    search(&problem, (struct room *)room, (vector *)p);
-    return 1;
+    return search(&problem, (struct room *)room, (vector *)p);
 }
 
 LOOP(least_squares, FLOATS(0, 2 * PIECES), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3), WHOLE(4),
