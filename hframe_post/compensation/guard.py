@@ -21,7 +21,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.rounds import contraction
 from hframe_post.native import kernel
 from hframe_post.printer.settings import Limits, Motors, Printer, Travel
-from hframe_post.stream.chunks import stretches, with_neighbours
+from hframe_post.stream.chunks import join, neighbours, stretches
 from hframe_post.stream.types import Samples, frozen
 
 REACH = 80  # samples over which a clamp fades in and out
@@ -259,13 +259,21 @@ class Clamp:
 
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
+        belts = motors.belt_velocity, motors.belt_acceleration
+        easily = ((1.0 - 1e-9) * limit for limit in belts)  # whatever the order of a sum
+        self._limits = np.array([-np.inf, np.inf, *travel.x, *travel.y, *easily])
         self.clamped = Clamped()
 
     def limit(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
         """Yield the chunks with the command of ``strategy`` reduced where it asks too much."""
         for stretch in stretches(chunks):
-            for chunk, wide, where in with_neighbours(stretch, AROUND, AROUND):
-                command = wide.commands[strategy]
+            for before, chunk, after in neighbours(stretch, AROUND, AROUND):
+                around = [*before, chunk, *after]
+                if self._all_safe(around, strategy):
+                    yield chunk
+                    continue
+                wide, start = join(around), sum(map(len, before))
+                command, where = wide.commands[strategy], slice(start, start + len(chunk))
                 safe = self._reduced(wide.xyze[:, :Z], command)
                 changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
@@ -274,6 +282,20 @@ class Clamp:
                     most = float(np.hypot(*(safe - chunk.commands[strategy]).T).max())
                     self.clamped = self.clamped.joined(Clamped(int(changed.sum()), line, most))
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
+
+    def _all_safe(self, chunks: list[Samples], strategy: str) -> bool:
+        """Return whether the compiled loop finds nothing to reduce in successive chunks."""
+        if (compiled := kernel("safe")) is None:
+            return False
+        belts, peaks, before = self._kinematics.matrix, np.zeros(4), None
+        for chunk in filter(len, chunks):
+            command = np.ascontiguousarray(chunk.commands[strategy])
+            if before is None:  # no change of speed at the first samples
+                before = command[:1] - np.outer([2.0, 1.0], command[:2][-1] - command[0])
+            found = chunk.xyze, command, len(command), before, self._limits, belts, TS, peaks
+            if not compiled(*found):
+                return False
+        return True
 
     def _reduced(self, path: Array, command: Array) -> Array:
         """Return the command (n, 2) as bed and belts allow it, the belts if at all possible."""

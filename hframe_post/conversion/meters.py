@@ -260,6 +260,10 @@ class Clock:
                 self._begun = None
             yield chunk
 
+    @property
+    def time(self) -> PrintTime:
+        return PrintTime((self.end - self.resting) * TS, self.end * TS)
+
 
 class FilamentMeter:
     """Measures the filament of samples and pass-through lines: ``total``, mm."""

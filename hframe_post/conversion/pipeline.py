@@ -14,7 +14,7 @@ Conversions and studies all use these stages. ``Commands`` joins them for a whol
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -149,13 +149,7 @@ class Stages:
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
-        first = end = 0
-        for span in spans:
-            chunks = self.commands(span.items)
-            for chunk in chunks if self._printer.plant.bed is None else ended(chunks):
-                yield shifted(chunk, first)
-                end = first + chunk.end
-            first = end
+        return continued(spans, self.commands, self._printer)
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
@@ -200,6 +194,19 @@ def _picture(printing: Place) -> Picture:
     from hframe_post.prediction.picture import Picture
 
     return Picture(Labels(printing))
+
+
+def continued(
+    spans: Spans, commands: Callable[[Iterable[Planned]], Iterator[Samples]], printer: Printer
+) -> Iterator[Samples]:
+    """Yield the commands for the planned items of all spans as one stream."""
+    first = end = 0
+    for span in spans:
+        chunks = commands(span.items)
+        for chunk in chunks if printer.plant.bed is None else ended(chunks):
+            yield shifted(chunk, first)
+            end = first + chunk.end
+        first = end
 
 
 class Source:

@@ -171,30 +171,35 @@ def _by_scipy_signal(sections: Array, signals: Array, states: Array) -> None:
         signals[0], states[0] = sosfilt(sections, signals[0], zi=states[0])
 
 
-class _Filters:
+class Filters:
     """Filters side by side, in one block of memory for the compiled loops.
 
-    state (sections, 2): of all of them, in turn.
+    sections (k, 6), state (k, 2): of all of them, in turn; counts: how many each has. axes
+    (couplings, 3): of the answer, of the command, and of the lever arm or -1; centres (couplings,).
     """
 
     def __init__(self, direct: Sequence[TransferFunction], couplings: Sequence[Coupling]) -> None:
         self.each = [Filter(G) for G in (*direct, *(coupling.G for coupling in couplings))]
         self.couplings = couplings
-        self._sections = np.concatenate([f.sections for f in self.each])
-        self._counts = np.array([len(f.sections) for f in self.each])
-        self.state = np.zeros((len(self._sections), 2))
-        parts = np.split(self.state, np.cumsum(self._counts)[:-1])
+        self.sections = np.concatenate([f.sections for f in self.each])
+        self.counts = np.array([len(f.sections) for f in self.each])
+        self.state = np.zeros((len(self.sections), 2))
+        parts = np.split(self.state, np.cumsum(self.counts)[:-1])
         for f, part in zip(self.each, parts, strict=True):
             f.state = part
         axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
-        self._axes = np.array(axes, np.int64).reshape(-1, 3)
-        self._centres = np.array([coupling.centre for coupling in couplings])
+        self.axes = np.array(axes, np.int64).reshape(-1, 3)
+        self.centres = np.array([coupling.centre for coupling in couplings])
+
+    @classmethod
+    def of_plant(cls, plant: Plant) -> Filters:
+        return cls((plant.Gxx, plant.Gyy), plant.couplings)
 
     def arguments(self) -> tuple[Array | Integers | int, ...]:
         """Return the first arguments of a compiled loop."""
         return (
-            self._sections, len(self._sections), self.state, self._counts, len(self.each),
-            self._axes, self._centres, len(self._axes),
+            self.sections, len(self.sections), self.state, self.counts, len(self.each),
+            self.axes, self.centres, len(self.axes),
         )  # fmt: skip
 
 
@@ -202,7 +207,7 @@ class Coupled:
     """What couplings add to the nozzle in one axis, under commands that come in pieces."""
 
     def __init__(self, couplings: Sequence[Coupling], origin: Array) -> None:
-        self._filters, self._origin = _Filters((), couplings), origin
+        self._filters, self._origin = Filters((), couplings), origin
 
     def run(self, path: Array, x_dm: Array, y_dm: Array) -> Array:
         """Return the sum (n,) at the next samples of the path (n, 2) and of commands (n,).
@@ -224,7 +229,7 @@ class Response:
     """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,)."""
 
     def __init__(self, plant: Plant, origin: Array) -> None:
-        self._filters = _Filters((plant.Gxx, plant.Gyy), plant.couplings)
+        self._filters = Filters.of_plant(plant)
         self._origin, self.state = origin, self._filters.state
 
     def settle(self, command: Array) -> None:

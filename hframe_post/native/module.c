@@ -36,6 +36,7 @@
     EACH(ramps)                                                                               \
     EACH(recursion)                                                                           \
     EACH(response)                                                                            \
+    EACH(responses)                                                                           \
     EACH(safe)                                                                                \
     EACH(stand)
 

@@ -112,3 +112,103 @@ LOOP(coupled, FILTERS, FLOATS(9, 2 * WHOLE(12)), FLOATS(10, WHOLE(12)), FLOATS(1
      OUT_FLOATS(13, WHOLE(12)))
 LOOP(response, FILTERS, FLOATS(9, 2 * WHOLE(10)), WHOLE(10), OUT_FLOATS(11, WHOLE(12) * WHOLE(10)),
      WHOLE(12))
+
+enum { LANES = 4 }; /* that are computed together */
+
+/* Four numbers in a register, or in two of them. */
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wpsabi" /* nothing outside this file passes them */
+typedef double four __attribute__((vector_size(32), aligned(8), may_alias));
+INSIDE four plus(four a, four b) { return a + b; }
+INSIDE four minus(four a, four b) { return a - b; }
+INSIDE four times(four a, four b) { return a * b; }
+INSIDE double lane(four a, int j) { return a[j]; }
+INSIDE four four_of(double a, double b, double c, double d) { return (four){a, b, c, d}; }
+#else
+typedef struct { double of[4]; } four;
+#define EACH_OF(a) four_of(a(0), a(1), a(2), a(3))
+#define SUM(j) (a.of[j] + b.of[j])
+#define DIFFERENCE(j) (a.of[j] - b.of[j])
+#define PRODUCT(j) (a.of[j] * b.of[j])
+INSIDE double lane(four a, int j) { return a.of[j]; }
+INSIDE four four_of(double a, double b, double c, double d) { four all = {{a, b, c, d}}; return all; }
+INSIDE four plus(four a, four b) { return EACH_OF(SUM); }
+INSIDE four minus(four a, four b) { return EACH_OF(DIFFERENCE); }
+INSIDE four times(four a, four b) { return EACH_OF(PRODUCT); }
+#endif
+
+/* As ``next``, for a cascade in each lane: sections (count, 6) and their state (count, 2). */
+INSIDE four next_of_four(const four *c, int64_t count, four *s, four value)
+{
+    for (; count > 0; count--, c += COEFFICIENTS, s += STATES) {
+        four input = value;
+        value = plus(times(c[0], input), s[0]);
+        s[0] = plus(minus(times(c[1], input), times(c[4], value)), s[1]);
+        s[1] = minus(times(c[2], input), times(c[5], value));
+    }
+    return value;
+}
+
+/* The loop of ``responses`` for one group of lanes. */
+INSIDE void respond(const four *sections, four *state, const int64_t *counts, const int64_t *axes,
+                    const four *centre, int64_t count, const double *origin,
+                    const double *const *command, int64_t n, double *motion, int64_t lanes)
+{
+    for (int64_t i = 0; i < 2 * n; i += 2) {
+        four u[2], at[2], nozzle[2];
+        const four *G = sections;
+        four *s = state;
+        for (int axis = X; axis <= Y; axis++) {
+            double o = origin[axis];
+            four start = four_of(o, o, o, o);
+            const double *const *c = command;
+            u[axis] = four_of(c[0][i + axis], c[1][i + axis], c[2][i + axis], c[3][i + axis]);
+            u[axis] = minus(u[axis], start);
+            nozzle[axis] = at[axis] = plus(next_of_four(G, counts[axis], s, u[axis]), start);
+            G += COEFFICIENTS * counts[axis], s += STATES * counts[axis];
+        }
+        for (int64_t k = 0; k < count; k++) {
+            const int64_t *axis = axes + 3 * k;
+            four output = next_of_four(G, counts[2 + k], s, axis[1] == X ? u[X] : u[Y]);
+            if (axis[2] >= 0)
+                output = times(minus(axis[2] == X ? at[X] : at[Y], centre[k]), output);
+            if (axis[0] == X)
+                nozzle[X] = plus(nozzle[X], output);
+            else
+                nozzle[Y] = plus(nozzle[Y], output);
+            G += COEFFICIENTS * counts[2 + k], s += STATES * counts[2 + k];
+        }
+        for (int j = 0; j < lanes; j++) {
+            motion[2 * n * j + i + X] = lane(nozzle[X], j);
+            motion[2 * n * j + i + Y] = lane(nozzle[Y], j);
+        }
+    }
+}
+
+/* motion (lanes, n, 2): what ``response`` gives for each lane; of (lanes): which of the given
+ * commands (given, n, 2) it has. Groups of LANES are computed together, the last one with repetitions:
+ * sections (groups, total, 6, LANES), state likewise, centre (groups, count, LANES). */
+WIDE static int64_t responses(const four *sections, int64_t total, four *state,
+                              const int64_t *counts, int64_t filters, const int64_t *axes,
+                              const four *centre, int64_t count, const double *origin,
+                              const double *commands, int64_t given, const int64_t *of, int64_t n,
+                              int64_t lanes, double *motion)
+{
+    (void)filters, (void)given;
+    for (; lanes > 0; lanes -= LANES, of += LANES, motion += 2 * n * LANES) {
+        const double *command[LANES];
+        for (int j = 0; j < LANES; j++)
+            command[j] = commands + 2 * n * of[j < lanes ? j : 0];
+        respond(sections, state, counts, axes, centre, count, origin, command, n, motion,
+                lanes < LANES ? lanes : LANES);
+        sections += COEFFICIENTS * total, state += STATES * total, centre += count;
+    }
+    return n;
+}
+
+#define FOURS(count) (LANES * (count) * ((WHOLE(13) + LANES - 1) / LANES))
+LOOP(responses, (const four *)FLOATS(0, COEFFICIENTS * FOURS(WHOLE(1))), WHOLE(1),
+     (four *)OUT_FLOATS(2, STATES * FOURS(WHOLE(1))), INTEGERS(3, WHOLE(4)), WHOLE(4),
+     INTEGERS(5, 3 * WHOLE(7)), (const four *)FLOATS(6, FOURS(WHOLE(7))), WHOLE(7), FLOATS(8, 2),
+     FLOATS(9, 2 * WHOLE(10) * WHOLE(12)), WHOLE(10), INTEGERS(11, WHOLE(13)), WHOLE(12), WHOLE(13),
+     OUT_FLOATS(14, 2 * WHOLE(13) * WHOLE(12)))

@@ -14,7 +14,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.plant import Plant
+from hframe_post.model.responses import Plants, Responses
 from hframe_post.model.stop_cost import NEAREST
 from hframe_post.native import kernel
 from hframe_post.printer.settings import Steps
@@ -24,16 +25,25 @@ from hframe_post.stream.types import Samples, frozen
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
     """Yield each chunk with the nozzle's x, y (n, 2) for every strategy in its commands."""
+    for chunk, (motion,) in _predict(chunks, Plants([plant])):
+        yield chunk, motion
+
+
+def _predict(
+    chunks: Iterable[Samples], plants: Plants
+) -> Iterator[tuple[Samples, list[dict[str, Array]]]]:
+    """Yield each chunk with the motion of each plant's nozzle, as ``predict`` gives it for one."""
     for stretch in stretches(chunks):
-        responses: dict[str, Response] = {}
+        responses: Responses | None = None
         for chunk in stretch:
-            if len(chunk) and not responses:
-                loaded, origin = (
-                    plant.loaded(plant.load(float(chunk.xyze[0, E]))),
-                    chunk.xyze[0, :Z],
-                )
-                responses = {name: Response(loaded, origin) for name in chunk.commands}
-            yield chunk, {name: r.run(chunk.commands[name]) for name, r in responses.items()}
+            commands, motions = chunk.commands, [dict[str, Array]() for _ in range(len(plants))]
+            if responses is None and len(chunk) and commands:
+                origin, filament = chunk.xyze[0, :Z], float(chunk.xyze[0, E])
+                responses = plants.at_rest(origin, len(commands), filament)
+            if responses is not None:
+                found = responses.run(list(commands.values()))
+                motions = [dict(zip(commands, of_plant, strict=True)) for of_plant in found]
+            yield chunk, motions
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,27 +69,38 @@ class Judgement:
 
 def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
     """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
+    for (judgement,) in judge_each(chunks, Plants([plant]), every):
+        yield judgement
+
+
+def judge_each(
+    chunks: Iterable[Samples], plants: Plants, every: int = 1
+) -> Iterator[list[Judgement]]:
+    """Yield the judgements of each chunk, one per plant, as ``judge`` gives them for one."""
     for stretch in stretches(chunks):
-        motions: deque[dict[str, Array]] = deque()
+        waiting: deque[list[dict[str, Array]]] = deque()
         for before, chunk, after in neighbours(
-            _noted(predict(stretch, plant), motions), NEAREST, NEAREST + 1
+            _noted(_predict(stretch, plants), waiting), NEAREST, NEAREST + 1
         ):
-            motion, start = motions.popleft(), sum(map(len, before))
+            motions, start = waiting.popleft(), sum(map(len, before))
             xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])
             first, stop = start + -chunk.first % every, start + len(chunk)
             at, extruding = _moving(xyze[:stop], first, every)
-            path = Polyline(xyze)
-            off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
-            contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
-            yield Judgement(chunk, at - start, extruding, contour, off, motion)
+            path, judgements = Polyline(xyze), list[Judgement]()
+            for motion in motions:
+                off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
+                contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
+                judgements.append(Judgement(chunk, at - start, extruding, contour, off, motion))
+            yield judgements
 
 
 def _noted(
-    predicted: Iterable[tuple[Samples, dict[str, Array]]], motions: deque[dict[str, Array]]
+    predicted: Iterable[tuple[Samples, list[dict[str, Array]]]],
+    waiting: deque[list[dict[str, Array]]],
 ) -> Iterator[Samples]:
-    """Yield the chunks; put their motions on ``motions``."""
-    for chunk, motion in predicted:
-        motions.append(motion)
+    """Yield the chunks; put their motions on ``waiting``."""
+    for chunk, motions in predicted:
+        waiting.append(motions)
         yield chunk
 
 

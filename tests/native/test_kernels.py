@@ -15,18 +15,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hframe_post import native
-from hframe_post.arrays import Array, X, Z
-from hframe_post.compensation.guard import Guard, Peaks, _farthest
+from hframe_post.arrays import TS, Array, X, Z
+from hframe_post.compensation.guard import Clamp, Clamped, Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
 from hframe_post.model.linear import product, recursion, windows_product
 from hframe_post.model.plant import Filter, Response
+from hframe_post.model.responses import Plants
 from hframe_post.planner import lookahead, profiles, sampling
 from hframe_post.prediction.predict import Polyline, _moving
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
 from hframe_post.stream.types import FileLimits, Moves, Plan, Samples, Standing
+from hframe_post.studies.simulation.uncertainty import draws
 from tests.conftest import SAMPLES
 from tests.coupled import coupled_plant
 from tests.native.comparing import in_numpy, same, seeds, thorough
@@ -96,6 +98,49 @@ def test_response(paper: Printer, compiled: None, coupled: str) -> None:
 
     for one, other in zip(motions(), in_numpy(motions), strict=True):
         same(one, other)
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+@pytest.mark.parametrize(("plants", "commands"), [(1, 1), (1, 3), (2, 2), (7, 1)])
+def test_responses(
+    paper: Printer, compiled: None, plants: int, commands: int, coupled: bool
+) -> None:
+    """Side by side, each nozzle moves as it does alone."""
+    own = coupled_plant(1, racks=True) if coupled else paper.plant
+    drawn = (own, *draws(own, 0.1, plants - 1, seed=1))
+    origin = np.array([200.0, 80.0])
+    each = [origin + walk(np.random.default_rng(k), 1000) for k in range(commands)]
+
+    def motions() -> list[Array]:
+        together = Plants(drawn).at_rest(origin, commands, 0.0)
+        cuts = ([xy[cut] for xy in each] for cut in (slice(0, 1), slice(1, 400), slice(400, None)))
+        return [together.run(pieces) for pieces in cuts]
+
+    alone = [[Response(plant, origin).run(xy) for xy in each] for plant in drawn]
+    for one, other in zip(motions(), in_numpy(motions), strict=True):
+        same(one, other)
+    same(np.concatenate(motions(), axis=2), np.array(alone))
+
+
+@given(seeds, st.floats(3.5, 5.5))
+@thorough
+def test_clamp(paper: Printer, compiled: None, seed: int, power: float) -> None:
+    """What needs no reduction passes at once, as it is."""
+    rng = np.random.default_rng(seed)
+    path = np.array([150.0, 100.0]) + 0.05 * walk(rng, 2000)
+    off = np.zeros((2000, 2))
+    off[rng.integers(0, 2000, 3)] = 10.0**power * TS**2 * rng.uniform(0.1, 1.0, (3, 2))
+    xyze = np.column_stack([path, np.zeros((2000, 2))])
+    whole = Samples(0, xyze, np.arange(2000), (), {"racking": path + off})
+
+    def limited() -> tuple[Array, Clamped]:
+        clamp = Clamp(paper.travel, paper.motors, paper.kinematics)
+        chunks = [*clamp.limit(batches([whole], 777), "racking")]
+        return np.concatenate([chunk.commands["racking"] for chunk in chunks]), clamp.clamped
+
+    (one, clamped), (other, clamped_in_numpy) = limited(), in_numpy(limited)
+    same(one, other)
+    assert clamped == clamped_in_numpy
 
 
 @thorough

@@ -9,18 +9,21 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from hframe_post.arrays import Z
 from hframe_post.compensation.stops import StopSolvers
-from hframe_post.conversion.pipeline import Options, Stages, parsed, prepared, sampled
+from hframe_post.conversion.meters import Clock
+from hframe_post.conversion.pipeline import Options, Stages, continued, parsed, prepared, sampled
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
+from hframe_post.model.responses import Plants
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Pace, Paces, pace
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Item, Moves, Samples
+from hframe_post.stream.types import Item, Moves, Planned, Samples
 from hframe_post.studies.inputs import Piece, excerpt, useful_feeds
 from hframe_post.studies.speed.trial import (
     FIRST_LAYERS,
@@ -115,12 +118,12 @@ class Drive:
         assert options.paces is not None
         meter = self._meter(settings)
         stages = Stages(printer, self._options, self._compensator, at_stops=self._at_stops)
-        refused = ""
+        together, refused = Plants(plants), ""
         try:
             for piece in pieces:
                 items = pace(piece.items, options.paces, piece.start)
                 commands = stages.commands(plan(items, printer.limits))
-                meter.add(commands, Labels(replace(piece.start.place), by_name=False), plants)
+                meter.add(commands, Labels(replace(piece.start.place), by_name=False), together)
         except HframeError as error:
             refused = str(error)
         return meter.trial(stages.summary.clamped.samples, refused)
@@ -134,7 +137,7 @@ class Drive:
         stages, commands = self._printed(printer, options)
         meter = self._meter(settings)
         try:
-            meter.add(commands, Labels(by_name=False), plants)
+            meter.add(commands, Labels(by_name=False), Plants(plants))
         except HframeError as error:  # not from the file, which was read to its end before
             return meter.trial(0, str(error))
         return meter.trial(stages.summary.clamped.samples)
@@ -153,23 +156,31 @@ class Drive:
         return layers
 
     def original(self) -> Original:
-        stages, commands = self._printed(self._printer, replace(self._options, strategy="none"))
+        printer, clock = self._printer, Clock()
+        options = replace(self._options, strategy="none")
+
+        def uncompensated(items: Iterable[Planned]) -> Iterator[Samples]:
+            for chunk in sampled(items, printer, options):
+                yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
+
+        spans = Spans(plan(self._items(), printer.limits))
+        commands = clock.samples(continued(spans, uncompensated, printer))
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
-        for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
+        for judgement in judge(commands, printer.plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
             add_layer_times(layers, layer)
             for name, here in judged(judgement, layer, feature, labels):
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
         found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
-        return Original(stages.summary.time.before, layers, found)
+        return Original(clock.time.before, layers, found)
 
     def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
         """Return the commands of the whole print, and the stages that compute them."""
         stages = Stages(printer, options, self._compensator)
         spans = Spans(plan(self._items(options.paces), printer.limits))
-        return stages, stages.predicted(stages.whole(spans), threads=True)
+        return stages, stages.predicted(stages.whole(spans), threads=False)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
         """Yield the items of the file, which is read once if they take little memory."""

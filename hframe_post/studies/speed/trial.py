@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers
-from hframe_post.model.plant import Plant
+from hframe_post.model.responses import Plants
 from hframe_post.planner.pacing import NAMES
-from hframe_post.prediction.predict import Judgement, judge
+from hframe_post.prediction.predict import Judgement, judge_each
 from hframe_post.prediction.statistics import TRAVEL as NOT_EXTRUDED
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
-from hframe_post.stream.chunks import branches, smaller
+from hframe_post.stream.chunks import smaller
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
 from hframe_post.stream.types import Samples
 
@@ -91,17 +91,18 @@ class TrialMeter:
         self._layers: dict[int, float] = {}
         self._limited = np.zeros((len(NAMES), len(CAUSES)))
 
-    def add(self, commands: Iterable[Samples], labels: Labels, plants: tuple[Plant, ...]) -> None:
+    def add(self, commands: Iterable[Samples], labels: Labels, plants: Plants) -> None:
         """Judge a stream with the commands of one strategy on each plant."""
-        streams = branches(smaller(commands, 8192), len(plants))  # samples that all plants hold
-        each = [judge(*pair, JUDGED_EVERY) for pair in zip(streams, plants, strict=True)]
-        for judgements in zip(*each, strict=True):
+        chunks = smaller(commands, 8192)  # since each plant has a motion
+        for judgements in judge_each(chunks, plants, JUDGED_EVERY):
             layer, feature = labels.number(judgements[0].chunk)
             self._samples += len(layer)
             add_layer_times(self._layers, layer)
             self._limited += self._causes(judgements[0].chunk, labels, layer, feature)
             for name, here in judged(judgements[0], layer, feature, labels):
-                statistics = self._statistics.setdefault(name, [ErrorStatistics() for _ in plants])
+                statistics = self._statistics.setdefault(
+                    name, [ErrorStatistics() for _ in judgements]
+                )
                 for judgement, errors in zip(judgements, statistics, strict=True):
                     (contour,) = judgement.contour.values()
                     errors.add(contour[here])
