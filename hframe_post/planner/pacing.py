@@ -10,7 +10,7 @@ shorter than its least time, so each layer has its own factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, froze
 
 NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 NAMES = (*KINDS, OTHER, TRAVEL)
+PACED_TOGETHER = 4096  # moves and other items
 SAME_HEIGHT = 1e-3  # mm by which first layers of objects printed one by one may differ
 
 
@@ -91,14 +92,17 @@ class Start:
 
 def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Iterator[Item]:
     """Yield the items with the speeds and limits of ``paces``. start: place of the first item."""
-    pacer = _Pacer(paces, start or Start())
+    pacer, waiting, moves, count = _Pacer(paces, start or Start()), list[Item](), list[Moves](), 0
     for item in items:
+        count += 1
         if isinstance(item, Moves):
-            yield pacer.paced(item)
-        else:
-            if isinstance(item, Passthrough):
-                pacer.labeller.mark(item.text)
-            yield item
+            if moves and (count >= PACED_TOGETHER or item.limits != moves[0].limits):
+                yield from pacer.paced(waiting, moves)
+                waiting, moves, count = [], [], 0
+            moves.append(item)
+            count += len(item.line)
+        waiting.append(item)
+    yield from pacer.paced(waiting, moves)
 
 
 class Labeller:
@@ -121,15 +125,31 @@ class Labeller:
 
         What lies as low as the first ``first_layers`` of the print is a first one too.
         """
-        starts, kinds, layers = [0], [self._kind], [self._place.layer]
-        for mark in moves.marks:
-            self.mark(mark.text)
-            starts.append(mark.index)
-            kinds.append(self._kind)
-            layers.append(self._place.layer)
-        times = np.diff([*starts, len(moves.line)])
+        extruding = np.diff(moves.points[:, E]) > 0.0
+        return self.classify_all([moves], extruding, moves.points[1:, Z], first_layers)
+
+    def classify_all(
+        self, items: Iterable[Item], extruding: Flags, z: Array, first_layers: int
+    ) -> tuple[Integers, Integers, Flags]:
+        """Return the same for the moves of successive items.
+
+        extruding, z (n,): whether each move extrudes, and where it ends.
+        """
+        times, kinds, layers = list[int](), list[int](), list[int]()
+        for item in items:
+            if isinstance(item, Passthrough):
+                self.mark(item.text)
+            elif isinstance(item, Moves):
+                at = 0
+                for mark in (*item.marks, None):
+                    end = len(item.line) if mark is None else mark.index
+                    times.append(end - at)
+                    kinds.append(self._kind)
+                    layers.append(self._place.layer)
+                    if mark is not None:
+                        self.mark(mark.text)
+                    at = end
         number, layer = np.repeat(kinds, times), np.repeat(layers, times)
-        extruding, z = np.diff(moves.points[:, E]) > 0.0, moves.points[1:, Z]
         number[~extruding] = NAMES.index(TRAVEL)
         lowest = extruding & (layer > 0) & (layer <= first_layers)
         self._floor = float(z[lowest].max(initial=self._floor))
@@ -139,32 +159,64 @@ class Labeller:
 
 class _Pacer:
     def __init__(self, paces: Paces, start: Start) -> None:
-        self._paces, self.labeller = paces, Labeller(start)
+        self._paces, self._labeller = paces, Labeller(start)
         of_kinds = [paces.kinds.get(name) for name in NAMES]
         unlimited = Pace(math.inf, math.inf)
         self._is_paced = np.array([pace is not None for pace in of_kinds])
         self._limits = np.array([astuple(pace or unlimited) for pace in of_kinds]).T  # (3, kinds)
 
-    def paced(self, moves: Moves) -> Moves:
-        """Return the moves at their paces; the file's limits by axis become limits of each move."""
-        kinds, layer, first = self.labeller.classify(moves, self._paces.first_layers)
-        delta = np.diff(moves.points, axis=0)
+    def paced(self, items: Sequence[Item], moves: Sequence[Moves]) -> Iterator[Item]:
+        """Yield the items with the moves among them at their paces.
+
+        The moves have the same limits by axis in the file, which become limits of each move.
+        """
+        if not moves:
+            yield from items
+            return
+        counts = [len(each.line) for each in moves]
+        ends = np.cumsum(counts)
+        speed, acceleration, corner = self._limits_of(items, moves, ends)
+        cuts = iter(map(slice, (ends - counts).tolist(), ends.tolist()))
+        for item in items:
+            if isinstance(item, Moves):
+                of = next(cuts)
+                yield Moves(
+                    item.line, item.points, speed[of], acceleration[of], corner[of], NO_LIMITS,
+                    item.marks,
+                )  # fmt: skip
+            else:
+                yield item
+
+    def _limits_of(
+        self, items: Sequence[Item], moves: Sequence[Moves], ends: Integers
+    ) -> tuple[Array, Array, Array]:
+        """Return speed, acceleration and corner speed of all moves, (n,)."""
+        points = np.concatenate([each.points for each in moves])
+        joints = ends[:-1] + np.arange(len(moves) - 1)  # from one item to the next
+        delta, z = (
+            np.delete(np.diff(points, axis=0), joints, axis=0),
+            np.delete(points[1:, Z], joints),
+        )
+        first_layers = self._paces.first_layers
+        kinds, layer, first = self._labeller.classify_all(items, delta[:, E] > 0.0, z, first_layers)
         length = lengths(delta[:, :E])
         chosen = self._is_paced[kinds] & ~first
         acceleration, corner, feed = self._limits[:, kinds]
-        file_speed, file_acceleration = _within_axis_limits(moves, np.abs(delta) / length[:, None])
+        file_speed, file_acceleration, file_corner = (
+            np.concatenate([getattr(each, name) for each in moves])
+            for name in ("speed", "acceleration", "corner")
+        )
+        _lower_to_axes(file_speed, file_acceleration, moves[0].limits, delta, length)
         speed = file_speed * feed * self._layer_factors(layer)
         with np.errstate(divide="ignore"):
             path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm of path per mm of filament
         melted, fed = self._paces.flow * path, self._paces.filament_acceleration * path
         speed = np.minimum(speed, np.maximum(melted, np.minimum(speed, file_speed)))
         acceleration = np.minimum(acceleration, np.maximum(fed, file_acceleration))
-        return replace(
-            moves,
-            speed=frozen(np.where(chosen, speed, file_speed)),
-            acceleration=frozen(np.where(chosen, acceleration, file_acceleration)),
-            corner=frozen(np.where(chosen, corner, moves.corner)),
-            limits=NO_LIMITS,
+        return (
+            frozen(np.where(chosen, speed, file_speed)),
+            frozen(np.where(chosen, acceleration, file_acceleration)),
+            frozen(np.where(chosen, corner, file_corner)),
         )
 
     def _layer_factors(self, layer: Integers) -> Array:
@@ -173,16 +225,13 @@ class _Pacer:
         return np.array(factors)[layer - first]
 
 
-def _within_axis_limits(moves: Moves, share: Array) -> tuple[Array, Array]:
-    """Return speed and acceleration (n,) within the file's limits by axis.
-
-    share (n, 4): mm that each axis moves in a mm of path.
-    """
-    speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
+def _lower_to_axes(
+    speed: Array, acceleration: Array, limits: FileLimits, delta: Array, length: Array
+) -> None:
+    """Lower speed and acceleration (n,) to the file's limits by axis, for moves by delta (n, 4)."""
     with np.errstate(divide="ignore"):
-        for axis in range(4):
-            if math.isfinite(limit := moves.limits.velocity[axis]):
-                np.minimum(speed, limit / share[:, axis], out=speed)
-            if math.isfinite(limit := moves.limits.acceleration[axis]):
-                np.minimum(acceleration, limit / share[:, axis], out=acceleration)
-    return speed, acceleration
+        for values, by_axis in ((speed, limits.velocity), (acceleration, limits.acceleration)):
+            for axis in range(4):
+                if math.isfinite(limit := by_axis[axis]):
+                    share = np.abs(delta[:, axis]) / length
+                    np.minimum(values, limit / share, out=values)
