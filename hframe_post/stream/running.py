@@ -16,6 +16,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
+COLLECTED = 50_000  # new objects after which circles among them are sought; 700 by default
 DEPTH = 2  # items that are computed, or being computed, before they are asked for
 
 
@@ -88,8 +89,11 @@ def one_blas_thread() -> Iterator[None]:
 def keep_memory() -> None:
     """Let the allocator keep what this process frees, up to 64 MB, for the next chunk.
 
-    Otherwise it returns each chunk to the system and gets it back page by page.
+    Otherwise it returns each chunk to the system and gets it back page by page. Garbage is
+    collected less often: few of the many objects of a conversion refer to each other in a circle.
     """
+    gc.freeze()
+    gc.set_threshold(COLLECTED)
     allocate = _c_function("mallopt")
     if allocate is not None:
         allocate(M_MMAP_THRESHOLD, 1 << 25)
