@@ -7,15 +7,27 @@ print that never stops is one span.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 
 import numpy as np
 
+from hframe_post.arrays import Array
 from hframe_post.stream.features import Place
-from hframe_post.stream.types import Halt, Handling, Passthrough, Plan, Planned, Position, Standing
+from hframe_post.stream.types import (
+    Halt,
+    Handling,
+    Mark,
+    Passthrough,
+    Plan,
+    Planned,
+    Position,
+    Standing,
+)
 
 SECONDS = 240.0  # each cut costs some 0.1 s of print time
+ARRAYS = ("line", "points", "s", "ends", "speed", "cruise", "acceleration")  # of a plan
 MAX_ITEMS = 20_000  # of a span that is handed to a worker; bounds the memory
 
 
@@ -46,6 +58,30 @@ class Span:
     def in_memory(self) -> bool:
         """Return whether the span can be handed to a worker process."""
         return isinstance(self.items, tuple)
+
+    def __reduce__(self) -> tuple[Callable[..., Span], tuple[object, ...]]:
+        """Pickle the plans' arrays joined: one by one they would take as long as planning."""
+        plans = [item for item in self.items if isinstance(item, Plan)]
+        others = [None if isinstance(item, Plan) else item for item in self.items]
+        parts = ([getattr(plan, name) for plan in plans] for name in ARRAYS)
+        joined = [(np.concatenate(part), [*map(len, part)]) for part in parts if plans]
+        return _unpickled, (self.beginning, others, joined, [plan.marks for plan in plans])
+
+
+def _unpickled(
+    beginning: Beginning,
+    others: list[Planned | None],
+    joined: list[tuple[Array, list[int]]],
+    marks: list[tuple[Mark, ...]],
+) -> Span:
+    parts = (_cut(array, counts) for array, counts in joined)
+    plans = map(Plan, *parts, marks)
+    return Span(beginning, tuple(next(plans) if item is None else item for item in others))
+
+
+def _cut(array: Array, counts: list[int]) -> list[Array]:
+    ends = accumulate(counts)
+    return [array[end - n : end] for n, end in zip(counts, ends, strict=True)]
 
 
 class Spans:
@@ -96,7 +132,8 @@ class Spans:
 
     def _noted(self, item: Planned) -> Planned:
         if isinstance(item, Plan):
-            self._seconds += float((np.diff(item.s[item.ends]) / item.cruise).sum())
+            s = item.s[item.ends]
+            self._seconds += float(((s[1:] - s[:-1]) / item.cruise).sum())
             self._moved |= bool(item.s[-1] > 1.0)  # so long a path always takes control
             for mark in item.marks:
                 self._printing.mark(mark.text)

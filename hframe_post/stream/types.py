@@ -65,6 +65,10 @@ class Standing:
     end: Position
     speed: float
 
+    def __reduce__(self) -> tuple[type[Standing], tuple[int, Position, Position, float]]:
+        """Pickle the fields alone: a print has thousands of these."""
+        return Standing, (self.line, self.start, self.end, self.speed)
+
 
 @dataclass(frozen=True, slots=True)
 class ModalState:

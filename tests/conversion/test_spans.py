@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from itertools import pairwise
 
@@ -12,14 +13,14 @@ import pytest
 from hframe_post.conversion import conversions, spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.conversion.spans import Span, Spans
+from hframe_post.conversion.spans import Beginning, Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Halt, Planned, Standing
+from hframe_post.stream.types import Halt, Plan, Planned, Standing
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
@@ -61,6 +62,24 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
     for beginning, part in cut[1:]:
         assert isinstance(part[0], Standing)
         assert beginning.place == part[0].start
+
+
+def test_a_pickled_span_is_the_same(paper: Printer) -> None:
+    items = planned(cube(), paper)
+    assert sum(isinstance(item, Plan) for item in items) > 5
+    span = Span(Beginning((1.0, 2.0, 3.0, 4.0)), tuple(items))
+    again = pickle.loads(pickle.dumps(span))
+    assert again.beginning == span.beginning
+    for item, other in zip(items, again.items, strict=True):
+        if isinstance(item, Plan):
+            assert isinstance(other, Plan)
+            assert other.marks == item.marks
+            for name in spans.ARRAYS:
+                np.testing.assert_array_equal(getattr(other, name), getattr(item, name))
+        else:
+            assert other == item
+    empty = Span(Beginning(), (Halt(),))
+    assert pickle.loads(pickle.dumps(empty)) == empty
 
 
 @pytest.mark.usefixtures("short")
