@@ -20,30 +20,64 @@ struct decimation {
 #define BARRED ((int64_t)1 << 62) /* the key of a vertex that stays */
 #define PLACES 24                 /* bits for the place among equals */
 
-/* Compute what the chord costs that replaces both at a vertex. */
-static void judge(const struct decimation *d, int32_t at)
+/* Return the distance of b from the chord from a to c, of which it has passed a share. */
+INSIDE double distance(const double *a, const double *b, const double *c, double share,
+                       double e_weight2)
 {
-    struct vertex *v = d->vertices + at;
-    const double *a = d->points + COLUMNS * v->before, *b = d->points + COLUMNS * at,
-                 *c = d->points + COLUMNS * v->after;
-    double samples = (double)(v->after - v->before), share = (double)(at - v->before) / samples;
     double apart2[COLUMNS];
     for (int k = 0; k < COLUMNS; k++) {
         double apart = (b[k] - a[k]) - share * (c[k] - a[k]);
         apart2[k] = apart * apart;
     }
-    double z_e = greater(apart2[Z], d->e_weight2 * apart2[E]);
+    return sqrt(greater(apart2[X] + apart2[Y], greater(apart2[Z], e_weight2 * apart2[E])));
+}
+
+/* Return the key of a vertex at a place among equals, with the chord that would replace both. */
+INSIDE int64_t key(const struct decimation *d, int32_t at, int64_t place, double joint,
+                   double samples)
+{
+    double cost = samples > d->shorts ? joint * sqrt(samples / d->shorts) : joint;
+    int64_t level = (int64_t)(lesser(cost, d->tolerance) / d->alike);
+    int stays = d->forced[at] | !(cost <= d->tolerance);
+    return (stays ? BARRED : level << PLACES) | place;
+}
+
+/* Compute what the chord costs that replaces both at a vertex. */
+INSIDE void judge(const struct decimation *d, int32_t at)
+{
+    struct vertex *v = d->vertices + at;
+    const double *a = d->points + COLUMNS * v->before, *b = d->points + COLUMNS * at,
+                 *c = d->points + COLUMNS * v->after;
+    double samples = (double)(v->after - v->before), share = (double)(at - v->before) / samples;
     v->joint = greater(d->vertices[v->before].off, v->off)
-               + sqrt(greater(apart2[X] + apart2[Y], z_e));
-    double cost = samples > d->shorts ? v->joint * sqrt(samples / d->shorts) : v->joint;
-    int64_t level = (int64_t)((cost <= d->tolerance ? cost : 0.0) / d->alike);
-    int64_t place = v->key & (((int64_t)1 << PLACES) - 1);
-    int stays = d->forced[at] || !(cost <= d->tolerance);
-    v->key = (stays ? BARRED : level << PLACES) | place;
+               + distance(a, b, c, share, d->e_weight2);
+    v->key = key(d, at, v->key & (((int64_t)1 << PLACES) - 1), v->joint, samples);
+}
+
+/* Make vertices of all n samples, and judge those between. places, far (n): room. */
+INSIDE void begin(const struct decimation *d, int64_t n, int32_t *places, double *far)
+{
+    double e_weight2 = d->e_weight2;
+    const double *points = d->points;
+    places[0] = 0;
+    for (int64_t size = 1; size < n; size *= 2) /* the bits of each index in reverse; odd ones first */
+        for (int64_t i = 0; i < size; i++) {
+            places[i] = 2 * places[i] + 1;
+            if (i + size < n)
+                places[i + size] = places[i] - 1;
+        }
+    for (int64_t i = 1; i < n - 1; i++) {
+        const double *a = points + COLUMNS * (i - 1);
+        far[i] = distance(a, a + COLUMNS, a + 2 * COLUMNS, 0.5, e_weight2);
+    }
+    for (int32_t i = 1; i < n - 1; i++)
+        d->vertices[i] = (struct vertex){0.0, far[i], key(d, i, places[i], far[i], 2.0), i - 1, i + 1};
+    d->vertices[0] = (struct vertex){0.0, 0.0, BARRED, -1, 1};
+    d->vertices[n - 1] = (struct vertex){0.0, 0.0, BARRED, (int32_t)n - 2, (int32_t)n};
 }
 
 /* Remove those of ``count`` vertices that cost less than both neighbours, and list them. */
-static int64_t removed(const struct decimation *d, const int32_t *checked, int64_t count,
+INSIDE int64_t removed(const struct decimation *d, const int32_t *checked, int64_t count,
                        int32_t *gone)
 {
     struct vertex *v = d->vertices;
@@ -63,54 +97,55 @@ static int64_t removed(const struct decimation *d, const int32_t *checked, int64
     return n;
 }
 
-/* Judge the neighbours of removed vertices again; list them and theirs, ascending. */
-static int64_t to_check(const struct decimation *d, const int32_t *gone, int64_t count, int32_t last,
+struct list { /* ascending */
+    int32_t *of, latest;
+    int64_t count;
+};
+
+INSIDE void add(struct list *list, int32_t at)
+{
+    int fresh = at > list->latest;
+    list->of[list->count] = at;
+    list->count += fresh;
+    list->latest = fresh ? at : list->latest;
+}
+
+/* Judge the neighbours of removed vertices again; list them and theirs. */
+INSIDE int64_t to_check(const struct decimation *d, const int32_t *gone, int64_t count, int32_t last,
                         int32_t *checked)
 {
-    int64_t n = 0;
-    int32_t judged = 0, listed = 0;
-    for (int64_t i = 0; i < 2 * count; i++) {
-        const struct vertex *from = d->vertices + gone[i / 2];
-        int32_t at = i % 2 ? from->after : from->before;
-        if (at <= judged || at == last)
-            continue;
-        judge(d, at);
-        judged = at;
-        int32_t near[] = {d->vertices[at].before, at, d->vertices[at].after};
-        for (int k = 0; k < 3; k++) {
-            int fresh = (near[k] > listed) & (near[k] < last);
-            checked[n] = near[k];
-            n += fresh;
-            listed = fresh ? near[k] : listed;
+    struct list list = {checked, 0, 0};
+    int32_t judged = 0;
+    for (int64_t i = 0; i < count; i++) {
+        int32_t before = d->vertices[gone[i]].before, after = d->vertices[gone[i]].after;
+        if (before > judged) {
+            judge(d, before);
+            add(&list, d->vertices[before].before);
+            add(&list, before);
         }
+        if (after == last)
+            break;
+        judge(d, judged = after);
+        add(&list, after);
+        if (d->vertices[after].after < last)
+            add(&list, d->vertices[after].after);
     }
-    return n;
+    return list.count;
 }
 
 /* points (n, 4), forced (n); n vertices to begin with. Returns how many of ``kept`` (n) are.
  * room (6, n): to work in. */
-static int64_t breakpoints(const double *points, const uint8_t *forced, int64_t n,
-                           double tolerance, double shorts, double e_weight2, double alike,
-                           int64_t *kept, double *room)
+WIDE static int64_t breakpoints(const double *points, const uint8_t *forced, int64_t n,
+                                double tolerance, double shorts, double e_weight2, double alike,
+                                int64_t *kept, double *room)
 {
-    struct vertex *v = (struct vertex *)room; /* takes four of a point's six */
+    struct vertex *v = (struct vertex *)room; /* takes four of a point's six, both lists one */
     int32_t *checked = (int32_t *)(room + 4 * n), *gone = checked + n;
     struct decimation all = {points, forced, tolerance, shorts, e_weight2, alike, v};
     const struct decimation *d = &all;
-    v[0].key = 0;
-    for (int64_t size = 1; size < n; size *= 2) /* the bits of each index in reverse; odd ones first */
-        for (int64_t i = 0; i < size; i++) {
-            v[i].key = 2 * v[i].key + 1;
-            if (i + size < n)
-                v[i + size].key = v[i].key - 1;
-        }
-    for (int32_t i = 0; i < n; i++)
-        v[i].before = i - 1, v[i].after = i + 1, v[i].off = 0.0;
-    v[0].key = v[n - 1].key = BARRED;
-    for (int32_t i = 1; i < n - 1; i++) {
-        judge(d, i);
+    begin(d, n, gone, room + 5 * n);
+    for (int32_t i = 1; i < n - 1; i++)
         checked[i - 1] = i;
-    }
     int64_t count = n - 2;
     while ((count = removed(d, checked, count, gone)) > 0)
         count = to_check(d, gone, count, (int32_t)n - 1, checked);
@@ -123,12 +158,22 @@ static int64_t breakpoints(const double *points, const uint8_t *forced, int64_t 
 LOOP(breakpoints, FLOATS(0, COLUMNS * WHOLE(2)), BYTES(1, WHOLE(2)), WHOLE(2), REAL(3), REAL(4),
      REAL(5), REAL(6), OUT_INTEGERS(7, WHOLE(2)), OUT_FLOATS(8, 6 * WHOLE(2)))
 
+/* Take one step of Jacobi's method from x (k) to next (k); the last vertex stays. */
+INSIDE void relax(const double *wanted, const double *both, const double *diagonal, int64_t k,
+                  const double *x, double *restrict next)
+{
+    if (k > 1)
+        next[0] = (wanted[0] - both[1] * x[1]) / diagonal[0];
+    for (int64_t i = 1; i < k - 1; i++)
+        next[i] = (wanted[i] - both[i] * x[i - 1] - both[i + 1] * x[i + 1]) / diagonal[i];
+    next[k - 1] = 0.0;
+}
+
 /* vertices (k, 4) at ``ends`` (k), of points (n, 4). room (6, k): to work in. */
-static int64_t fitted(const double *points, int64_t n, const int64_t *ends, int64_t k,
-                      int64_t rounds, double *vertices, double *room)
+WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends, int64_t k,
+                           int64_t rounds, double *vertices, double *room)
 {
     double *diagonal = room, *both = room + k, *wanted = room + 2 * k; /* x of all, then y of all */
-    double *moved = room + 4 * k;                                      /* likewise */
     for (int64_t i = 0; i < k; i++) {
         int64_t start = i ? ends[i - 1] : 0, samples = ends[i] - start;
         const double *from = points + COLUMNS * start, *to = points + COLUMNS * ends[i];
@@ -145,40 +190,35 @@ static int64_t fitted(const double *points, int64_t n, const int64_t *ends, int6
         both[i] = (length * length - 1.0) / (6.0 * length);
         for (int a = X; a <= Y; a++) {
             wanted[a * k + i] = later[a];
-            moved[a * k + i] = 0.0;
             if (i)
                 wanted[a * k + i - 1] += all[a] - later[a];
         }
         if (i)
             diagonal[i - 1] += (length - 1.0) * (2.0 * length - 1.0) / (6.0 * length);
+        for (int c = Z; c <= E; c++)
+            vertices[COLUMNS * i + c] = to[c];
     }
     diagonal[k - 1] += 1.0;
+    double low[2] = {points[X], points[Y]}, high[2] = {points[X], points[Y]};
+    for (int64_t i = 1; i < n; i++)
+        for (int a = X; a <= Y; a++) {
+            low[a] = lesser(low[a], points[COLUMNS * i + a]);
+            high[a] = greater(high[a], points[COLUMNS * i + a]);
+        }
     for (int a = X; a <= Y; a++) {
-        double *x = moved + a * k, *w = wanted + a * k;
-        for (int64_t round = 0; round < rounds; round++) {
-            double before = 0.0; /* of the vertex before, in the round before */
-            for (int64_t i = 0; i < k; i++) {
-                double now = w[i];
-                if (i)
-                    now -= both[i] * before;
-                if (i + 1 < k)
-                    now -= both[i + 1] * x[i + 1];
-                before = x[i];
-                x[i] = now / diagonal[i];
-            }
-            x[k - 1] = 0.0;
-        }
-        double low = points[a], high = points[a];
-        for (int64_t i = 1; i < n; i++) {
-            low = lesser(low, points[COLUMNS * i + a]);
-            high = greater(high, points[COLUMNS * i + a]);
-        }
+        double *x = room + 4 * k, *next = room + 5 * k;
         for (int64_t i = 0; i < k; i++)
-            vertices[COLUMNS * i + a] = lesser(greater(points[COLUMNS * ends[i] + a] + x[i], low), high);
+            x[i] = 0.0;
+        for (int64_t round = 0; round < rounds; round++) {
+            relax(wanted + a * k, both, diagonal, k, x, next);
+            double *latest = next;
+            next = x, x = latest;
+        }
+        for (int64_t i = 0; i < k; i++) {
+            double to = points[COLUMNS * ends[i] + a] + x[i];
+            vertices[COLUMNS * i + a] = lesser(greater(to, low[a]), high[a]);
+        }
     }
-    for (int64_t i = 0; i < k; i++)
-        for (int a = Z; a <= E; a++)
-            vertices[COLUMNS * i + a] = points[COLUMNS * ends[i] + a];
     return k;
 }
 
