@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.stream.types import ModalState, Rests
+from hframe_post.stream.types import ModalState, Position, Rests
 
 SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
 VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
@@ -22,8 +24,10 @@ class Dwelling(Enum):
     RETRACTION = "a retraction"
 
 
-@dataclass(frozen=True, slots=True)
-class Stroke:
+Way = tuple[Position, Position]  # of a retraction or a lift, mm: its start and its end
+
+
+class Stroke(NamedTuple):
     """How a retraction or a lift is asked for: its speed, mm/s, and the seconds that it takes.
 
     left: speed, mm/s, at which motion may go on from it; 0: from rest. before: a line to write
@@ -120,22 +124,23 @@ class Player(Protocol):
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """Return T (k,), or the nearest that segments between positions at (k + 1, 4) can last.
 
-        before: see ``feed_rates``.
+        before: see ``feeds``.
         """
 
-    def feed_rates(
-        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
-    ) -> Array:
-        """Return the speeds (k,), mm/s, to ask for so that segments take the time T (k,).
+    def feeds(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
+    ) -> tuple[Integers, Array]:
+        """Return F (k,) by which segments take the time T (k,), and the seconds that they take.
 
-        rest (k + 1,): whether the machine stands at each end; before: feed rate of the segment
-        before the first, 0 if there is none; after: greatest speed at the end of the last.
+        F is whole, in units of which a mm/s has ``per_feed``. rest (k + 1,): whether the machine
+        stands at each end; before: feed rate of the segment before the first, mm/s, 0 if there is
+        none; after: greatest speed at the end of the last.
         """
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        """Return the seconds (k,) that segments take at feed rates v (k,); see ``feed_rates``."""
+        """Return the seconds (k,) that segments take at feed rates v (k,), mm/s; see ``feeds``."""
 
     def entry(self, at: Array, v: float, before: float) -> float:
         """Return the speed, mm/s, at which a segment at feed rate v begins, at (2, 4), mm.
@@ -144,19 +149,19 @@ class Player(Protocol):
         """
 
     def corners(
-        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+        self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None
     ) -> tuple[float, float]:
         """Return the greatest speeds, mm/s, of motion into a stroke and on from it; 0: it stops.
 
-        at (2, 4): from place to place, mm; speed: the user's; planned: of z in the plan, where
-        they are certain; previous (2, 4): of a stroke that directly precedes it.
+        speed: the user's; planned: of z in the plan, where they are certain; previous: the way of
+        a stroke that directly precedes it.
         """
 
     def stroke(
-        self, at: Array, speed: float, seconds: float, wanted: float,
+        self, way: Way, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
-        """Return how to make a retraction or a lift from place to place, at (2, 4), mm.
+        """Return how to make a retraction or a lift.
 
         speed: the user's; seconds: what it takes at that speed; wanted: seconds left for it;
         entry, leaving: speeds of the motion before and after it, 0: at rest.
@@ -164,6 +169,11 @@ class Player(Protocol):
 
     def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         """Return lines for a standstill, and the seconds that they last; None: no dwell."""
+
+
+def whole_feeds(v: Array, per_feed: float) -> Integers:
+    """Return speeds (k,), mm/s, as F is written, in units of which a mm/s has ``per_feed``."""
+    return np.asarray(np.maximum(np.rint(v * per_feed), 1.0).astype(np.int64))
 
 
 def plain(value: float, decimals: int) -> str:

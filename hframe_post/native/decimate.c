@@ -224,3 +224,35 @@ WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends,
 
 LOOP(fitted, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), INTEGERS(2, WHOLE(3)), WHOLE(3), WHOLE(4),
      OUT_FLOATS(5, COLUMNS * WHOLE(3)), OUT_FLOATS(6, 6 * WHOLE(3)))
+
+/* Find segments that end at ``ends`` (k) of points (n, 4) and are too thick: see too_thick. Returns
+ * how many; which (k): their numbers; most (1): mm of filament of a piece. room (2 k). */
+static int64_t too_thick(const double *points, int64_t n, const int64_t *ends, int64_t k,
+                         double usual_nozzle, double allowed, double filament, int64_t *which,
+                         double *most, double *room)
+{
+    double *d = room, *e = room + k, all_d = 0.0, all_e = 0.0;
+    (void)n;
+    for (int64_t i = 0; i < k; i++) {
+        const double *from = points + (i ? COLUMNS * ends[i - 1] : 0), *to = points + COLUMNS * ends[i];
+        double x = to[X] - from[X], y = to[Y] - from[Y], z = to[Z] - from[Z];
+        d[i] = sqrt(x * x + y * y + z * z);
+        e[i] = to[E] - from[E];
+        if (e[i] > 0.0 && d[i] > 0.0)
+            all_d += d[i], all_e += e[i];
+    }
+    *most = 0.0;
+    if (all_d == 0.0)
+        return 0;
+    double usual = all_e / all_d, nozzle = lesser(sqrt(2.0 * filament * usual), usual_nozzle);
+    double limit = lesser(3.0 * usual, greater(allowed, 1.5 * usual));
+    int64_t count = 0;
+    *most = 2.0 * nozzle * (nozzle * nozzle) / filament;
+    for (int64_t i = 0; i < k; i++)
+        if (e[i] > *most && e[i] > limit * d[i])
+            which[count++] = i;
+    return count;
+}
+
+LOOP(too_thick, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), INTEGERS(2, WHOLE(3)), WHOLE(3), REAL(4),
+     REAL(5), REAL(6), OUT_INTEGERS(7, WHOLE(3)), OUT_FLOATS(8, 1), OUT_FLOATS(9, 2 * WHOLE(3)))

@@ -20,7 +20,7 @@
     EACH(follow)                                                                              \
     EACH(junctions)                                                                           \
     EACH(klipper_durations)                                                                   \
-    EACH(klipper_feed_rates)                                                                  \
+    EACH(klipper_feeds)                                                                       \
     EACH(least_squares)                                                                       \
     EACH(limit_moves)                                                                         \
     EACH(marlin_block_times)                                                                  \
@@ -38,7 +38,8 @@
     EACH(response)                                                                            \
     EACH(responses)                                                                           \
     EACH(safe)                                                                                \
-    EACH(stand)
+    EACH(stand)                                                                               \
+    EACH(too_thick)
 
 enum { MOST_ARGUMENTS = 32 };
 

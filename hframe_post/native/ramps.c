@@ -111,13 +111,15 @@ static void make_up(int64_t k, const double *T, double least, double *late)
     }
 }
 
-/* v (k): the speeds to ask for; see feed_rates. room (12 k + 2). */
-static int64_t klipper_feed_rates(const double *at, int64_t k, const double *T, const uint8_t *rest,
-                                  double before, double after, const struct limits *limits,
-                                  double least, double *room, double *v)
+/* feeds (k): F to ask for; taken (k): how long segments then take; see feeds. room (12 k + 2). */
+static int64_t klipper_feeds(const double *at, int64_t k, const double *T, const uint8_t *rest,
+                             double before, double after, const struct limits *limits,
+                             double least, double per_feed, double *room, int64_t *feeds,
+                             double *taken)
 {
     struct ramped r = ramped(at, k, rest, before, after, limits, room);
-    double *joint = room + 8 * k + 1, *top = joint + k + 1, *late = top + k, most = 0.0;
+    double *joint = room + 8 * k + 1, *top = joint + k + 1, *late = top + k, *v = late + k;
+    double most = 0.0;
     find_speeds(&r, T, joint, v);
     find_durations(&r, v, joint, top, late);
     for (int64_t i = 0; i < k; i++)
@@ -126,12 +128,18 @@ static int64_t klipper_feed_rates(const double *at, int64_t k, const double *T, 
         make_up(k, T, least, late);
         find_speeds(&r, late, joint, v);
     }
+    for (int64_t i = 0; i < k; i++) {
+        feeds[i] = (int64_t)greater(rint(v[i] * per_feed), 1.0);
+        v[i] = (double)feeds[i] / per_feed;
+    }
+    find_durations(&r, v, joint, top, taken);
     return k;
 }
 
-LOOP(klipper_feed_rates, FLOATS(0, COLUMNS * (WHOLE(1) + 1)), WHOLE(1), FLOATS(2, WHOLE(1)),
+LOOP(klipper_feeds, FLOATS(0, COLUMNS * (WHOLE(1) + 1)), WHOLE(1), FLOATS(2, WHOLE(1)),
      BYTES(3, WHOLE(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS), REAL(7),
-     OUT_FLOATS(8, 12 * WHOLE(1) + 2), OUT_FLOATS(9, WHOLE(1)))
+     REAL(8), OUT_FLOATS(9, 12 * WHOLE(1) + 2), OUT_INTEGERS(10, WHOLE(1)),
+     OUT_FLOATS(11, WHOLE(1)))
 
 /* taken (k): how long segments take at speeds v (k). room (12 k + 2). */
 static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,

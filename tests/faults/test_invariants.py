@@ -106,7 +106,7 @@ def test_filament_that_is_not_where_it_was(
         made = right(*of)
         at, k = made.at.copy(), len(made.at)
         at[int(first * k) : max(int(last * k), int(first * k) + 1), 3] -= 2000
-        return replace(made, at=at)
+        return made._replace(at=at)
 
     monkeypatch.setattr(machine, "segments", faulty)
     nothing_appears(tmp_path, cause)

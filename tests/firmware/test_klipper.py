@@ -144,8 +144,7 @@ def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
     at[1:, 0] = np.cumsum(speed * T)
     player, rest = Klipper(RESTORE, STREAM), np.zeros(41, dtype=bool)
     rest[0] = True
-    v = player.feed_rates(at, T, rest, 0.0)
-    late = player.durations(at, v, rest, 0.0) - T
+    late = player.feeds(at, T, rest, 0.0, math.inf, per_feed=6e9)[1] - T
     assert 1e-4 < late[1] < 5e-4
     assert np.abs(np.cumsum(late)[15:]).max() < 1e-5
     assert -late[2:].min() < 0.05 * 2e-3

@@ -16,6 +16,7 @@ from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.marlin.player import Marlin
+from hframe_post.firmware.player import Way
 from hframe_post.firmware.registry import player
 from hframe_post.gcode import batching
 from hframe_post.model.kinematics import Kinematics
@@ -24,7 +25,7 @@ from hframe_post.printer import profile
 from hframe_post.printer.firmware_tables import MARLIN_PLANNERS, MarlinTable
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import ModalState
+from hframe_post.stream.types import ModalState, Position
 from tests.command_line import run
 from tests.conftest import SAMPLES
 from tests.fuzz.oracle import check_same_print
@@ -40,6 +41,11 @@ OURS = re.compile(
 )
 WORDS = re.compile(rb"[ZF]([0-9.]+)")
 LIMITS = re.compile(rb"M20[1345]\b|M220\b|SET_VELOCITY_LIMIT")
+
+
+def from_there(way: Position) -> Way:
+    x, y, z, e = AT.tolist()
+    return (x, y, z, e), (x + way[0], y + way[1], z + way[2], e + way[3])
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +90,7 @@ def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
     assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.begin(NOWHERE, AT)
     assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.end(STATE, AT)
     lift, retraction = (
-        mine.stroke(np.array([AT, np.add(AT, way)]), 10.0, 0.1, 0.1)
+        mine.stroke(from_there(way), 10.0, 0.1, 0.1)
         for way in ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, -1.0))
     )
     assert (lift.before, lift.after) == (b"", b"")  # z has kept its own jerk
@@ -115,12 +121,12 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
     mine = mode(with_own(marlin, planner=planner))
     for way, speed in (((0.0, 0.0, 0.4, 0.0), 10.0), ((0.0, 0.0, 0.0, -2.0), 40.0)):
         a = mine.limits.z_acceleration if way[2] else mine.limits.extruder_acceleration
-        planned, at = max(map(abs, way)) / speed + speed / a, np.array([AT, np.add(AT, way)])
-        corners = mine.corners(at, speed, (0.0, 0.0))
-        stroke = mine.stroke(at, speed, planned, planned, *corners)
+        planned, stroked = max(map(abs, way)) / speed + speed / a, from_there(way)
+        corners = mine.corners(stroked, speed, (0.0, 0.0))
+        stroke = mine.stroke(stroked, speed, planned, planned, *corners)
         assert stroke.seconds == pytest.approx(planned, abs=1e-3)
         assert 0.5 * speed < stroke.speed < speed
-        assert mine.stroke(at, speed, planned, 0.0, *corners).speed == speed
+        assert mine.stroke(stroked, speed, planned, 0.0, *corners).speed == speed
 
 
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, Z
+from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.marlin.player import Marlin
+from hframe_post.firmware.player import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -238,10 +239,10 @@ def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
 def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
     marlin: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def plainly(self: Marlin, at: Array, T: Array, *_: object) -> Array:
-        return np.asarray(self._blocks(at).d / T)
+    def plainly(self: Marlin, at: Array, T: Array, *rest: Any) -> tuple[Integers, Array]:
+        return whole_feeds(self._blocks(at).d / T, per_feed=rest[-1]), 0.0 * T
 
-    monkeypatch.setattr(Marlin, "feed_rates", plainly)
+    monkeypatch.setattr(Marlin, "feeds", plainly)
     monkeypatch.setattr(Marlin, "durations", lambda self, at, v, *_: 0.0 * v)
     monkeypatch.setattr("hframe_post.writers.stream.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()

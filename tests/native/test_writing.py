@@ -32,6 +32,22 @@ def test_decimation(
 
 
 @thorough
+@given(seeds, st.integers(1, 60), st.sampled_from([0.0, 0.3, 1.0]))
+def test_segments_that_are_too_thick(compiled: None, seed: int, k: int, lays: float) -> None:
+    """Some segments extrude ten times as much as the others, and some stand still."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(rng.integers(1, 40, k))
+    steps = rng.uniform(0.0, 0.1, (int(ends[-1]) + 1, 4)) * (1.0, 1.0, 0.0, 0.04)
+    steps[:, 3] *= np.where(rng.random(len(steps)) < 0.1, 10.0, 1.0) * (rng.random() < lays)
+    steps[:, :3] *= rng.random((len(steps), 1)) < rng.choice([0.1, 1.0])
+    points = np.cumsum(steps, axis=0)
+    which, most = segments.too_thick(points, ends)
+    plain, most_plain = in_numpy(segments.too_thick, points, ends)
+    same(which, plain)
+    assert most == most_plain
+
+
+@thorough
 @given(seeds, st.integers(1, 300), st.floats(-4.0, 1.0), st.booleans())
 def test_ramps(
     compiled: None, paper: Printer, seed: int, k: int, power: float, lifts: bool
@@ -47,9 +63,10 @@ def test_ramps(
     v: Array = rng.uniform(0.1, 700.0, k)
     rest = rng.random(k + 1) < rng.choice([0.0, 0.1])
     before = float(rng.choice([0.0, 60.0]))
-    for function, numbers in ((ramps.feed_rates, T), (ramps.durations, v)):
-        found = function(at, numbers, rest, before, np.inf, limits)
-        same(found, in_numpy(function, at, numbers, rest, before, np.inf, limits))
+    asked = at, T, rest, before, np.inf, limits, 600.0
+    for found, plain in zip(ramps.feeds(*asked), in_numpy(ramps.feeds, *asked), strict=True):
+        same(found, plain)
+    same(ramps.durations(at, v, *asked[2:-1]), in_numpy(ramps.durations, at, v, *asked[2:-1]))
 
 
 @thorough

@@ -70,7 +70,7 @@ def test_numbers_are_written_plainly(value: int, decimals: int, expected: str) -
 places = st.lists(st.integers(-2, 2), min_size=5, max_size=5)
 
 
-@given(st.lists(places, min_size=2, max_size=20), st.sampled_from([digits.NO_FEED, 0, 2]))
+@given(st.lists(places, min_size=2, max_size=20), st.sampled_from([-1, 0, 2]))
 def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) -> None:
     table, decimals = np.array(rows, dtype=np.int64), (3, 2, 1, 0, 5)
     written, ends = digits.motion_lines(table[:, :4].copy(), table[1:, 4].copy(), feed, decimals)
@@ -85,6 +85,19 @@ def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) ->
         assert written[begin:end].decode() == f"G1{line}\n"
         begin = end
     assert begin == len(written)
+
+
+@given(st.integers(-(2**32) + 1, 2**32 - 1), st.integers(0, 5))
+def test_a_single_word_is_written_as_in_a_line(value: int, decimals: int) -> None:
+    """Or neither is."""
+    try:
+        line = extruded([value], decimals).decode()
+    except HframeError:
+        with pytest.raises(HframeError):
+            digits.word("E", value, decimals)
+    else:
+        shown = digits.word("E", value, decimals)
+        assert line == f"G1 X0 Y0 {shown}\n" if value else line == "G1 X0 Y0\n"
 
 
 @pytest.mark.parametrize("compiles", [True, False])

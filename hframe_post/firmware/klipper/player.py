@@ -14,7 +14,15 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper import ramps
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
 from hframe_post.firmware.klipper.segments import breakpoints, fitted, sparser, thinned
-from hframe_post.firmware.player import SPARED, Dwelling, Rejoined, Stroke, coordinates, plain
+from hframe_post.firmware.player import (
+    SPARED,
+    Dwelling,
+    Rejoined,
+    Stroke,
+    Way,
+    coordinates,
+    plain,
+)  # fmt: skip
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
@@ -162,10 +170,10 @@ class Klipper:
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
         return T
 
-    def feed_rates(
-        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
-    ) -> Array:
-        return ramps.feed_rates(at, T, rest, before, after, self.limits)
+    def feeds(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
+    ) -> tuple[Integers, Array]:
+        return ramps.feeds(at, T, rest, before, after, self.limits, per_feed)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
@@ -176,10 +184,12 @@ class Klipper:
         return min(v, before)
 
     def corners(
-        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+        self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None
     ) -> tuple[float, float]:
         """Return the speeds in the corners of a lift that the plan joins to motion."""
-        lift = abs(float(at[1, Z] - at[0, Z]))
+        if planned == (0.0, 0.0):
+            return planned
+        lift = abs(way[1][Z] - way[0][Z])
         # a short lift needs the other half of its way to brake
         fits = math.sqrt(lift * self.limits.z_acceleration / 2.0)
         corner = min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
@@ -187,12 +197,13 @@ class Klipper:
         return (corner if into else 0.0, corner if out else 0.0)
 
     def stroke(
-        self, at: Array, speed: float, seconds: float, wanted: float,
+        self, way: Way, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
         """Return the user's speed; a lift from or into motion is slowed down to be in time."""
-        _, _, lifted, extruded = np.abs(at[1] - at[0]).tolist()
-        if lifted and not extruded:
+        start, end = way
+        lifted = abs(end[Z] - start[Z])
+        if lifted and end[E] == start[E]:
             cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration
             lift = Trapezoid(lifted, cruise, a, entry, leaving)
             if entry or leaving:

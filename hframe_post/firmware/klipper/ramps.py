@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Z, lengths
+from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.firmware import ramps
-from hframe_post.firmware.player import VELOCITY_HEADROOM
+from hframe_post.firmware.player import VELOCITY_HEADROOM, whole_feeds
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
@@ -107,26 +107,30 @@ class Ramped:
         return ramps.durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
 
 
-def feed_rates(
-    at: Array, T: Array, rest: Flags, before: float, after: float, limits: StreamLimits
-) -> Array:
-    """Return the speeds to ask for; see ``Player.feed_rates``."""
-    if (compiled := kernel("klipper_feed_rates")) is None:
-        return _feed_rates(at, T, rest, before, after, limits)
-    k, v = len(T), np.empty(len(T))
-    compiled(at, k, T, rest, before, after, _row(limits), LATE, np.empty(12 * k + 2), v)
-    return v
+def feeds(
+    at: Array, T: Array, rest: Flags, before: float, after: float, limits: StreamLimits,
+    per_feed: float,
+) -> tuple[Integers, Array]:  # fmt: skip
+    """Return F and the seconds that segments then take; see ``Player.feeds``."""
+    if (compiled := kernel("klipper_feeds")) is None:
+        return _feeds(at, T, rest, before, after, limits, per_feed)
+    k = len(T)
+    F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
+    compiled(at, k, T, rest, before, after, _row(limits), LATE, per_feed, room, F, taken)
+    return F, taken
 
 
-def _feed_rates(
-    at: Array, T: Array, rest: Flags, before: float, after: float, limits: StreamLimits
-) -> Array:
+def _feeds(
+    at: Array, T: Array, rest: Flags, before: float, after: float, limits: StreamLimits,
+    per_feed: float,
+) -> tuple[Integers, Array]:  # fmt: skip
     ramped = Ramped.from_moves(np.diff(at, axis=0), rest, limits, after)
     v = ramped.speeds(T, before)
     late = ramped.durations(v, before) - T
     if late.max() > LATE:
         v = ramped.speeds(made_up(T, np.where(late > LATE, late, 0.0)), before)
-    return v
+    F = whole_feeds(v, per_feed)
+    return F, ramped.durations(F / per_feed, before)
 
 
 def durations(

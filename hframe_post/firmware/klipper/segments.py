@@ -17,6 +17,8 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z, lengths
 from hframe_post.native import kernel
 
 FILAMENT = math.pi * 1.75**2 / 4.0  # mm², its cross section
+USUAL_NOZZLE = 0.4  # mm
+ALLOWED = 0.95 * 4.0 * USUAL_NOZZLE**2 / FILAMENT  # mm of filament per mm, with a margin
 SHORT = 8  # samples; the nozzle follows longer errors, so that they must be smaller
 E_WEIGHT = 4.0  # a mm of filament is wider than a mm of path is long
 ALIKE = 1e-4  # mm; losses this close count as equal, for evenness
@@ -30,29 +32,47 @@ def thinned(points: Array, ends: Integers) -> Integers:
 
     Next to a stop the command may crawl where the path does not. Klipper allows a cross section
     of 4 nozzle widths squared (``max_extrude_cross_section``), and more than that in pieces with no
-    more filament than such a line as long as the nozzle is wide. The nozzle is estimated from
-    the other segments, as lines half as high as wide, at no more than 0.4 mm, since the flow
-    may be high.
+    more filament than such a line as long as the nozzle is wide.
     """
-    usual_nozzle = 0.4  # mm
-    allowed = 0.95 * 4.0 * usual_nozzle**2 / FILAMENT  # mm of filament per mm, with a margin
+    thick, most = too_thick(points, ends)
+    if not len(thick):
+        return ends
+    pieces = [ends]
+    for k in thick.tolist():  # few
+        first, end = int(ends[k - 1]) if k else 0, int(ends[k])
+        piece = np.floor((points[first:end, E] - points[first, E]) / most)
+        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
+    return np.unique(np.concatenate(pieces))
+
+
+def too_thick(points: Array, ends: Integers) -> tuple[Integers, float]:
+    """Return which segments Klipper would refuse, and the mm of filament of a piece that it takes.
+
+    The nozzle is estimated from all segments, as lines half as high as wide, at no more than
+    USUAL_NOZZLE, since the flow may be high.
+    """
+    if (compiled := kernel("too_thick")) is None:
+        return _too_thick(points, ends)
+    k = len(ends)
+    which, most = np.empty(k, np.int64), np.empty(1)
+    count = compiled(
+        points, len(points), ends, k, USUAL_NOZZLE, ALLOWED, FILAMENT, which, most, np.empty(2 * k)
+    )
+    return which[:count], float(most[0])
+
+
+def _too_thick(points: Array, ends: Integers) -> tuple[Integers, float]:
     start = np.append(0, ends[:-1])
     delta = points[ends] - points[start]
     d, e = lengths(delta[:, :E]), delta[:, E]
     lays = (e > 0.0) & (d > 0.0)
     if not lays.any():
-        return ends
-    usual = float(e[lays].sum() / d[lays].sum())
-    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), usual_nozzle)
-    most = 0.5 * nozzle * 4.0 * nozzle**2 / FILAMENT
-    thick = (e > most) & (e > min(3.0 * usual, max(allowed, 1.5 * usual)) * d)
-    if not thick.any():
-        return ends
-    pieces = [ends]
-    for first, end in zip(start[thick].tolist(), ends[thick].tolist(), strict=True):  # few
-        piece = np.floor((points[first:end, E] - points[first, E]) / most)
-        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
-    return np.unique(np.concatenate(pieces))
+        return np.flatnonzero(lays), 0.0
+    usual = float(np.cumsum(e[lays])[-1] / np.cumsum(d[lays])[-1])
+    nozzle = min(math.sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE)
+    most = 2.0 * nozzle * (nozzle * nozzle) / FILAMENT
+    limit = min(3.0 * usual, max(ALLOWED, 1.5 * usual))
+    return np.flatnonzero((e > most) & (e > limit * d)), most
 
 
 def breakpoints(points: Array, forced: Flags, tolerance: float) -> Integers:

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from hframe_post.firmware.player import (
     VELOCITY_HEADROOM,
     Dwelling,
     Stroke,
+    Way,
     coordinates,
     plain,
+    whole_feeds,
 )  # fmt: skip
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import MarlinTable
@@ -177,14 +179,15 @@ class Marlin:
         return float(self.planner.entry(self._blocks(at), np.array([v]), before)[0])
 
     def corners(
-        self, at: Array, speed: float, planned: tuple[float, float], previous: Array | None = None
+        self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None
     ) -> tuple[float, float]:
         """Return the speeds of the user's corners: Marlin does not stop there, but to turn back.
 
         Corners are square. On from a stroke, both axes are at their limit.
         """
-        if previous is not None and ((at[1] - at[0]) * (previous[1] - previous[0])).sum() < 0.0:
-            return 0.0, self.corners(at, speed, planned)[1]
+        if previous is not None and (np.subtract(*way) * np.subtract(*previous)).sum() < 0.0:
+            return 0.0, self.corners(way, speed, planned)[1]
+        at = np.array(way)
         lifts = bool(at[0, Z] != at[1, Z])
         if self.table.classic_jerk:
             into = out = Z_JERK if lifts else self.table.jerk_e
@@ -198,13 +201,14 @@ class Marlin:
         return min(into, speed), min(out, speed)
 
     def stroke(
-        self, at: Array, speed: float, seconds: float, wanted: float,
+        self, way: Way, speed: float, seconds: float, wanted: float,
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
         """Return a stroke between the speeds of the user's corners, slower by the time this saves.
 
         With the stream's corners it would begin and end at full speed.
         """
+        at = np.array(way)
         n, d, a, _ = blocks = self._blocks(at)
         a = a * d / n
         T = np.maximum(wanted, d / speed)
@@ -223,7 +227,7 @@ class Marlin:
         # it overshoots where the next block begins faster
         fastest = min(speed, math.sqrt(entry * entry + 2.0 * float((a * d)[0])))
         cruise = max(float((d - (v * v - entry * entry) / (2.0 * a))[0]), 0.0)
-        return replace(stroke, fastest=fastest, cruise=cruise)
+        return stroke._replace(fastest=fastest, cruise=cruise)
 
     def _stroke_corners(self, users: bool, lifts: bool) -> str:
         # what M205 needs for a retraction or a lift, other than the stream's
@@ -278,10 +282,12 @@ class Marlin:
         """Return times no longer than the slowest steps, no shorter than the first from rest."""
         return self.planner.possible_times(self._blocks(at), T, before)
 
-    def feed_rates(
-        self, at: Array, T: Array, rest: Flags, before: float, after: float = math.inf
-    ) -> Array:
-        return self.planner.feed_rates(self._blocks(at, after), T, before)
+    def feeds(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
+    ) -> tuple[Integers, Array]:
+        blocks = self._blocks(at, after)
+        feeds = whole_feeds(self.planner.feed_rates(blocks, T, before), per_feed)
+        return feeds, self.planner.durations(blocks, feeds / per_feed, before)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, E, Integers, Z
 from hframe_post.errors import HframeError
+from hframe_post.firmware.player import plain
 from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]
 MINUS, ZERO = b"-0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
 TOO_LONG = "a coordinate, filament length or feed rate is too long to be written"
-NO_FEED = -1  # any F is written after it
 LINE = 80  # bytes of a line of motion, at most: five words of up to 10 digits
 GROUP = 4  # digits looked up at once
 
@@ -58,6 +58,13 @@ def _motion_lines(
     table = np.concatenate([*columns, column(b"\n", n)], axis=1)
     visible = table != 0
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
+
+
+def word(letter: str, units: int, decimals: int) -> str:
+    """Return one word as ``motion_lines`` writes it: sooner than that, without arrays."""
+    if abs(units) >= min(10 ** (WHOLE_DIGITS + decimals), 2**32):
+        raise HframeError(TOO_LONG)
+    return letter + plain(units / 10**decimals, decimals)
 
 
 @cache

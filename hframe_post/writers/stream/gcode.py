@@ -18,9 +18,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 
-import numpy as np
-
+from hframe_post.arrays import E, Z
 from hframe_post.firmware.player import Player
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.stream import digits
@@ -79,7 +79,7 @@ class GcodeWriter:
         steady: int = 0,
     ) -> None:
         self._units = Units(finer)
-        at = self._units.rounded(np.array(place)) if place is not None else None
+        at = self._units.place(place) if place is not None else None
         self._machine = Machine(strategy, player, self._units, at, offset)
         self._pace = Pace(player, self._units, steady)
         self._lines = 0
@@ -140,15 +140,20 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
                 feed = round(stroke.speed * units.per_feed)
                 yield _standing_line(move, feed, units)
             case TimedMotion():
-                yield from _motion(command, feed, Text(revert), units)
+                yield from _motion(command, feed, revert, units)
                 feed, revert = int(command.feeds[-1]), b""
     yield revert
 
 
-def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Iterator[Output]:
-    """Yield G1 lines from place to place, with the lines between them. feed: F before them."""
+def _motion(motion: TimedMotion, feed: int, revert: bytes, units: Units) -> Iterator[Output]:
+    """Yield G1 lines from place to place, with the lines between them. feed: F before them.
+
+    revert: goes before the second.
+    """
     rows, ends = digits.motion_lines(motion.at, motion.feeds, feed, units.decimals)
-    between = sorted([(1, revert), *motion.between], key=lambda item: item[0])
+    between = motion.between
+    if revert:
+        between = sorted([(1, Text(revert)), *between], key=itemgetter(0))
     written = 0
     for row, text in between:
         end = int(ends[row - 1]) if row else 0
@@ -161,6 +166,13 @@ def _motion(motion: TimedMotion, feed: int, revert: Text, units: Units) -> Itera
 
 def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:
     """Return the line of a retraction or a lift; empty where nothing moves."""
-    if (move.at[0] == move.at[1]).all():
+    start, end, decimals = move.start, move.end, units.decimals
+    words = ["G1"]
+    if end[Z] != start[Z]:
+        words.append(digits.word("Z", end[Z], decimals[Z]))
+    if end[E] != start[E]:
+        words.append(digits.word("E", end[E] - start[E], decimals[E]))
+    if len(words) == 1:
         return b""
-    return digits.motion_lines(move.at, np.array([feed]), digits.NO_FEED, units.decimals)[0]
+    words.append(digits.word("F", feed, decimals[-1]))
+    return " ".join(words).encode() + b"\n"

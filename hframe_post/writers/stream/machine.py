@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.player import Player
 from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples, Standing
@@ -17,23 +17,24 @@ from hframe_post.writers.stream.print_time import Output, passed_on
 from hframe_post.writers.stream.segments import (
     SAMPLES_AT_ONCE,
     Batch,
+    Place,
     SampleBuffer,
+    Segments,
     Units,
     check_filament,
+    rows_before,
     segments,
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(NamedTuple):
     """Lines without a speed. labels: the firmware may leave out the moves next to them."""
 
     output: Output
     labels: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """Segments (k,) in which something moves.
 
     at (k + 1, 4): places, in output units; T (k,): seconds that each is to last; dwell (k,):
@@ -49,25 +50,23 @@ class Motion:
     after: float
 
 
-@dataclass(frozen=True, slots=True)
-class StandingMove:
-    """A retraction or a lift from place to place, at (2, 4), in output units."""
+class StandingMove(NamedTuple):
+    """A retraction or a lift, from place to place."""
 
     pause: Pause
     speed: float
     lifts: bool
-    at: Integers
+    start: Place
+    end: Place
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(NamedTuple):
     """The machine stands, for this many samples more if they are not 0."""
 
     samples: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(NamedTuple):
     """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
 
     text: bytes
@@ -79,8 +78,8 @@ Command = Text | Motion | StandingMove | Stop | Settings
 class Machine:
     """The machine's place, and whether the stream's limits and modes hold.
 
-    at (4,): x, y, z, e in output units where another stream ended; None: only firmware knows.
-    offset: of G92, while the machine is released.
+    at: where another stream ended; None: only firmware knows. offset: of G92, while the machine is
+    released.
     """
 
     def __init__(
@@ -88,7 +87,7 @@ class Machine:
         strategy: str,
         player: Player,
         units: Units,
-        at: Integers | None,
+        at: Place | None,
         offset: tuple[float, float, float],
     ) -> None:
         self._strategy, self._player, self._units = strategy, player, units
@@ -97,7 +96,7 @@ class Machine:
         self._buffer = SampleBuffer()
         self._skip = 0  # samples of a pause in the next chunks
         self._still = 0  # samples of standstill since the last segment
-        self.ledger = Ledger(int(at[E]) if at is not None else 0)
+        self.ledger = Ledger(at[E] if at is not None else 0)
 
     def commands(self, chunks: Iterable[Samples]) -> Iterator[Command]:
         """Yield the commands in order."""
@@ -129,16 +128,16 @@ class Machine:
     def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[Command]:
         if start >= stop:
             return
-        xy, z_e = chunk.commands[self._strategy], chunk.xyze[:, Z:]
+        xy, xyze = chunk.commands[self._strategy], chunk.xyze
         if self._at is None:  # the first sample may have extruded on its way here
-            place = (*xy[start], z_e[start, 0], self.ledger.filament)
-            self._at = self._units.rounded(np.array(place))
-        stand = np.asarray(self._at / self._units.per_mm)
+            (x, y), z = xy[start].tolist(), float(xyze[start, Z])
+            self._at = self._units.place((x, y, z, self.ledger.filament))
+        stand = self._units.mm(self._at)
         while start < stop:
             if len(self._buffer) == SAMPLES_AT_ONCE and (batch := self._buffer.batch(last=False)):
                 yield from self._motion(batch)
             rows = slice(start, stop)
-            start += self._buffer.add(xy[rows], z_e[rows], chunk.first + start, stand)
+            start += self._buffer.add(xy[rows], xyze[rows], chunk.first + start, stand)
 
     def _stop(self, speed: float = 0.0) -> Iterator[Command]:
         """Yield what is buffered, up to standstill or to a lift that begins at a speed, mm/s."""
@@ -156,33 +155,36 @@ class Machine:
         """Return the speed, mm/s, at which motion passes into a pause; 0: it stops."""
         if not isinstance(move := pause.action, Standing):
             return 0.0
-        places, planned = np.array([move.start, move.end]), (pause.entry, pause.leaving)
-        return self._player.corners(places, move.speed, planned)[0]
+        way, planned = (move.start, move.end), (pause.entry, pause.leaving)
+        return self._player.corners(way, move.speed, planned)[0]
 
     def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
         """Yield the commands for a batch, whose motion may end at a speed, mm/s."""
         assert self._at is not None
         still = self._still
         made = segments(batch, self._at, still, self._player, self._units)
-        self.ledger.approximated(len(batch), made.missed)
+        self.ledger.approximated(batch.samples, made.missed)
         self._still = made.still
         if len(made.T):
             yield from self._enter()
-            at = made.at
-            check_filament(batch, made.ends, at[:, E] / self._units.per_mm[E], still)
-            rows = np.searchsorted(made.ends, batch.marked, side="right").tolist()
-            marks = zip(rows, batch.marks, strict=True)
-            between = tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
+            between = self._between(batch, made, still) if batch.marks else ()
             stops = batch.last and not (speed and not self._still)
-            self.ledger.moved(batch.first + made.ends, int(at[-1, E] - at[0, E]))
-            self._at = at[-1]
-            yield Motion(at, made.T, made.dwell, between, stops, speed or math.inf)
+            x, y, z, e = made.at[-1].tolist()
+            self.ledger.moved((batch.first + made.ends).tolist(), e - self._at[E])
+            self._at = x, y, z, e
+            yield Motion(made.at, made.T, made.dwell, between, stops, speed or math.inf)
         else:
             for mark in batch.marks:
                 yield from self._passed_on(mark)
         if batch.last and self._still:
             yield Stop(self._still if self._inside else 0)
             self._still = 0
+
+    def _between(self, batch: Batch, made: Segments, still: int) -> tuple[tuple[int, Text], ...]:
+        """Return the lines of the file in a batch, each with the segment that it precedes."""
+        check_filament(batch, made.ends, made.at[:, E] / self._units.per_mm[E], still)
+        marks = zip(rows_before(batch, made.ends), batch.marks, strict=True)
+        return tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
 
     def _passed_on(self, mark: Mark) -> Iterator[Text]:
         """Yield a line of the file, and what restores the stream's modes after it."""
@@ -205,31 +207,35 @@ class Machine:
     def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
         yield from self._enter()
         assert self._at is not None
-        at = np.array([self._at, self._at])
-        at[1, Z:] = self._units.rounded(np.array(move.end))[Z:]
-        self.ledger.moved([pause.index], int(at[1, E] - at[0, E]))
-        self._at = at[1]
-        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], at)
+        start, (_, _, z, e) = self._at, self._units.place(move.end)
+        self._at = start[X], start[Y], z, e
+        self.ledger.moved([pause.index], e - start[E])
+        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], start, self._at)
 
     def _enter(self) -> Iterator[Command]:
         """Yield the change to the stream's limits if the user's hold, and a new count of E."""
         assert self._at is not None
         entering, self._inside = not self._inside, True
         if entering:
-            begin = self._player.begin(self._offset, self._at / self._units.per_mm)
+            begin = self._player.begin(self._offset, self._where)
             yield Text(b"".join(line + b"\n" for line in begin))
         if entering or self.ledger.is_count_due():
             yield self._count()
 
     def _count(self) -> Text:
         """Return the line after which the firmware counts filament from 0, if it needs one."""
+        return Text(self._player.reset_extruder(float(self._where[E])))
+
+    @property
+    def _where(self) -> Array:
+        """Return the machine's place, (4,), mm."""
         assert self._at is not None
-        return Text(self._player.reset_extruder(self._at[E] / self._units.per_mm[E]))
+        return np.array(self._units.mm(self._at))
 
     def _release(self, action: Passthrough) -> Settings:
         end: list[bytes] = []
         if self._inside and self._at is not None:
-            end = self._player.end(action.state, self._at / self._units.per_mm)
+            end = self._player.end(action.state, self._where)
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
         return Settings(b"".join(line + b"\n" for line in end))
@@ -247,11 +253,11 @@ class Ledger:
         self._second, self._lines = 0, 0  # lines in that second, so far
         self.samples, self.missed = 0, 0.0
 
-    def moved(self, samples: Sequence[int] | Integers, steps: int) -> None:
+    def moved(self, samples: Sequence[int], steps: int) -> None:
         """Add lines that extrude these steps in all and are due at these samples, ascending."""
         self._steps += steps
         a_second, done = round(1.0 / TS), 0
-        for second in range(int(samples[0]) // a_second, int(samples[-1]) // a_second + 1):
+        for second in range(samples[0] // a_second, samples[-1] // a_second + 1):
             end = bisect_left(samples, (second + 1) * a_second)
             self._lines = end - done + (self._lines if second == self._second else 0)
             self._second, self.busiest, done = second, max(self.busiest, self._lines), end

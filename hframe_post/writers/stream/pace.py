@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
-from hframe_post.firmware.player import Dwelling, Player, Stroke
+from hframe_post.firmware.player import Dwelling, Player, Stroke, Way
 from hframe_post.writers.stream.machine import (
     Command,
     Motion,
@@ -23,17 +24,15 @@ from hframe_post.writers.stream.segments import Units
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
 
 
-@dataclass(frozen=True, slots=True)
-class TimedMotion:
+class TimedMotion(NamedTuple):
     """Segments with F (k,): places at (k + 1, 4), and lines by the segment that they precede."""
 
     at: Integers
     feeds: Integers
-    between: tuple[tuple[int, Text], ...]
+    between: list[tuple[int, Text]]
 
 
-@dataclass(frozen=True, slots=True)
-class TimedMove:
+class TimedMove(NamedTuple):
     """A retraction or a lift, and how it is asked for."""
 
     move: StandingMove
@@ -79,29 +78,28 @@ class Pace:
                     yield from self._standing_move(command)
                 case Stop():
                     yield from self._leave(0.0)
-                    if not command.samples or (yield from self._dwell(command.samples)):
-                        self._before = 0.0
+                    yield from self._stop(command.samples)
                 case Settings():
                     yield command
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
 
     def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
-        motion = yield from self._rejoined(motion)
-        rest = np.concatenate([motion.dwell > 0, [motion.stops]])
-        feeds = self.feeds(motion.at / self._units.per_mm, motion.T, rest, motion.after)
+        if self._may_be_elsewhere and self._before == 0.0:
+            motion = yield from self._rejoined(motion)
+        at, dwells = motion.at / self._units.per_mm, motion.dwell.nonzero()[0].tolist()
+        rest = np.zeros(len(at), bool)
+        rest[dwells], rest[-1] = True, motion.stops
+        feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
             before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
-            first = motion.at[:2] / self._units.per_mm
             v = float(feeds[0] / self._per_feed)
-            yield from self._leave(self._player.entry(first, v, before))
-        dwells = [
-            (row, text)
-            for row in np.flatnonzero(motion.dwell).tolist()
-            for text in self._dwell(int(motion.dwell[row]))
-        ]
+            yield from self._leave(self._player.entry(at[:2], v, before))
+        between = list(motion.between)
+        for row in dwells:
+            if line := self._dwell(int(motion.dwell[row])):
+                between.append((row, Text(line)))
         self._may_be_elsewhere |= any(text.labels for _, text in motion.between)
-        between = sorted([*motion.between, *dwells], key=lambda item: item[0])
-        yield TimedMotion(motion.at, feeds, tuple(between))
+        yield TimedMotion(motion.at, feeds, sorted(between, key=itemgetter(0)))
 
     def _rejoined(self, motion: Motion) -> Generator[TimedCommand, None, Motion]:
         """Yield how a machine at rest that left out moves comes back to the commands' place.
@@ -109,8 +107,6 @@ class Pace:
         Returns the motion with its first segment shorter by that.
         """
         per_mm = self._units.per_mm
-        if not self._may_be_elsewhere or self._before != 0.0:
-            return motion
         way = (motion.at[1] - motion.at[0])[:Z] / per_mm[:Z]
         if np.abs(way).max() < 1.5 / per_mm[X]:
             return motion
@@ -123,20 +119,20 @@ class Pace:
         at, T = motion.at.copy(), motion.T.copy()
         at[0] = self._units.rounded(rejoined.at)
         T[0] -= rejoined.seconds
-        return replace(motion, at=at, T=T)
+        return motion._replace(at=at, T=T)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
 
-        rest (k + 1,): whether the machine stands at each end; after: greatest speed at the last.
+        rest (k + 1,): whether the machine stands at each end, noted here for the first; after:
+        greatest speed at the last.
         """
-        rest = rest.copy()
         rest[0] |= self._before == 0.0
         planned, T = T, self._player.possible_times(at, T, self._before)
         if self._lift is not None:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
             T[0] = self._lift[0].stroke.time_of_next(first, float(T[0]))
-        late, passed = abs(self.lag), np.cumsum(T)
+        late, passed = abs(self.lag), T.cumsum()
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
         made_up[1:] -= made_up[:-1].copy()
@@ -155,10 +151,7 @@ class Pace:
 
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
         """Return F by which segments are to last T (k,), and how long they then take."""
-        v = self._player.feed_rates(at, T, rest, self._before, after)
-        feeds = np.maximum(np.rint(v * self._per_feed), 1.0).astype(np.int64)
-        v = feeds / self._per_feed
-        return feeds, self._player.durations(at, v, rest, self._before, after)
+        return self._player.feeds(at, T, rest, self._before, after, self._per_feed)
 
     def _join(self, at: Array, feeds: Integers, rest: Flags) -> None:
         """Add what the last segment of a batch takes longer to slow down for this batch."""
@@ -175,17 +168,15 @@ class Pace:
 
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
-        places = move.at / self._units.per_mm
-        previous = self._lift[0].move.at / self._units.per_mm if self._lift else None
-        into, out = self._player.corners(places, move.speed, (pause.entry, pause.leaving), previous)
+        way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
+        into, out = self._player.corners(way, move.speed, (pause.entry, pause.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
-        if self._before == 0.0:
-            yield from self._dwell(0, next_to)
+        if self._before == 0.0 and (line := self._dwell(0, next_to)):
+            yield Text(line)
         planned = pause.samples * TS
-        left_for_it = planned - self.lag
         stroke_to = partial(
-            self._player.stroke, places, move.speed, pause.exact, left_for_it, self._before
+            self._player.stroke, way, move.speed, pause.exact, planned - self.lag, self._before
         )
         stroke = stroke_to(out)
         self.lag += stroke.seconds - planned
@@ -194,7 +185,11 @@ class Pace:
             self._lift = TimedMove(move, stroke), stroke_to
             return
         yield TimedMove(move, stroke)
-        yield from self._dwell(0, next_to)
+        if line := self._dwell(0, next_to):
+            yield Text(line)
+
+    def _way(self, move: StandingMove) -> Way:
+        return self._units.mm(move.start), self._units.mm(move.end)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
@@ -209,21 +204,25 @@ class Pace:
         yield from self._after_lift
         self._after_lift = []
 
-    def _dwell(
-        self, samples: int, next_to: Dwelling = Dwelling.MOTION
-    ) -> Generator[Text, None, bool]:
-        """Yield the line for a standstill, less what the machine is late, if one is made.
+    def _stop(self, samples: int) -> Iterator[Text]:
+        """Yield the line for a standstill of this many samples more, if they are not 0."""
+        line = self._dwell(samples) if samples else None
+        if line:
+            yield Text(line)
+        if line != b"":  # else the firmware leaves the standstill out
+            self._before = 0.0
 
-        Returns whether the machine stands there.
+    def _dwell(self, samples: int, next_to: Dwelling = Dwelling.MOTION) -> bytes | None:
+        """Return the line for a standstill, less what the machine is late; None: it needs none.
+
+        It is empty where the firmware leaves the standstill out.
         """
         dwell = self._player.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
-            return True
+            return None
         line, waited = dwell
         self.lag += waited - samples * TS
-        if line:
-            yield Text(line)
-        return bool(line)
+        return line
 
 
 def _near(x: Array, n: int) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +13,12 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.player import Player
 from hframe_post.native import kernel
-from hframe_post.stream.types import Mark
+from hframe_post.stream.types import Mark, Position
 
 SAMPLES_AT_ONCE = 1 << 14
 DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
+
+Place = tuple[int, int, int, int]  # x, y, z, e in output units
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,24 @@ class Units:
         """Return places (..., 4) in mm as they are written, in units."""
         return np.rint(places * self.per_mm).astype(np.int64)
 
+    def place(self, at: Position) -> Place:
+        """Return one place in mm as it is written."""
+        xy, e = self._scale
+        return round(at[0] * xy), round(at[1] * xy), round(at[2] * xy), round(at[3] * e)
 
-@dataclass(frozen=True)
-class Batch:
+    def mm(self, place: Place) -> Position:
+        """Return a place in mm."""
+        xy, e = self._scale
+        return place[0] / xy, place[1] / xy, place[2] / xy, place[3] / e
+
+    @cached_property
+    def _scale(self) -> tuple[float, float]:
+        """Return the units in a mm of x, y and z, and of e."""
+        xy, *_, e = self.per_mm.tolist()
+        return xy, e
+
+
+class Batch(NamedTuple):
     """Samples (n,) that are written together.
 
     first: index of the first; points (n + 1, 4): x, y, z, e in mm, beginning where the machine
@@ -60,19 +78,21 @@ class Batch:
     marks: tuple[Mark, ...]
     last: bool
 
-    def __len__(self) -> int:
+    @property
+    def samples(self) -> int:
         return len(self.points) - 1
 
     @property
-    def marked(self) -> Integers:
+    def marked(self) -> list[int]:
         """Return the point of each mark."""
-        return np.array([mark.index - self.first + 1 for mark in self.marks], dtype=np.int64)
+        return [mark.index - self.first + 1 for mark in self.marks]
 
-    @cached_property
+    @property
     def forced(self) -> Flags:
         """Return the points (n + 1,) at which a line of the file passes."""
         forced = np.zeros(len(self.points), dtype=bool)
-        forced[self.marked] = True
+        if self.marks:
+            forced[self.marked] = True
         return forced
 
 
@@ -92,19 +112,21 @@ class SampleBuffer:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, xy: Array, z_e: Array, index: int, stand: Array) -> int:
-        """Add samples (n, 2) from ``index`` on, and return how many there was room for.
+    def add(self, xy: Array, xyze: Array, index: int, stand: Position) -> int:
+        """Add samples from ``index`` on, and return how many there was room for.
 
-        stand (4,): the machine's place before them if motion begins.
+        xy (n, 2): the command; xyze (n, 4): the path, for z and e; stand: the machine's place
+        before them if motion begins.
         """
         if not self._count:
             self._index = index
             self._points[0] = stand if self._before is None else self._before
         first = 1 + self._count
         n = min(len(xy), SAMPLES_AT_ONCE - self._count)
-        points = self._points[first : first + n].T
-        for column, values in zip(points, (*xy[:n].T, *z_e[:n].T), strict=True):
-            column[:] = values  # numpy is slow along axes as short as two
+        points = self._points[first : first + n]
+        points[:] = xyze[:n]  # rows, then columns: numpy is slow along axes as short as two
+        points[:, X] = xy[:n, X]
+        points[:, Y] = xy[:n, Y]
         self._count += n
         return n
 
@@ -123,14 +145,15 @@ class SampleBuffer:
 
     def marks_up_to(self, index: int | None = None) -> list[Mark]:
         """Remove and return the lines up to a sample, or up to the first that is buffered."""
+        if not self._marks:
+            return []
         index = self._index if index is None else index
         count = sum(mark.index <= index for mark in self._marks)
         marks, self._marks = self._marks[:count], self._marks[count:]
         return marks
 
 
-@dataclass(frozen=True, slots=True)
-class Segments:
+class Segments(NamedTuple):
     """Segments (k,) in which something moves, and the standstill around them.
 
     at (k + 1, 4): places, in output units; ends (k,): the point of the batch at which each ends;
@@ -147,19 +170,19 @@ class Segments:
     missed: float
 
 
-def segments(batch: Batch, start: Integers, still: int, player: Player, units: Units) -> Segments:
+def segments(batch: Batch, start: Place, still: int, player: Player, units: Units) -> Segments:
     """Return the segments of a batch that its firmware asks for.
 
-    start (4,): where the machine stands; still: for how many samples it has. A segment that moves
+    start: where the machine stands; still: for how many samples it has. A segment that moves
     nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
     """
-    made, places = player.segments(batch.points, batch.forced, batch.last)
-    at, ends, T, dwell = _moving(places, made, batch.forced, start, still, units)
-    left = len(batch) - int(ends[-1]) if len(ends) else still + len(batch)
+    forced = batch.forced
+    made, places = player.segments(batch.points, forced, batch.last)
+    at, ends, T, dwell = _moving(places, made, forced, np.array(start), still, units)
+    left = batch.samples - int(ends[-1]) if len(ends) else still + batch.samples
     bounded = player.lines_per_second < math.inf
-    return Segments(
-        at, ends, T, dwell, left, _missed(batch.points, made, places) if bounded else 0.0
-    )
+    missed = _missed(batch.points, made, places) if bounded else 0.0
+    return Segments(at, ends, T, dwell, left, missed)
 
 
 def _missed(points: Array, ends: Integers, places: Array) -> float:
@@ -203,30 +226,36 @@ def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
     return np.asarray(np.minimum(before_next, at_marks[np.searchsorted(at_marks, moving)]))
 
 
+def rows_before(batch: Batch, ends: Integers) -> list[int]:
+    """Return for each line of the file the segment that it precedes.
+
+    ends (k,): the points of the batch at which segments end. A line is written before the segment
+    that ends after its point.
+    """
+    rows: list[int] = ends.searchsorted(batch.marked, "right").tolist()
+    return rows
+
+
 def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> None:
     """Raise HframeError unless the filament at every line of the file is that of the path.
 
-    ends (k,): the points of the batch at which segments end; e (k + 1,): filament where they
-    begin, and at these ends, mm; still: samples of standstill before the batch. A line is written
-    before the segment that ends after its point. The filament out by then must be what the path
-    has at that point, or at most a segment earlier. The first segment begins before the batch:
+    ends (k,): see ``rows_before``; e (k + 1,): filament where segments begin, and at these ends,
+    mm; still: samples of standstill before the batch. The filament out by a line must be what the
+    path has at its point, or at most a segment earlier. The first segment begins before the batch:
     there the path is taken to feed as fast as at its beginning.
     """
-    if not batch.marks:
-        return
-    row = np.searchsorted(ends, batch.marked, side="right")
-    begun = np.append(0, ends)[row]
     fed = batch.points[:, E]
-    path = np.append(fed, 0.0)  # the last is in no range
-    ranges = np.column_stack([begun, batch.marked + 1]).ravel()
-    low, high = (f.reduceat(path, ranges)[::2] for f in (np.minimum, np.maximum))
-    before = fed[0] - still * float(np.diff(fed[:2]).sum())
-    low = np.where(row == 0, np.minimum(low, before), low)
-    high = np.where(row == 0, np.maximum(high, before), high)
-    off = np.maximum(low - e[row], e[row] - high)
-    if not (off <= 0.01).all():
-        text = batch.marks[int(off.argmax())].text[:80].decode("latin-1")
-        raise HframeError(
-            f"{off.max():.4f} mm of filament would be on the wrong side of {text!r}; "
-            "nothing was written. Please report this"
-        )
+    for row, point, mark in zip(rows_before(batch, ends), batch.marked, batch.marks, strict=True):
+        begun, out = int(ends[row - 1]) if row else 0, float(e[row])
+        path = fed[begun : point + 1]
+        low, high = float(path.min()), float(path.max())
+        if not row:
+            before = float(fed[0] - still * (fed[1] - fed[0]))
+            low, high = min(low, before), max(high, before)
+        off = max(low - out, out - high)
+        if not off <= 0.01:
+            text = mark.text[:80].decode("latin-1")
+            raise HframeError(
+                f"{off:.4f} mm of filament would be on the wrong side of {text!r}; "
+                "nothing was written. Please report this"
+            )
