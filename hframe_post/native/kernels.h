@@ -27,6 +27,7 @@ enum { X, Y, Z, E, COLUMNS }; /* of a position */
 
 static inline double greater(double a, double b) { return a > b ? a : b; }
 static inline double lesser(double a, double b) { return a < b ? a : b; }
+static inline double between(double x, double least, double most) { return lesser(greater(x, least), most); }
 
 /* Add to sum the columns from low to before high of four rows, each times its factor. */
 INSIDE void add_rows(const double *factor, const double *rows, int64_t width, int64_t low,

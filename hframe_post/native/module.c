@@ -25,6 +25,8 @@
     EACH(limit_moves)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \
+    EACH(marlin_feed_rates)                                                                   \
+    EACH(marlin_times)                                                                        \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \

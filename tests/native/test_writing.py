@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.klipper import ramps, segments
+from hframe_post.firmware.marlin.block_times import Timer, block_times
 from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
-from hframe_post.firmware.marlin.planner import SteppedPlanner, Timer, make_planner
+from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream import digits
@@ -69,26 +70,54 @@ def test_ramps(
     same(ramps.durations(at, v, *asked[2:-1]), in_numpy(ramps.durations, at, v, *asked[2:-1]))
 
 
+def stepped(build: str, timer: Timer) -> SteppedPlanner:
+    """Return the planner of a generation with S-curves, with classic jerk, or without both."""
+    generation, *options = build.split()
+    planner = make_planner(generation, timer, "jerk" in options, "curved" in options)
+    assert isinstance(planner, SteppedPlanner)
+    return planner
+
+
 @thorough
 @given(
     seeds, st.integers(1, 40), st.sampled_from(["2.0", "2.1", "2.1 curved", "2.1-dev"]),
     st.booleans(), st.sampled_from([0.0, 4e4]),
 )  # fmt: skip
 def test_block_times(
-    compiled: None, seed: int, k: int, planner: str, extra_tick: bool, smoothing_hz: float
+    compiled: None, seed: int, k: int, build: str, extra_tick: bool, smoothing_hz: float
 ) -> None:
     """Some blocks are too short for their ramps, and some begin or end at their own rate."""
     rng = np.random.default_rng(seed)
-    generation, *curved = planner.split()
     timer = Timer(float(rng.choice([2e6, 1e15])), extra_tick, smoothing_hz)
-    stepped = make_planner(generation, timer, s_curve=bool(curved))
-    assert isinstance(stepped, SteppedPlanner)
     n = np.ceil(10.0 ** rng.uniform(0.0, 2.5, k))
     rate = np.ceil(10.0 ** rng.uniform(1.0, 4.5, k))
     begin, end = rate * np.minimum(rng.uniform(0.0, 1.5, (2, k)), 1.0)
     blocks = Blocks(n, n * 0.0025, 10.0 ** rng.uniform(4.0, 7.0, k))
-    arguments = blocks, begin, rate, end, timer, stepped.s_curve
-    same(stepped.block_times(*arguments), in_numpy(stepped.block_times, *arguments))
+    arguments = blocks, begin, rate, end, stepped(build, timer).stepper
+    same(block_times(*arguments), in_numpy(block_times, *arguments))
+
+
+@thorough
+@given(
+    seeds, st.integers(1, 300),
+    st.sampled_from(["2.0", "2.1", "2.1 curved", "2.1 jerk", "2.1-dev"]),
+    st.booleans(), st.sampled_from([0.0, 4e4]),
+)  # fmt: skip
+def test_feed_rates(
+    compiled: None, seed: int, k: int, build: str, extra_tick: bool, smoothing_hz: float
+) -> None:
+    """Some blocks are too short for their time, and some turn back."""
+    rng = np.random.default_rng(seed)
+    planner = stepped(build, Timer(2e6, extra_tick, smoothing_hz))
+    n = np.ceil(10.0 ** rng.uniform(0.0, 2.0, k))
+    d, T = n * rng.uniform(0.0025, 0.0125, k), 1e-3 * np.ceil(10.0 ** rng.uniform(0.0, 2.0, k))
+    corners = np.where(rng.random(k + 1) < 0.2, rng.uniform(0.0, 50.0, k + 1), np.inf)
+    blocks = Blocks(n, d, 10.0 ** rng.uniform(4.0, 7.0, k), corners)
+    before, v = float(rng.choice([0.0, 60.0])), np.ceil(60.0 * d / T) / 60.0
+    for function, numbers in (
+        (planner.possible_times, T), (planner.feed_rates, T), (planner.durations, v),
+    ):  # fmt: skip
+        same(function(blocks, numbers, before), in_numpy(function, blocks, numbers, before))
 
 
 @thorough

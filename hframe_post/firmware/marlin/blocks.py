@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z, lengths
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
 
@@ -59,21 +58,19 @@ def blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kin
 
 
 def _blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kinematics) -> Blocks:
-    cells = np.rint(at[:, :Z] / limits.belt).astype(np.int64)
-    motors = motor_steps(cells, kinematics)
-    xy = most_steps(motors)
-    z, e = (np.abs(np.diff(np.rint(at[:, axis] / mm)))
-            for axis, mm in ((Z, limits.z), (E, limits.e)))  # fmt: skip
-    n = np.maximum.reduce([xy, z, e, np.ones(len(xy))])
-    moved = np.diff(at[:, :E], axis=0)
-    moved[:, :Z] = np.diff(cells, axis=0) * limits.belt
-    d = lengths(moved)
-    d = np.where(d > 0.0, d, np.maximum(np.abs(np.diff(at[:, E])), limits.belt))
+    row = np.rint(at / (limits.belt, limits.belt, limits.z, limits.e))
+    steps, moved = row[1:] - row[:-1], at[1:] - at[:-1]
+    motors = steps[:, :Z] @ kinematics.matrix.T  # whole numbers: exact in any order
+    xy, z, e = np.maximum(*np.abs(motors).T), np.abs(steps[:, Z]), np.abs(steps[:, E])
+    n = np.maximum(np.maximum(np.maximum(xy, z), e), 1.0)
+    moved[:, :Z] = steps[:, :Z] * limits.belt
+    d = lengths(moved[:, :E])
+    d = np.where(d > 0.0, d, np.maximum(np.abs(moved[:, E]), limits.belt))
     of_e = np.where(xy + z, limits.e_acceleration, limits.retraction)
     with np.errstate(divide="ignore"):
         a = np.minimum(limits.z_acceleration / limits.z * n / z, of_e / limits.e * n / e)
     a = np.minimum(a, limits.belt_acceleration / limits.belt)
-    way = np.column_stack([motors * limits.belt, np.diff(at[:, Z:], axis=0)])
+    way = np.column_stack([motors * limits.belt, moved[:, Z:]])
     return Blocks(n, d, a, _corner_speeds(way, a * d / n, limits.deviation, after))
 
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.marlin.block_times import Timer
 from hframe_post.firmware.marlin.blocks import Blocks
-from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, Timer, make_planner
+from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import plain

@@ -18,8 +18,9 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware import ramps
+from hframe_post.firmware.marlin.block_times import Timer
 from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
-from hframe_post.firmware.marlin.planner import Planner, Timer, make_planner
+from hframe_post.firmware.marlin.planner import Planner, make_planner
 from hframe_post.firmware.marlin.segments import motor_steps, segment_ends
 from hframe_post.firmware.player import (
     SPARED,

@@ -1,0 +1,224 @@
+"""How long Marlin takes for a block, by the generation of its planner.
+
+Rates are steps per second of the motor that makes most steps in the block, *n* of them; *a* is
+its acceleration, steps/s². A block begins at one rate, runs at its nominal rate and ends at a
+third. The interval to the next step is a whole number of ticks of a timer.
+
+============ ========== ============================== ============== =====================
+generation   rates      the rising ramp is ahead by    falling steps  begins at
+============ ========== ============================== ============== =====================
+2.0          whole      nothing                        rounded down   120 steps/s or more
+2.1          whole      the whole first interval       rounded down   120 steps/s or more
+2.1-dev      whole      half the first interval        rounded up     √(a/2) or more
+ft-motion    as asked   (exact trapezoids in time)                    √(a/2) or more
+============ ========== ============================== ============== =====================
+
+2.0 is 2.0.9.x, 2.1 is 2.1.1 to 2.1.2.x, 2.1-dev the development branch since October 2024, in
+which a ramp that falls after a cruise is ahead by half an interval, too. ft-motion is fixed-time
+motion of such builds, with the trapezoidal trajectory and no shaper: see ``planner``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.firmware.marlin.blocks import Blocks
+from hframe_post.native import kernel
+
+SLOWEST = 120.0  # steps/s, before the development branch
+FEW = 16  # blocks whose ramps take longer as arrays than one after the other
+
+
+@dataclass(frozen=True, slots=True)
+class Timer:
+    """Timer of the steppers.
+
+    extra_tick: it counts one tick more than it is set to. smoothing_hz: interrupts a second up to
+    which ADAPTIVE_STEP_SMOOTHING makes 2, 4, 8 … of each step; 0: it is off.
+    """
+
+    hz: float
+    extra_tick: bool = False
+    smoothing_hz: float = 0.0
+
+    def interrupts(self, rate: Array) -> Array:
+        """Return the interrupts a step, (k,), in blocks of nominal rates (k,)."""
+        if not self.smoothing_hz:
+            return np.ones(len(rate))
+        below = np.ceil(self.smoothing_hz / rate) - 1.0  # most that stay under smoothing_hz
+        _, exponent = np.frexp(np.maximum(below, 1.0))
+        return np.asarray(np.ldexp(1.0, exponent - 1))
+
+    def ticks(self, rate: Array) -> Array:
+        return np.floor(self.hz / rate)
+
+    def step(self, rate: Array) -> Array:
+        """Return the seconds that a step takes, (k,), at constant rates (k,)."""
+        shares = self.interrupts(rate)
+        return shares * self.seconds(self.ticks(rate * shares))
+
+    def seconds(self, ticks: Array) -> Array:
+        return (ticks + float(self.extra_tick)) / self.hz
+
+
+UNROUNDED = Timer(1e15)  # with ticks too short for rounding to matter
+
+
+@dataclass(frozen=True)
+class Stepper:
+    """The stepper interrupt of a build.
+
+    ahead: share of the first interval by which a rising ramp is ahead. development: 2.1-dev.
+    s_curve: ramps are those of S_CURVE_ACCELERATION. False for 2.1-dev: its profile is refused.
+    """
+
+    timer: Timer
+    ahead: float
+    development: bool = False
+    s_curve: bool = False
+
+    @cached_property
+    def row(self) -> Array:
+        """Return it as the compiled loops take it, (6,)."""
+        t = self.timer
+        own = self.ahead, self.development, self.s_curve
+        return np.array([t.hz, t.extra_tick, t.smoothing_hz, *own])
+
+    @cached_property
+    def unrounded(self) -> Stepper:
+        return replace(self, timer=UNROUNDED)
+
+
+def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
+    """Return the seconds (k,) of blocks from the rates (k,) at which they begin, run and end."""
+    if (compiled := kernel("marlin_block_times")) is None:
+        times = _development_times if stepper.development else _released_times
+        return times(blocks, begin, rate, end, stepper)
+    k, taken = len(rate), np.empty(len(rate))
+    compiled(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
+    return taken
+
+
+def _released_times(
+    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper
+) -> Array:
+    """Return block times of 2.0 and 2.1."""
+    n, _, a, _ = blocks
+    timer, s_curve = stepper.timer, stepper.s_curve
+    begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), SLOWEST), rate) for w in (begin, end))
+    rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
+    up, down = _fitting(n, np.ceil(rise), np.floor(fall), np.ceil(meet))
+    shares = timer.interrupts(rate)
+    after_first = n * shares - 1.0
+    rising = _between(up * shares, after_first)
+    falling = _between(down * shares - 1.0, after_first - rising)
+    cruising = after_first - rising - falling
+    first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
+    reach = rate
+    if s_curve:  # a curve must know where it will end
+        met = np.minimum(np.sqrt(begin**2 + 2.0 * a * up), rate)
+        reach = np.where(n - up - down > 0.0, rate, met)
+    climb, top = _ramp(begin, reach, a, rising, stepper.ahead * first, shares, stepper)
+    top = np.maximum(reach if s_curve else top, end)
+    drop, _ = _ramp(top, end, a, falling, np.zeros(len(n)), shares, stepper)
+    return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
+
+
+def _development_times(
+    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper
+) -> Array:
+    """Return block times of 2.1-dev, whose ramps are ahead by half an interval.
+
+    They are an interval shorter at the top than before, and an interval longer at the foot.
+    """
+    n, _, a, _ = blocks
+    timer, ahead = stepper.timer, stepper.ahead
+    # Marlin rounds halves up
+    begin, end = (np.minimum(np.maximum(np.floor(w + 0.5), 1.0), rate) for w in (begin, end))
+    rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
+    up, down = _fitting(n, np.ceil(rise), np.ceil(fall), np.floor(meet + 0.5))
+    shares = timer.interrupts(rate)
+    after_first = n * shares - 1.0
+    rising = _between(up * shares - 1.0, after_first)
+    falling = _between(down * shares, after_first - rising)
+    cruising = after_first - rising - falling
+    first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
+    climb, top = _ramp(begin, rate, a, rising, ahead * first, shares, stepper)
+    lead = np.where(rising > 0, 0.0, ahead * first)
+    lead = np.where(cruising > 0, ahead * cruise, lead)
+    top = np.maximum(np.where(cruising > 0, rate, top), end)
+    drop, _ = _ramp(top, end, a, falling, lead, shares, stepper)
+    return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
+
+
+def _ramp_lengths(
+    n: Array, a: Array, begin: Array, rate: Array, end: Array
+) -> tuple[Array, Array, Array]:
+    """Return steps (k,) of the rising and the falling ramp, and where two too long ones meet."""
+    rise, fall = ((rate**2 - w**2) / (2.0 * a) for w in (begin, end))
+    return rise, fall, (n + rise - fall) / 2.0
+
+
+def _fitting(n: Array, up: Array, down: Array, meet: Array) -> tuple[Array, Array]:
+    """Return both ramps' steps (k,) without more of them than the n of the block."""
+    meet = _between(meet, n)
+    short = up + down > n
+    return np.where(short, meet, up), np.where(short, n - meet, down)
+
+
+def _between(x: Array, most: Array) -> Array:
+    return np.minimum(np.maximum(x, 0.0), most)  # np.clip takes twice as long
+
+
+def _ramp(
+    start: Array, end: Array, a: Array, interrupts: Array, ahead: Array, shares: Array,
+    stepper: Stepper,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the seconds (k,) of ramps from start to end rates, and the rates that they reach.
+
+    interrupts (k,): how many each ramp has; ahead (k,): ticks by which it is ahead; shares (k,):
+    interrupts a step.
+    """
+    timer, few = stepper.timer, 0 if stepper.s_curve else FEW
+    taken, t, now, done = np.zeros(len(start)), ahead / timer.hz, start.copy(), 0
+    while np.count_nonzero(ramping := interrupts > done) > few:
+        now = np.where(ramping, _rate_at(t, start, end, a, stepper.s_curve), now)
+        ticks = timer.ticks(now * shares)
+        taken = np.where(ramping, taken + timer.seconds(ticks), taken)
+        t = t + ticks / timer.hz
+        done += 1
+    for k in ramping.nonzero()[0].tolist():
+        row = start[k], end[k], a[k], shares[k], t[k], taken[k]
+        rest = int(interrupts[k]) - done
+        taken[k], now[k] = _rest_of_ramp(rest, timer, *(float(x) for x in row))
+    return taken, now
+
+
+def _rest_of_ramp(
+    interrupts: int, timer: Timer, start: float, end: float, a: float, shares: float, t: float,
+    taken: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return what ``_ramp`` does of a single ramp, from t s on, when it has taken some seconds."""
+    way, up, extra = abs(end - start), 1.0 if end > start else -1.0, float(timer.extra_tick)
+    now = start
+    for _ in range(interrupts):
+        now = start + up * min(float(math.floor(a * t)), way)
+        ticks = math.floor(timer.hz / (now * shares))
+        taken += (ticks + extra) / timer.hz
+        t += ticks / timer.hz
+    return taken, now
+
+
+def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Array:
+    """Return whole rates (k,) at t (k,) s: on a line, or on a Bézier curve of equal duration."""
+    way = end - start
+    if not s_curve:
+        return np.asarray(start + np.sign(way) * np.minimum(np.floor(a * t), np.abs(way)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(way != 0.0, np.clip(a * t / np.abs(way), 0.0, 1.0), 1.0)
+    return np.asarray(np.floor(start + way * (u * u * u) * (10.0 - 15.0 * u + 6.0 * u * u)))
