@@ -11,6 +11,7 @@ from hframe_post.firmware.klipper import ramps, segments
 from hframe_post.firmware.marlin.block_times import Timer, block_times
 from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
+from hframe_post.firmware.marlin.segments import segment_ends
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream import digits
@@ -139,6 +140,22 @@ def test_blocks(compiled: None, seed: int, k: int, deviation: float, kinematics:
         blocks_between(*arguments), in_numpy(blocks_between, *arguments), strict=True
     ):
         same(np.asarray(one), np.asarray(other))
+
+
+@thorough
+@given(seeds, st.integers(1, 600), st.integers(0, 8), st.integers(1, 6), st.booleans())
+def test_segments_on_whole_steps(
+    compiled: None, seed: int, n: int, least: int, apart: int, last: bool
+) -> None:
+    """Motors chatter about their places, turn a few steps apart, and stand."""
+    rng = np.random.default_rng(seed)
+    speed = rng.uniform(0.0, 4.0) * np.sin(np.arange(n)[:, None] * rng.uniform(0.0, 0.3, 2))
+    steps = np.rint(speed + rng.normal(0.0, rng.choice([0.1, 0.6]), (n, 2))).astype(np.int64)
+    first, many = rng.integers(0, n, 4), rng.integers(0, 60, 4)
+    for start, count in zip(first.tolist(), many.tolist(), strict=True):
+        steps[start : start + count] = 0
+    arguments = steps, least, apart, int(rng.choice([0, 8])), last
+    same(segment_ends(*arguments), in_numpy(segment_ends, *arguments))
 
 
 @thorough

@@ -6,6 +6,7 @@ import numpy as np
 
 from hframe_post.arrays import Integers
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native import kernel
 
 IDLE = 24  # samples without a step, more of which are a standstill
 
@@ -20,15 +21,22 @@ def most_steps(steps: Integers) -> Integers:
     return np.asarray(np.maximum(*np.abs(steps).T))  # by columns: rows take ten times as long
 
 
-def segment_ends(
-    steps: Integers, least: int, apart: int, stall: int, last: bool
-) -> Integers:  # fmt: skip
+def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool) -> Integers:
     """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
     steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
     the machine stands or a motor turns before, and their leading motor makes ``least`` steps or
     none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
+    if (compiled := kernel("marlin_segment_ends")) is None:
+        return _segment_ends(steps, least, apart, stall, last)
+    n = len(steps)
+    ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
+    count = compiled(steps, n, least, apart, stall, last, room, ends)
+    return ends[:count]
+
+
+def _segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool) -> Integers:
     path = np.concatenate([[0], np.cumsum(most_steps(steps))])
     n = len(steps)
     following = np.searchsorted(path, path + least)
