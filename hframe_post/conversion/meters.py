@@ -152,7 +152,7 @@ class PathMeter:
         if not self._waiting:
             return
         limits, summary, waiting = self._limits, self._summary, self._waiting
-        delta = np.concatenate([np.diff(moves.points, axis=0) for moves in waiting])
+        delta = np.concatenate([moves.points[1:] - moves.points[:-1] for moves in waiting])
         path = lengths(delta[:, :E])
         summary.path += float(path.sum())
         summary.filament += float(np.maximum(delta[:, E], 0.0).sum())

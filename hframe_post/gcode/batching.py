@@ -162,7 +162,7 @@ class ItemBuilder:
         points = np.vstack([self._start, table[:, 1:5]])
         speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
         line = table[:, 0].astype(np.int64)
-        seconds = lengths(np.diff(points[:, :E], axis=0)) / speed
+        seconds = lengths(points[1:, :E] - points[:-1, :E]) / speed
         _check_duration(float(seconds.max()), int(line[seconds.argmax()]))
         self.ready.append(
             Moves(

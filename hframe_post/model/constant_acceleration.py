@@ -15,7 +15,7 @@ A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -90,7 +90,8 @@ class Trapezoid:
         S = self.acceleration * seconds + self.v_s + self.v_e
         c = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0 + self.acceleration * self.length
         v = (S - math.sqrt(max(S * S - 4.0 * c, 0.0))) / 2.0
-        return replace(self, cruise=min(max(v, self.v_s, self.v_e), self.cruise))
+        cruise = min(max(v, self.v_s, self.v_e), self.cruise)
+        return Trapezoid(self.length, cruise, self.acceleration, self.v_s, self.v_e)
 
     def distance(self, t: Array) -> Array:
         """Return the distance done (n,), mm, at times t (n,), s, after its beginning."""

@@ -101,7 +101,7 @@ class StopSolver:
             rows, known, levers, self.around.axes, splines, sequence, self._effort, self._belts,
             self._limit, bed, self._room,
         )  # fmt: skip
-        sequence += product(splines.N, problem.solution())
+        sequence += product(problem.solution().T, splines.by_column).T
         command = command[2 : 2 + n + 2 * BESIDE]
         command[:BESIDE] = sequence[2 : BESIDE + 2]
         command[BESIDE : BESIDE + n] = sequence[BESIDE + 2]

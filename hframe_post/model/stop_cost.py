@@ -47,6 +47,13 @@ def judged(n: int) -> Integers:
     return np.concatenate([BEFORE, hold, BESIDE + n + AFTER])
 
 
+@lru_cache(maxsize=128)
+def _first_weights(n: int) -> Array:
+    """Return the weights of the judged samples around a hold of n, if all of them extrude."""
+    standing = np.full(len(judged(n)) - len(BEFORE) - len(AFTER), STANDING)
+    return np.concatenate([COUNTED_BEFORE, standing, COUNTED_AFTER])
+
+
 @dataclass(frozen=True, slots=True)
 class Stop:
     """A stop in a stretch of samples: the command stands from sample a to b − 1.
@@ -92,15 +99,15 @@ class Rows:
         a, n = stop.a, stop.b - stop.a
         index = a - BESIDE + judged(n)
         held = slice(len(BEFORE), len(index) - len(AFTER))
-        standing = np.full(held.stop - held.start, STANDING)
-        after = COUNTED_AFTER if stop.after else 0.0 * COUNTED_AFTER
-        weight = np.concatenate([COUNTED_BEFORE, standing, after])
+        weight = _first_weights(n).copy()
+        if not stop.after:
+            weight[held.stop :] = 0.0
         extruding = around.extruding[index]
         extruding[held] = False
         weight[~extruding] *= TRAVELLING
         weight[(index >= stop.ends) | (index < a - stop.before)] = 0.0
         extruding &= weight > 0.0
-        weight[held] = standing
+        weight[held] = STANDING
         if n and around.extruding[stop.b : stop.b + SOON].any():
             weight[held.stop - 1] = ARRIVING
         return cls(around.path, index, held, weight, extruding)

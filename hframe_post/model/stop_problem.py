@@ -33,13 +33,15 @@ CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 class Splines:
     """The usable ones of all splines and the hold.
 
-    N (q, k): the command by p, from two samples before to two after; D (q − 2, k): its second
-    differences; bands (q, 2): each row of N has nonzero values from one column to before another;
-    by_p (2 + couplings, r, k): outputs of the plant's filters by a half of p; first (k,): the row
-    at which each spline begins to act; limit (q − 2,): bounds of the belts' second difference.
+    N (q, k): the command by p, from two samples before to two after; by_column (k, q): the same;
+    D (q − 2, k): its second differences; bands (q, 2): each row of N has nonzero values from one
+    column to before another; by_p (2 + couplings, r, k): outputs of the plant's filters by a half
+    of p; first (k,): the row at which each spline begins to act; limit (q − 2,): bounds of the
+    belts' second difference.
     """
 
     N: Array
+    by_column: Array
     D: Array
     bands: Integers
     by_p: Array
@@ -56,7 +58,8 @@ class Splines:
         bands = np.ascontiguousarray(np.column_stack([over, begun]))
         acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
         first = np.minimum.accumulate(acts[::-1])[::-1].copy()
-        return cls(N, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
+        by_column = np.ascontiguousarray(N.T)
+        return cls(N, by_column, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ class Profiler:
         """
         if not plans:
             return []
-        length = np.concatenate([np.diff(plan.s[plan.ends]) for plan in plans])
+        length = np.concatenate([s[1:] - s[:-1] for s in (plan.s[plan.ends] for plan in plans)])
         v0, v1 = (
             np.concatenate([plan.speed[part] for plan in plans])
             for part in (slice(None, -1), slice(1, None))

@@ -138,7 +138,9 @@ class _Output:
         """Add standstill; yield the chunks that are full."""
         for first in range(0, samples, self.size):
             n = min(samples - first, self.size)
-            self.add(np.tile(where, (n, 1)), np.full(n, self.line))
+            xyze = np.empty((n, 4))
+            xyze[:] = where
+            self.add(xyze, np.full(n, self.line))
             if first + n < samples:
                 yield from self.flush()
 
