@@ -8,98 +8,120 @@ struct limits { /* as StreamLimits, then the junction deviation */
 };
 enum { LIMITS = sizeof(struct limits) / sizeof(double), ROUNDS = 3 }; /* as in firmware/ramps.py */
 
-struct segment {
-    double d, a, top;        /* length, acceleration, greatest speed */
-    double way[3], filament; /* unit vector, mm of filament a mm */
-};
-
 /* Segments in a row, with Klipper's ramps. */
 struct ramped {
     int64_t k;
-    const struct segment *segments; /* (k) */
-    const double *caps;             /* (k + 1): greatest speeds at their ends */
-    double before;                  /* cruise speed of the segment before them */
+    const double *d, *a, *top; /* (k): length, acceleration, greatest speed */
+    const double *caps;        /* (k + 1): greatest speeds at their ends */
+    double before;             /* cruise speed of the segment before them */
 };
 
-static struct segment segment(const double *from, const double *to, const struct limits *limits)
+/* Return the lesser, or the one that is a number: fmin would be called for each. */
+INSIDE double lesser_number(double a, double b)
 {
-    double x = to[X] - from[X], y = to[Y] - from[Y], z = to[Z] - from[Z], e = to[E] - from[E];
-    double d = sqrt(x * x + y * y + z * z), inverse = 1.0 / d;
-    double per_z = d / fabs(z), per_e = e < 0.0 ? d / fabs(e) : INFINITY;
-    double a = lesser(per_z * limits->z_acceleration, per_e * limits->e_acceleration);
-    double top = lesser(per_z * limits->z_velocity, per_e * limits->e_velocity);
-    return (struct segment){
-        d, lesser(a, limits->acceleration), lesser(top, limits->velocity),
-        {x * inverse, y * inverse, z * inverse}, e / d,
-    };
+    double low = lesser(a, b);
+    return b == b ? low : a;
 }
 
-/* Return the greatest speed between two segments: junction_speeds of model/constant_acceleration.py */
-static double corner(const struct segment *s, const struct segment *t, const struct limits *limits)
+/* Find length, acceleration, greatest speed, mm of filament a mm and unit vector (k, and 3 k) of
+ * segments between places at (k + 1, 4). */
+INSIDE void find_segments(const double *at, int64_t k, const struct limits *limits,
+                          double *restrict d, double *restrict a, double *restrict top,
+                          double *restrict filament, double *restrict way)
 {
-    double cosine = -(s->way[X] * t->way[X] + s->way[Y] * t->way[Y] + s->way[Z] * t->way[Z]);
-    cosine = lesser(greater(cosine, -1.0), 1.0);
-    double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
-    double turn = lesser(limits->deviation * s->a, limits->deviation * t->a);
-    double fit = lesser(0.5 * s->d * s->a, 0.5 * t->d * t->a);
-    double v2 = fmin(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
-    return fmin(sqrt(v2), limits->e_corner / fabs(t->filament - s->filament));
+    struct limits to = *limits;
+    double *restrict way_y = way + k, *restrict way_z = way_y + k;
+    for (int64_t i = 0; i < k; i++) {
+        const double *from = at + COLUMNS * i;
+        double x = from[COLUMNS + X] - from[X], y = from[COLUMNS + Y] - from[Y];
+        double z = from[COLUMNS + Z] - from[Z], e = from[COLUMNS + E] - from[E];
+        double length = sqrt(x * x + y * y + z * z), inverse = 1.0 / length;
+        double per_z = length / fabs(z), back = length / fabs(e), per_e = e < 0.0 ? back : INFINITY;
+        d[i] = length;
+        a[i] = lesser(lesser(per_z * to.z_acceleration, per_e * to.e_acceleration), to.acceleration);
+        top[i] = lesser(lesser(per_z * to.z_velocity, per_e * to.e_velocity), to.velocity);
+        filament[i] = e / length;
+        way[i] = x * inverse, way_y[i] = y * inverse, way_z[i] = z * inverse;
+    }
+}
+
+/* Find the greatest speeds between segments: junction_speeds of model/constant_acceleration.py */
+INSIDE void find_corners(const double *d, const double *a, const double *filament, const double *way,
+                         int64_t k, const struct limits *limits, double *restrict caps)
+{
+    const double *way_y = way + k, *way_z = way_y + k;
+    double deviation = limits->deviation, e_corner = limits->e_corner;
+    for (int64_t i = 1; i < k; i++) {
+        double cosine = -(way[i - 1] * way[i] + way_y[i - 1] * way_y[i] + way_z[i - 1] * way_z[i]);
+        cosine = lesser(greater(cosine, -1.0), 1.0);
+        double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
+        double turn = lesser(deviation * a[i - 1], deviation * a[i]);
+        double fit = lesser(0.5 * d[i - 1] * a[i - 1], 0.5 * d[i] * a[i]);
+        double v2 = lesser_number(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
+        caps[i] = lesser_number(sqrt(v2), e_corner / fabs(filament[i] - filament[i - 1]));
+    }
 }
 
 /* Make segments of places at (k + 1, 4), with rest (k + 1), a speed before and one after. */
-static struct ramped ramped(const double *at, int64_t k, const uint8_t *rest, double before,
+INSIDE struct ramped ramped(const double *at, int64_t k, const uint8_t *rest, double before,
                             double after, const struct limits *limits, double *room)
 {
-    struct segment *segments = (struct segment *)room; /* takes seven of a segment's twelve */
-    double *caps = room + 7 * k;
-    for (int64_t i = 0; i < k; i++) {
-        segments[i] = segment(at + COLUMNS * i, at + COLUMNS * (i + 1), limits);
-        caps[i] = rest[i] ? 0.0 : i ? corner(segments + i - 1, segments + i, limits) : INFINITY;
-    }
-    caps[k] = rest[k] ? 0.0 : after;
-    return (struct ramped){k, segments, caps, before};
+    double *d = room, *a = d + k, *top = a + k, *filament = top + k, *way = filament + k;
+    double *caps = way + 3 * k;
+    find_segments(at, k, limits, d, a, top, filament, way);
+    find_corners(d, a, filament, way, k, limits, caps);
+    caps[0] = INFINITY, caps[k] = after;
+    for (int64_t i = 0; i <= k; i++)
+        caps[i] = rest[i] ? 0.0 : caps[i];
+    return (struct ramped){k, d, a, top, caps, before};
 }
 
 /* joint (k + 1): speeds at the ends of segments that cruise at v (k). */
-static void join(const struct ramped *r, const double *v, double *joint)
+INSIDE void join(const struct ramped *r, const double *v, double *restrict joint)
 {
-    double left = r->before;
-    for (int64_t i = 0; i < r->k; left = v[i++])
-        joint[i] = lesser(lesser(left, v[i]), r->caps[i]);
-    joint[r->k] = lesser(left, r->caps[r->k]);
+    const double *caps = r->caps;
+    int64_t k = r->k;
+    joint[0] = lesser(lesser(r->before, v[0]), caps[0]);
+    for (int64_t i = 1; i < k; i++)
+        joint[i] = lesser(lesser(v[i - 1], v[i]), caps[i]);
+    joint[k] = lesser(v[k - 1], caps[k]);
 }
 
-/* v (k): cruise speeds for the times T (k). joint (k + 1): room. */
-static void find_speeds(const struct ramped *r, const double *T, double *joint, double *v)
+/* v (k): cruise speeds for the times T (k). joint (k + 1), mean (k): room. */
+INSIDE void find_speeds(const struct ramped *r, const double *T, double *restrict joint,
+                        double *restrict mean, double *restrict v)
 {
+    const double *d = r->d, *a = r->a;
     for (int64_t i = 0; i < r->k; i++)
-        v[i] = r->segments[i].d / T[i];
+        v[i] = mean[i] = d[i] / T[i];
     for (int round = 0; round < ROUNDS; round++) {
         join(r, v, joint);
         for (int64_t i = 0; i < r->k; i++) {
-            double d = r->segments[i].d, a = r->segments[i].a, v_s = joint[i], v_e = joint[i + 1];
-            double S = a * T[i] + v_s + v_e, c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d);
-            v[i] = greater((S - sqrt(greater(S * S - c, 0.0))) / 2.0, d / T[i]);
+            double v_s = joint[i], v_e = joint[i + 1];
+            double S = a[i] * T[i] + v_s + v_e;
+            double c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a[i] * d[i]);
+            v[i] = greater((S - sqrt(greater(S * S - c, 0.0))) / 2.0, mean[i]);
         }
     }
 }
 
 /* taken (k): the times that segments take at speeds v (k). joint (k + 1), top (k): room. */
-static void find_durations(const struct ramped *r, const double *v, double *joint, double *top,
-                           double *taken)
+INSIDE void find_durations(const struct ramped *r, const double *v, double *restrict joint,
+                           double *restrict top, double *restrict taken)
 {
+    const double *d = r->d, *a = r->a;
     for (int64_t i = 0; i < r->k; i++)
-        top[i] = lesser(v[i], r->segments[i].top);
+        top[i] = lesser(v[i], r->top[i]);
     join(r, top, joint);
     for (int64_t i = 0; i < r->k; i++) {
         double up = top[i] - joint[i], down = top[i] - joint[i + 1];
-        double ramps = (up * up + down * down) / (2.0 * r->segments[i].a);
-        taken[i] = (r->segments[i].d + ramps) / top[i];
+        double ramps = (up * up + down * down) / (2.0 * a[i]);
+        taken[i] = (d[i] + ramps) / top[i];
     }
 }
 
 /* T (k) in place of late (k): shortened after segments that are late by more than ``least``. */
-static void make_up(int64_t k, const double *T, double least, double *late)
+INSIDE void make_up(int64_t k, const double *T, double least, double *late)
 {
     double total = 0.0, lowest = 0.0, waiting = 0.0;
     for (int64_t i = 0; i < k; i++) {
@@ -112,21 +134,21 @@ static void make_up(int64_t k, const double *T, double least, double *late)
 }
 
 /* feeds (k): F to ask for; taken (k): how long segments then take; see feeds. room (12 k + 2). */
-static int64_t klipper_feeds(const double *at, int64_t k, const double *T, const uint8_t *rest,
-                             double before, double after, const struct limits *limits,
-                             double least, double per_feed, double *room, int64_t *feeds,
-                             double *taken)
+WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, const uint8_t *rest,
+                                  double before, double after, const struct limits *limits,
+                                  double least, double per_feed, double *room, int64_t *feeds,
+                                  double *taken)
 {
     struct ramped r = ramped(at, k, rest, before, after, limits, room);
     double *joint = room + 8 * k + 1, *top = joint + k + 1, *late = top + k, *v = late + k;
     double most = 0.0;
-    find_speeds(&r, T, joint, v);
+    find_speeds(&r, T, joint, top, v);
     find_durations(&r, v, joint, top, late);
     for (int64_t i = 0; i < k; i++)
         most = greater(most, late[i] -= T[i]);
     if (most > least) {
         make_up(k, T, least, late);
-        find_speeds(&r, late, joint, v);
+        find_speeds(&r, late, joint, top, v);
     }
     for (int64_t i = 0; i < k; i++) {
         feeds[i] = (int64_t)greater(rint(v[i] * per_feed), 1.0);
@@ -142,9 +164,9 @@ LOOP(klipper_feeds, FLOATS(0, COLUMNS * (WHOLE(1) + 1)), WHOLE(1), FLOATS(2, WHO
      OUT_FLOATS(11, WHOLE(1)))
 
 /* taken (k): how long segments take at speeds v (k). room (12 k + 2). */
-static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,
-                                 double before, double after, const struct limits *limits,
-                                 double *room, double *taken)
+WIDE static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,
+                                      double before, double after, const struct limits *limits,
+                                      double *room, double *taken)
 {
     struct ramped r = ramped(at, k, rest, before, after, limits, room);
     double *joint = room + 8 * k + 1;
