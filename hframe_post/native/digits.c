@@ -4,25 +4,22 @@
 
 enum { WORDS = 5, LINE = 80 }; /* bytes of a line, at most: a number below 2^32 has 10 digits */
 
-/* Write ``value`` units of 10^-decimals at c, without trailing zeros; return its end. */
+/* Write ``value`` units of 10^-decimals, below 2^32, at c, without trailing zeros; return its end. */
 static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
 {
-    uint8_t reversed[24];
-    int count = 0, seen = 0;
+    uint8_t digits[24], *end = digits + sizeof digits, *first = end, *point = end - decimals;
     if (value < 0)
         *c++ = '-', value = -value;
-    for (int64_t k = 0; k < decimals; k++, value /= 10) { /* from the last digit on */
-        seen |= value % 10 != 0;
-        if (seen)
-            reversed[count++] = (uint8_t)('0' + value % 10);
-    }
-    if (seen)
-        reversed[count++] = '.';
-    do
-        reversed[count++] = (uint8_t)('0' + value % 10);
-    while ((value /= 10) != 0);
-    while (count)
-        *c++ = reversed[--count];
+    for (uint32_t left = (uint32_t)value; left != 0 || first >= point; left /= 10)
+        *--first = (uint8_t)('0' + left % 10);
+    while (first < point)
+        *c++ = *first++;
+    while (end > point && end[-1] == '0')
+        end--;
+    if (end > point)
+        *c++ = '.';
+    while (first < end)
+        *c++ = *first++;
     return c;
 }
 

@@ -206,10 +206,10 @@ class Klipper:
         if lifted and end[E] == start[E]:
             cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration
             lift = Trapezoid(lifted, cruise, a, entry, leaving)
-            if entry or leaving:
-                lift = lift.slowed_to(min(wanted, MOST_LONGER * lift.seconds))
-                speed = lift.cruise
             seconds = lift.seconds
+            if entry or leaving:
+                lift = lift.slowed_to(min(wanted, MOST_LONGER * seconds))
+                speed, seconds = lift.cruise, lift.seconds
         return Stroke(speed, seconds, leaving)
 
     def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:

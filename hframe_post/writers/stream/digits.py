@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,7 @@ def _motion_lines(
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
 
 
+@lru_cache(maxsize=1024)  # words of retractions and lifts recur
 def word(letter: str, units: int, decimals: int) -> str:
     """Return one word as ``motion_lines`` writes it: sooner than that, without arrays."""
     if abs(units) >= min(10 ** (WHOLE_DIGITS + decimals), 2**32):

@@ -56,7 +56,8 @@ class Pace:
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
-        self._ending: tuple[Array, Array, Flags, float] | None = None  # last segment of a batch
+        # last segment of a batch: places, speed, whether from rest, speed of the one before it
+        self._ending: tuple[Array, Array, bool, float] | None = None
         self._may_be_elsewhere = False  # moves may have been left out since the last motion
         # a lift that waits for the speed of the next motion, and its stroke at a lower one
         self._lift: tuple[TimedMove, Callable[[float], Stroke]] | None = None
@@ -88,18 +89,19 @@ class Pace:
             motion = yield from self._rejoined(motion)
         at, dwells = motion.at / self._units.per_mm, motion.dwell.nonzero()[0].tolist()
         rest = np.zeros(len(at), bool)
-        rest[dwells], rest[-1] = True, motion.stops
+        if dwells:
+            rest[dwells] = True
+        rest[-1] = motion.stops
         feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
             before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
             v = float(feeds[0] / self._per_feed)
             yield from self._leave(self._player.entry(at[:2], v, before))
-        between = list(motion.between)
-        for row in dwells:
-            if line := self._dwell(int(motion.dwell[row])):
-                between.append((row, Text(line)))
+        lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
+        texts = [(row, Text(line)) for row, line in lines if line]
         self._may_be_elsewhere |= any(text.labels for _, text in motion.between)
-        yield TimedMotion(motion.at, feeds, sorted(between, key=itemgetter(0)))
+        between = sorted([*motion.between, *texts], key=itemgetter(0))
+        yield TimedMotion(motion.at, feeds, between)
 
     def _rejoined(self, motion: Motion) -> Generator[TimedCommand, None, Motion]:
         """Yield how a machine at rest that left out moves comes back to the commands' place.
@@ -155,16 +157,18 @@ class Pace:
 
     def _join(self, at: Array, feeds: Integers, rest: Flags) -> None:
         """Add what the last segment of a batch takes longer to slow down for this batch."""
-        v = feeds / self._per_feed
+        v = feeds[-2:] / self._per_feed
         if self._ending is not None and not rest[0]:
-            slower = min(self._before, float(v[0]))
-            last = self._ending
+            slower = min(self._before, float(feeds[0] / self._per_feed))
+            last, v_last, from_rest, entry = self._ending
+            segment = last, v_last, np.array([from_rest, False]), entry
             seconds, planned = (
-                float(self._player.durations(*last, end)[0]) for end in (slower, self._before)
+                float(self._player.durations(*segment, end)[0]) for end in (slower, self._before)
             )
             self.lag += seconds - planned
-        entry = float(v[-2]) if len(v) > 1 else self._before
-        self._ending = at[-2:], v[-1:], np.array([len(v) == 1 and rest[0], False]), entry
+        alone = len(v) == 1
+        entry = self._before if alone else float(v[0])
+        self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
 
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
