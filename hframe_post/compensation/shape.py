@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import X, Y, Z
+from hframe_post.arrays import X, Y
 from hframe_post.model.shapers import Shaping
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.types import Samples, frozen
@@ -21,13 +21,12 @@ def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[S
     reach = max((s.reach for pair in pairs.values() for s in pair), default=0)
     for stretch in stretches(chunks):
         for before, chunk, after in neighbours(stretch, reach, reach):
-            path = np.concatenate([each.xyze[:, :Z] for each in (*before, chunk, *after)])
-            start = sum(map(len, before))
-            where = slice(start, start + len(chunk))
-            commands = {
-                name: frozen(np.column_stack([x.run(path[:, X])[where], y.run(path[:, Y])[where]]))
-                if len(path)
-                else path
-                for name, (x, y) in pairs.items()
-            }
+            around = [each.xyze for each in (*before, chunk, *after)]
+            path = [np.concatenate([xyze[:, axis] for xyze in around]) for axis in (X, Y)]
+            start, command = sum(map(len, before)), np.zeros((len(pairs), len(chunk), 2))
+            for shapers, shaped in zip(pairs.values(), command, strict=True):
+                for axis in (X, Y) if len(chunk) else ():
+                    run = shapers[axis].run(path[axis])
+                    shaped[:, axis] = run[start : start + len(chunk)]
+            commands = dict(zip(pairs, frozen(command), strict=True))
             yield replace(chunk, commands={**chunk.commands, **commands})

@@ -56,9 +56,9 @@ class Shaper:
         """Return the command (n,) for a path (n,) that stands still before and after it."""
         padded = np.pad(path, self.reach, mode="edge")
         taps = self.taps()[::-1]
-        command = np.zeros(len(path))
+        command, term = np.zeros(len(path)), np.empty(len(path))
         for k in np.flatnonzero(taps).tolist():  # few
-            command += taps[k] * padded[k : k + len(path)]
+            command += np.multiply(taps[k], padded[k : k + len(path)], out=term)
         return command
 
     def residual(self, hz: Array, damping: float) -> Array:

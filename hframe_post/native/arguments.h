@@ -23,6 +23,7 @@ void *array_argument(struct call *call, int k, int64_t items, const char *format
 #define WHOLE(k) whole_argument(call, k)
 #define TEXT(k) text_argument(call, k)
 #define FLOATS(k, n) ((const double *)array_argument(call, k, n, "d", 0))
+#define SINGLES(k, n) ((const float *)array_argument(call, k, n, "f", 0))
 #define INTEGERS(k, n) ((const int64_t *)array_argument(call, k, n, "lq", 0))
 #define BYTES(k, n) ((const uint8_t *)array_argument(call, k, n, "B?", 0))
 #define OUT_FLOATS(k, n) ((double *)array_argument(call, k, n, "d", 1))

@@ -18,6 +18,7 @@
     EACH(find_runs)                                                                           \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(joined_pieces)                                                                       \
     EACH(junctions)                                                                           \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \

@@ -6,6 +6,7 @@ import base64
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
-LARGEST_TEXT = 1_500_000  # bytes of compressed G-code that a page carries
+LEVEL = 4  # of compression: a third of the time of 6, for 3 to 20 % more bytes
+LARGEST_TEXT = 1_650_000  # bytes of compressed G-code that a page carries
+LINES_TOGETHER = 1000
 WORST = 10  # places
 APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
@@ -76,9 +79,9 @@ def _coded(content: bytes) -> str:
 
 def _compressed(lines: Iterable[bytes]) -> bytes:
     """Return the text compressed, or nothing if it is too long."""
-    squeeze, parts, size = zlib.compressobj(6), list[bytes](), 0
-    for line in lines:
-        parts.append(squeeze.compress(line.rstrip(b"\r\n") + b"\n"))
+    squeeze, parts, size, left = zlib.compressobj(LEVEL), list[bytes](), 0, iter(lines)
+    while some := [line.rstrip(b"\r\n") for line in islice(left, LINES_TOGETHER)]:
+        parts.append(squeeze.compress(b"\n".join([*some, b""])))
         size += len(parts[-1])
         if size > LARGEST_TEXT:
             return b""
@@ -180,7 +183,7 @@ def _packed(pieces: Pieces, columns: list[int]) -> bytes:
         for column in columns
         for axis in (X, Y)
     )
-    squeeze = zlib.compressobj(6)
+    squeeze = zlib.compressobj(LEVEL)
     parts = (
         *(np.diff(row.astype("<i4"), prepend=np.int32(0)) for row in places),
         np.minimum(pieces.speed, 65535.0).astype("<u2"),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.native import kernel
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 
@@ -74,26 +75,29 @@ class Picture:
 
     def add(self, judgement: Judgement) -> None:
         chunk, at = judgement.chunk, judgement.at
-        layer, feature = (numbers[at] for numbers in self.labels.number(chunk))
+        layer, feature = (numbers.take(at) for numbers in self.labels.number(chunk))
         if len(at):
             self.strategies = tuple(judgement.contour)
             errors = np.stack(list(judgement.contour.values()))
             self._sum(layer, feature, errors)
-            starts = _starts((chunk.first + at) // PIECE, chunk.line[at], layer, feature)
+            line = chunk.line.take(at)
+            starts = _starts((chunk.first + at) // PIECE, line, layer, feature)
             last = np.append(starts[1:], len(at)) - 1
             shape = np.empty((self._speed, len(last)), np.float32)
-            shape[:Z] = chunk.xyze[at[last], :Z].T
-            numbers = _numbers(shape)
-            numbers[:] = chunk.line[at[last]], layer[last], feature[last], np.zeros(len(last))
-            numbers[-1, 0] = self._apart
-            shape[WAYS:] = np.vstack([judgement.off[name][last].T for name in self.strategies])
+            shape[:Z] = _columns(chunk.xyze, at.take(last))[:Z]
+            for row, numbers in zip(_numbers(shape), (line, layer, feature), strict=False):
+                row[:] = numbers.take(last)
+            _numbers(shape)[-1] = 0
+            _numbers(shape)[-1, 0] = self._apart
+            for k, name in enumerate(self.strategies):
+                shape[WAYS + 2 * k : WAYS + 2 * k + 2] = _columns(judgement.off[name], last)
             kept = self._kept(shape)
-            end, starts = at[last[kept]], starts[_begun(kept)]
-            place = chunk.xyze[end, :Z]
+            end, starts = at.take(last.take(kept)), starts.take(_begun(kept))
+            place = _columns(chunk.xyze, end)[:Z]
             self._append(np.vstack([
-                shape[:, kept],
-                np.hypot(*(place - chunk.xyze[end - 1, :Z]).T)[None] / TS,
-                *((judgement.motion[name][end] - place).T for name in self.strategies),
+                shape.take(kept, axis=1),
+                np.hypot(*(place - _columns(chunk.xyze, end - 1)[:Z]))[None] / TS,
+                *(_columns(judgement.motion[name], end) - place for name in self.strategies),
                 np.maximum.reduceat(errors, starts, axis=1),
             ], dtype=np.float32, casting="same_kind"), self.coarser)  # fmt: skip
             self._apart = False
@@ -111,7 +115,7 @@ class Picture:
             self._coarsen()
         for table in later._tables:
             _, layer, feature, _ = _numbers(table)
-            layer[:], feature[:] = layers[layer], features[feature]
+            layer[:], feature[:] = layers.take(layer), features.take(feature)
             self._append(table, later.coarser)
 
     def pieces(self) -> Pieces:
@@ -139,7 +143,8 @@ class Picture:
 
     def _sum(self, layer: Integers, feature: Integers, errors: Array) -> None:
         starts = _starts(layer, feature)
-        sums = np.add.reduceat(np.vstack([np.ones(len(layer)), np.square(errors)]), starts, axis=1)
+        counts, squares = np.diff(starts, append=len(layer)), np.square(errors)
+        sums = np.vstack([counts, np.add.reduceat(squares, starts, axis=1)])
         keys = zip(layer[starts].tolist(), feature[starts].tolist(), strict=True)
         for key, here in zip(keys, sums.T, strict=True):
             self.sums[key] = self.sums.get(key, 0.0) + here
@@ -161,7 +166,7 @@ class Picture:
     def _simplified(self, table: Table) -> Table:
         """Join neighbours: the last position, the largest error."""
         kept = self._kept(table[: self._speed])
-        joined = table[:, kept]
+        joined = table.take(kept, axis=1)
         joined[self._errors :] = np.maximum.reduceat(table[self._errors :], _begun(kept), axis=1)
         return joined
 
@@ -174,6 +179,11 @@ class Picture:
         if self.coarser > SHAPED:
             return np.append(np.arange(1, n - 1, 2), n - 1)
         kept = np.arange(n)
+        if (compiled := kernel("joined_pieces")) is not None:
+            length, near = self.finest
+            numbers = LAYER if self.coarser else LINE
+            rules = numbers, WAYS, length * length, near, near / FINER, PASSES
+            return kept[: compiled(np.ascontiguousarray(shape), *shape.shape, *rules, kept)]
         for _ in range(PASSES):
             joined = self._pairs(shape)
             if joined.any():
@@ -212,6 +222,11 @@ def _numbers(table: Table) -> NDArray[np.int32]:
     """Return the rows LINE, LAYER, FEATURE and BEGINS of a table, which can be written to."""
     numbers: NDArray[np.int32] = table.view(np.int32)[LINE:WAYS]
     return numbers
+
+
+def _columns(rows: Array, chosen: Integers) -> Array:
+    """Return the columns of the chosen rows."""
+    return rows.take(chosen, axis=0).T  # a sixth of the time of rows[chosen]
 
 
 def _begun(kept: Integers) -> Integers:

@@ -57,7 +57,10 @@ class Labels:
                 layer[at:], feature[at:] = self._current()
         if n:
             e = chunk.xyze[:, E]
-            feature[np.diff(e, prepend=self._e) <= 0.0] = self.features.index(TRAVEL)
+            travels = np.empty(n, bool)
+            travels[0] = e[0] <= self._e
+            np.less_equal(e[1:], e[:-1], out=travels[1:])
+            np.copyto(feature, self.features.index(TRAVEL), where=travels)
             self._e = float(e[-1])
         return layer, feature
 

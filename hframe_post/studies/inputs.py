@@ -108,13 +108,13 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
 
     for item in items:
         if isinstance(item, Moves):
-            for part in _parts(item):
+            for part, durations in _parts(item):
                 kinds, _, first = labeller.classify(part, first_layers)
                 if first.any():
                     yield from ended()
                     continue
                 collected.append(part)
-                present = np.bincount(kinds, _durations(part), len(NAMES))
+                present = np.bincount(kinds, durations, len(NAMES))
                 _add(seconds, {NAMES[k]: float(present[k]) for k in np.flatnonzero(present)})
                 if sum(seconds.values()) >= PIECE:
                     yield from ended()
@@ -129,13 +129,17 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
     yield from ended()
 
 
-def _parts(moves: Moves) -> Iterator[Moves]:
-    """Yield the moves in parts of about a piece's duration."""
-    at = np.cumsum(_durations(moves)) // PIECE
+def _parts(moves: Moves) -> Iterator[tuple[Moves, Array]]:
+    """Yield the moves in parts of about a piece's duration, with the seconds of each move."""
+    durations = _durations(moves)
+    at = np.cumsum(durations) // PIECE
+    if at[-1] == at[0]:
+        yield moves, durations
+        return
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(moves.line)]
     for low, high in pairwise(cuts):
         last = high == len(moves.line)
-        yield replace(
+        part = replace(
             moves, line=moves.line[low:high], points=moves.points[low : high + 1],
             speed=moves.speed[low:high], acceleration=moves.acceleration[low:high],
             corner=moves.corner[low:high],
@@ -145,6 +149,7 @@ def _parts(moves: Moves) -> Iterator[Moves]:
                 if low <= mark.index < high or (last and mark.index == high)
             ),
         )  # fmt: skip
+        yield part, durations[low:high]
 
 
 def _durations(moves: Moves) -> Array:

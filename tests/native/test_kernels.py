@@ -24,7 +24,10 @@ from hframe_post.model.linear import product, recursion, windows_product
 from hframe_post.model.plant import Filter, Response
 from hframe_post.model.responses import Plants
 from hframe_post.planner import lookahead, profiles, sampling
+from hframe_post.prediction import picture as picture_module
+from hframe_post.prediction.picture import WAYS, Picture
 from hframe_post.prediction.predict import Polyline, _moving
+from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import batches
 from hframe_post.stream.types import FileLimits, Moves, Plan, Samples, Standing
@@ -141,6 +144,18 @@ def test_clamp(paper: Printer, compiled: None, seed: int, power: float) -> None:
     (one, clamped), (other, clamped_in_numpy) = limited(), in_numpy(limited)
     same(one, other)
     assert clamped == clamped_in_numpy
+
+
+@thorough
+@given(seeds, st.integers(1, 500), st.integers(0, 3), st.integers(0, 3))
+def test_pieces(compiled: None, seed: int, n: int, strategies: int, coarser: int) -> None:
+    """Straight pieces are joined; some change their line, layer or feature, or begin anew."""
+    rng, picture = np.random.default_rng(seed), Picture(Labels())
+    picture.coarser = coarser
+    shape = np.zeros((WAYS + 2 * strategies, n), np.float32)
+    shape[:Z], shape[WAYS:] = walk(rng, n).T, 0.002 * rng.normal(size=(2 * strategies, n))
+    picture_module._numbers(shape)[:] = rng.random((4, n)) < rng.choice([0.0, 0.05, 0.5])
+    same(picture._kept(shape), in_numpy(picture._kept, shape))
 
 
 @thorough
