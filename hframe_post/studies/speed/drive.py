@@ -180,7 +180,7 @@ class Drive:
         """Return the commands of the whole print, and the stages that compute them."""
         stages = Stages(printer, options, self._compensator)
         spans = Spans(plan(self._items(options.paces), printer.limits))
-        return stages, stages.predicted(stages.whole(spans), threads=False)
+        return stages, stages.predicted(stages.whole(spans), threads=True)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
         """Yield the items of the file, which is read once if they take little memory."""
