@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hframe_post.arrays import TS
 from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.registry import player as player_of
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.pace import Pace
 from hframe_post.writers.stream.segments import Units
@@ -29,3 +33,17 @@ def test_a_batch_ends_as_slowly_as_the_next_begins(paper: Printer) -> None:
         v, begun = np.append(first, second) / UNITS.per_feed, np.append(True, rest[1:])
         late = player.durations(at, v, begun, 0.0) - T
         assert abs(pace.lag - late[1:].sum()) < 1e-9  # the first need not be made up for
+
+
+def test_a_short_motion_that_must_be_late_gets_a_speed_that_can_be_written() -> None:
+    """To be in time, its first segment of six steps would have to take less than no time."""
+    printer = load("paper-marlin")
+    assert printer.firmware.marlin is not None
+    marlin = replace(printer.firmware.marlin, planner="2.1-dev")
+    printer = replace(printer, firmware=replace(printer.firmware, marlin=marlin))
+    pace = Pace(player_of(printer, None), Units(0))
+    pace._before = 39.68  # mm/s, of the retraction before it
+    x, e = [113.218, 113.341, 113.218], [0.0, 0.00281, 0.00996]
+    at = np.column_stack([x, np.full(3, 102.67), np.full(3, 27.7), e])
+    feeds = pace.feeds(at, np.array([0.01, 0.095]), np.zeros(3, dtype=bool), 7.92)
+    assert (feeds < 1000.0 * Units(0).per_feed).all()  # 1 m/s

@@ -22,6 +22,7 @@ from hframe_post.writers.stream.machine import (
 from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
+LEAST = 0.1  # share of its time that a segment is asked to take, at the least
 
 
 class TimedMotion(NamedTuple):
@@ -142,7 +143,8 @@ class Pace:
         feeds, taken = self._asked(at, wanted, rest, after)
         if self._steady:
             drift = _near(taken - wanted, self._steady) / _near(T, self._steady)
-            feeds, taken = self._asked(at, wanted - drift * T, rest, after)
+            asked = np.maximum(wanted - drift * T, LEAST * T)
+            feeds, taken = self._asked(at, asked, rest, after)
         self._join(at, feeds, rest)
         over = taken - (T if self._fresh else planned)
         if self._fresh:  # a crawl before all motion, whose F is coarse: none need make up for it
