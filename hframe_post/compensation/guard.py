@@ -259,9 +259,9 @@ class Clamp:
 
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
-        belts = motors.belt_velocity, motors.belt_acceleration
-        easily = ((1.0 - 1e-9) * limit for limit in belts)  # whatever the order of a sum
-        self._limits = np.array([-np.inf, np.inf, *travel.x, *travel.y, *easily])
+        # a little lower, since what is safe here must be safe by sums in another order too
+        belts = ((1.0 - 1e-9) * v for v in (motors.belt_velocity, motors.belt_acceleration))
+        self._limits = np.array([-np.inf, np.inf, *travel.x, *travel.y, *belts])
         self.clamped = Clamped()
 
     def limit(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
@@ -292,8 +292,8 @@ class Clamp:
             command = np.ascontiguousarray(chunk.commands[strategy])
             if before is None:  # no change of speed at the first samples
                 before = command[:1] - np.outer([2.0, 1.0], command[:2][-1] - command[0])
-            found = chunk.xyze, command, len(command), before, self._limits, belts, TS, peaks
-            if not compiled(*found):
+            motion = chunk.xyze, command, len(command), before
+            if not compiled(*motion, self._limits, belts, TS, peaks):
                 return False
         return True
 

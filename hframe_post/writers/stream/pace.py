@@ -22,7 +22,7 @@ from hframe_post.writers.stream.machine import (
 from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
-LEAST = 0.1  # share of its time that a segment is asked to take, at the least
+LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
 class TimedMotion(NamedTuple):
