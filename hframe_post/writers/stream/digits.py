@@ -62,7 +62,7 @@ def _motion_lines(
 
 @lru_cache(maxsize=1024)  # words of retractions and lifts recur
 def word(letter: str, units: int, decimals: int) -> str:
-    """Return one word as ``motion_lines`` writes it: sooner than that, without arrays."""
+    """Return one word as ``motion_lines`` writes it; for one alone, arrays take longer."""
     if abs(units) >= min(10 ** (WHOLE_DIGITS + decimals), 2**32):
         raise HframeError(TOO_LONG)
     return letter + plain(units / 10**decimals, decimals)
