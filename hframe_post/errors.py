@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 
 def one_line(text: str) -> str:
@@ -33,6 +34,22 @@ class HframeError(Exception):
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle text and attributes, for the process that waits for the one which raised it.
+
+        Without this a subclass is called with its text alone, and most need more arguments.
+        """
+        return _unpickled, (type(self), self.args, self.__dict__)
+
+
+def _unpickled(
+    kind: type[HframeError], args: tuple[object, ...], attributes: dict[str, Any]
+) -> HframeError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
 
 
 class ArgumentError(HframeError, ValueError):

@@ -131,7 +131,10 @@ class SpanWriter:
         pool = ProcessPoolExecutor(jobs, _context(), _start_worker, self.made_of)
         try:
             yield from self._written_by(pool, chain([first], source), most_pending=jobs + 2)
-        except BrokenProcessPool:
+        except BrokenProcessPool as broken:
+            if broken.__cause__ is not None:  # no worker died: what one sent cannot be unpickled
+                *_, cause, _ = str(broken.__cause__).splitlines()
+                raise RuntimeError(f"a worker's answer is unreadable: {cause}") from None
             raise HframeError(
                 "a worker process of this conversion was killed, perhaps for lack of memory; "
                 "nothing was written. Try again with --jobs 1"
@@ -142,23 +145,25 @@ class SpanWriter:
     def _written_by(
         self, pool: ProcessPoolExecutor, source: Iterator[Span], most_pending: int
     ) -> Iterator[WrittenSpan]:
+        from concurrent.futures.process import BrokenProcessPool
+
         pending: deque[Future[WrittenSpan]] = deque()
-        unreadable = None
-        while unreadable is None:
+        failure: HframeError | BrokenProcessPool | None = None
+        while failure is None:
             try:
                 span = next(source, None)
-            except HframeError as error:  # raised below, after the spans that precede it
-                span, unreadable = None, error
-            if span is not None and span.in_memory:
-                pending.append(pool.submit(_write_in_worker, span))
+                if span is not None and span.in_memory:
+                    pending.append(pool.submit(_write_in_worker, span))
+            except (HframeError, BrokenProcessPool) as error:
+                span, failure = None, error  # raised below, after what precedes it
             while len(pending) > (most_pending if span is not None and span.in_memory else 0):
                 yield pending.popleft().result()
             if span is None:
                 break
             if not span.in_memory:
                 yield self.streamed(span)
-        if unreadable is not None:
-            raise unreadable
+        if failure is not None:
+            raise failure
 
 
 # ---------------------------------------------------------------------- worker processes

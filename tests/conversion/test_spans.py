@@ -153,3 +153,22 @@ def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(conversions.SpanWriter, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
         converted(cube(), paper, 2)
+
+
+class UnreadableError(Exception):
+    """An error that cannot be unpickled: it is called with one argument."""
+
+    def __init__(self, cause: str, line: int) -> None:
+        super().__init__(f"{cause} {line}")
+
+
+@pytest.mark.usefixtures("short")
+def test_what_cannot_be_unpickled_is_no_killed_worker(
+    paper: Printer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(self: conversions.SpanWriter, span: Span, threads: bool) -> None:
+        raise UnreadableError("a mistake of ours", 3)
+
+    monkeypatch.setattr(conversions.SpanWriter, "streamed", failing)
+    with pytest.raises(RuntimeError, match=r"unreadable: TypeError: .*__init__"):
+        converted(cube(), paper, 2)

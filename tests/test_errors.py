@@ -1,0 +1,89 @@
+"""The tool's exceptions reach the process that waits for a worker, with all they say."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import inspect
+import pickle
+import pkgutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hframe_post
+from hframe_post.errors import HframeError
+from tests.command_line import run
+
+SAMPLES: dict[str, Any] = {
+    "str": "a cause", "bytes": b"G1 X1", "int": 12, "int | None": 34, "float": 5.5,
+    "Path": Path("a file"),
+}  # fmt: skip
+
+
+def kinds(base: type[Exception]) -> Iterator[type[Exception]]:
+    yield base
+    for kind in base.__subclasses__():
+        yield from kinds(kind)
+
+
+def all_kinds() -> list[type[Exception]]:
+    """Return HframeError and its subclasses, wherever in the package they are."""
+    for module in pkgutil.walk_packages(hframe_post.__path__, "hframe_post."):
+        if not module.name.startswith(("hframe_post.hosts.", "hframe_post.__main__")):
+            importlib.import_module(module.name)
+    ours = [kind for kind in kinds(HframeError) if kind.__module__.startswith("hframe_post")]
+    return sorted(set(ours), key=lambda kind: kind.__name__)
+
+
+def example(kind: type[Exception]) -> Exception:
+    """Return an error with a value for every argument, also those with a default."""
+    parameters = list(inspect.signature(kind).parameters.values())
+    names = [getattr(one.annotation, "__name__", str(one.annotation)) for one in parameters]
+    return kind(*(SAMPLES[name] for name in names))
+
+
+def test_errors_are_the_same_after_pickling() -> None:
+    found = all_kinds()
+    assert len(found) >= 8
+    for kind in found:
+        error = example(kind)
+        error.add_note("where it was noticed")
+        for again in (
+            *(pickle.loads(pickle.dumps(error, n)) for n in range(pickle.HIGHEST_PROTOCOL + 1)),
+            copy.copy(error),
+        ):
+            assert type(again) is kind
+            assert (str(again), again.args) == (str(error), error.args), kind.__name__
+            assert vars(again) == vars(error), kind.__name__
+
+
+WEAK = 'extends = "paper"\n[plant]\ninvented = false\n[motors]\nbelt_acceleration = 6000\n'
+SPANS = """G90
+M83
+G1 X100 Y100 Z0.3 F6000
+M204 S5000
+G1 X104.2 E0.5 F1
+G1 E-1 F1800
+G1 X180 Y180 F9000
+G1 E1 F1800
+G1 X120 E4 F3000
+G1 Y120 E4
+G1 X180 E4
+"""
+
+
+@pytest.mark.parametrize("jobs", ["2", "1"])
+def test_what_the_motors_cannot_follow_is_told_by_line_and_cause(tmp_path: Path, jobs: str) -> None:
+    """In the second of two spans, each of which another process computes."""
+    (tmp_path / "weak.toml").write_text(WEAK)
+    source = tmp_path / "part.gcode"
+    source.write_text(SPANS)
+    done = run(source, "-p", tmp_path / "weak.toml", "-o", tmp_path / "out.gcode", "--jobs", jobs)
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"Error: line 10: belt acceleration (mm/s\xc2\xb2) would be ")
+    assert done.stderr.count(b"\n") == 1
+    assert source.read_text() == SPANS
+    assert {path.name for path in tmp_path.iterdir()} == {"weak.toml", "part.gcode"}
