@@ -17,6 +17,7 @@ import click
 from hframe_post import process
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
+from hframe_post.writers.files import FULL
 
 COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
     "setup": ("setup.setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
@@ -99,6 +100,8 @@ def _cause(error: OSError) -> str:
         cause = f"the folder {path.parent} does not exist"
     elif isinstance(error, IsADirectoryError):
         cause = "is a folder; name a file in it"
+    elif error.errno in FULL:
+        cause += "; make room there, or write to another folder"
     return f"{path}: {cause}"
 
 

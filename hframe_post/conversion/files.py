@@ -99,9 +99,11 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
     kind = asked or replaced or by_suffix or "gcode"
     if suffix in TABLES and kind != "samples":
         raise HframeError(f"a {suffix} file holds samples, not {kind}")
-    if packing and (not FORMATS[kind].packs or suffix in TABLES):
-        what = "G-code" if kind in GCODE else suffix
-        raise HframeError(f"{what} is not written as {packing}; CSV is")
+    if packing and output is not None and (not FORMATS[kind].packs or suffix in TABLES):
+        why = f"{suffix} is compressed already" if suffix in TABLES else "printers cannot read it"
+        raise HframeError(
+            f"{output}: {kind} is not written compressed, because {why}: leave out {packing}"
+        )
     return kind
 
 

@@ -225,11 +225,14 @@ def played_by(printer: Printer, dialect: str) -> Printer:
 def check_identified(printer: Printer) -> None:
     """Raise PrinterError if the plant was not measured on this printer."""
     if printer.invented:
+        marlin = printer.firmware.dialect == "marlin"
+        record = "play what 'hframe-post sweep' writes" if marlin else "run TEST_RESONANCES"
+        more = "" if marlin else "--printer-cfg printer.cfg "
         raise PrinterError(
-            "this plant was not measured on your printer, so nothing is compensated with it: "
-            "measure yours with 'hframe-post sweep' and 'identify', without a sensor with "
-            "'calibrate-print' (docs/start.md), or override with --force. If it is your printer's, "
-            "write invented = false below [plant]",
+            "this plant was not measured on your printer, so nothing is compensated with it. To "
+            f"measure yours, {record} with an accelerometer, then type 'hframe-post identify "
+            f"recordings {more}-o printer.toml' (docs/start.md; without a sensor: 'hframe-post "
+            "calibrate-print'). If it is your printer's, write invented = false below [plant]",
             "plant.invented", printer.name,
         )  # fmt: skip
 

@@ -24,6 +24,7 @@ from typing import IO, cast
 from hframe_post.errors import HframeError
 from hframe_post.writers import temporary
 
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))  # a quota, not on Windows
 DESCRIPTOR = re.compile(r"/dev/std(?P<name>out|err)|/(?:dev|proc/self)/fd/(?P<number>\d+)")
 
 Stamp = tuple[int, int, int, int]  # device, file, size and time of change
@@ -84,6 +85,8 @@ class Outputs:
         try:
             if kind is None:
                 self._appear()
+            elif isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+                self._name_full_disk(error)
         finally:
             for file, _ in self._through:
                 file.close()
@@ -92,13 +95,26 @@ class Outputs:
                 with contextlib.suppress(OSError):  # a full disk was reported already
                     file.close()
 
+    def _name_full_disk(self, error: OSError) -> None:
+        """Raise the error again, with the folder of the file that takes no more."""
+        waiting = Path(tempfile.gettempdir())  # of what goes to standard output or a device
+        files = [(target.parent, file) for target, file, _ in self._replacing]
+        files += [(waiting, file) for file, _ in self._through]
+        for folder, file in files:
+            with _named(folder):
+                file.flush()
+        if files:
+            with _named(files[0][0]):
+                raise error
+
     def _appear(self) -> None:
         """Replace the targets, after all that can fail: full disks, closed pipes, new sources."""
         for target, file, _ in self._replacing:
-            with _named(target):
+            with _named(target.parent):
                 file.flush()
-                _make_like(target, file)
                 os.fsync(file.fileno())
+            with _named(target):
+                _make_like(target, file)
         for path, before in self._sources:
             if _stamp(os.stat(path)) != before:
                 raise HframeError(

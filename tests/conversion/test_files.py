@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
@@ -139,6 +140,23 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
 
 
+@pytest.mark.parametrize(("percent", "warned"), [(0.49, False), (0.51, True), (32.9, True)])
+def test_extrusion_that_is_not_compensated_is_a_warning_from_half_a_percent_on(
+    paper: Printer, percent: float, warned: bool
+) -> None:
+    lines = [
+        b"M83\n", b"G1 X100 Y100 Z0.2 F6000\n", b"G1 X150 E%.3f F3000\n" % (100.0 - percent),
+        b"A_MACRO\n", b"G1 X160 E%.3f\n" % percent,
+    ]  # fmt: skip
+    conversion = GcodeConversion(lines, paper, Options("racking"))
+    assert sum(isinstance(piece, bytes) for piece in conversion)
+    report = conversion.report()
+    found = report.as_json()["uncompensated"]["extrusion_percent"]
+    assert found == pytest.approx(percent), f"{found} % of the extrusion instead of {percent} %"
+    about = f"{percent:.1f} % of the extrusion is not compensated, mostly after A_MACRO"
+    assert any(text.startswith(about) for text in report.warnings()) == warned, report.warnings()
+
+
 def test_last_position_is_that_of_the_file(paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(converted(TURN, paper, "steps"))
@@ -247,8 +265,8 @@ def test_dry_run_tells_of_every_format_and_writes_nothing(tmp_path: Path) -> Non
         (["-o", "a.npz", "--format", "gcode"], b"holds samples"),
         (["-o", "a.parquet"], b"use .npz instead"),
         (["-o", "a.csv.zst"], b"use .gz instead"),
-        (["-o", "a.npz.gz"], b"not written as .gz"),
-        (["-o", "a.gcode.gz"], b"not written as .gz"),
+        (["-o", "a.npz.gz"], b".npz is compressed already: leave out .gz"),
+        (["-o", "a.gcode.gz"], b"a.gcode.gz: gcode is not written compressed, because printers cannot read"),
         (["-o", "a.csv", "--tolerance", "0"], b"for G-code"),
         (["-o", "a.csv", "--tolerance", "0.001"], b"for G-code"),
         (["-o", "a.csv", "--format", "pulses"], b"pulses"),

@@ -119,7 +119,7 @@ def limited() -> None:
 )
 def test_a_full_disk_is_one_line_and_no_file(folder: Path, to: str) -> None:
     done = shell(f"$ME in.gcode -q {to}", folder, preexec_fn=limited)
-    refused(done, folder, "File too large")
+    refused(done, folder, f"{folder}: File too large; make room there")
 
 
 def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
@@ -206,8 +206,8 @@ exit 98
 @pytest.mark.parametrize(
     ("options", "to", "cause"),
     few([
-        ("rw", "", "No space left"), ("ro", "-o out.gcode", "Read-only file system"),
-        ("rw", "-o out.csv", "No space left"), ("ro", "", "is write-protected"),
+        ("rw", "", "/disk: No space left"), ("ro", "-o out.gcode", "Read-only file system"),
+        ("rw", "-o out.csv", "/disk: No space left"), ("ro", "", "is write-protected"),
     ], 2),
 )  # fmt: skip
 def test_a_disk_that_is_full_or_cannot_be_written(

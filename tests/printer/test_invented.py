@@ -65,7 +65,7 @@ def test_the_papers_printer_is_shown_where_it_is_asked_for_by_name_and_never_in_
 def test_a_start_is_refused_until_it_is_identified(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
     printer = load(name)
-    with pytest.raises(PrinterError, match=r"plant\.invented.*hframe-post sweep.*identify"):
+    with pytest.raises(PrinterError, match=r"plant\.invented.*identify recordings"):
         hp.convert(RECTANGLE, out, printer)
     assert not out.exists()
     own = tmp_path / "own.toml"
@@ -81,7 +81,12 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
                     run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
         assert refused.returncode == 1
         assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
-        assert b"'hframe-post sweep' and 'identify', without a sensor" in refused.stderr
+        advice = b"TEST_RESONANCES with an accelerometer, then type 'hframe-post identify recordings"
+        assert advice in refused.stderr
+        assert b"sweep" not in refused.stderr
+        assert b"--force" not in refused.stderr
+    marlin = run(RECTANGLE, "-o", out, "-p", "example-ender")
+    assert b"'hframe-post sweep' writes with an accelerometer" in marlin.stderr
     assert not out.exists()
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0
