@@ -14,6 +14,7 @@ from hframe_post.cli.options import files_read, json_option, open_json, printer_
 from hframe_post.cli.sweep import (
     axes_option,
     chips_option,
+    next_steps,
     recorded_on,
     recordings_argument,
     write_motion,
@@ -69,7 +70,7 @@ def check(
     if gcode is not None:
         planned = runs(profile, [X, Y] if axis is None else ["xy".index(axis)])
         write_motion(gcode, printer, profile, planned, chips, None)
-        say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
+        say(next_steps("check", gcode, printer, planned))
     elif recordings:
         _update(printer, profile, recordings, axes, json_file, output)
     else:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.options import files_read, old_option, position, printer_option, say
+from hframe_post.cli.options import files_read, old_option, position, printer_option, quoted, say
 from hframe_post.printer.profile import load
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import write_output
@@ -89,6 +89,23 @@ def write_for_marlin(
             outputs.open(Path(f"{named}.gcode")).write("\n".join([*lines, ""]).encode())
             outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
     return [run for run, _ in done]
+
+
+def next_steps(command: str, target: Path, printer: str, planned: list[Run]) -> str:
+    """Return what to do with a file of runs: print it, fetch what was recorded, and judge that."""
+    folder = target.parent
+    beside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
+    both = (f"{beside}*{run.name}.csv" for run in planned)  # the command and the recording
+    profile = Path(printer if Path(printer).is_file() else "printer.toml")
+    return "\n".join(
+        [
+            *(f"{run.name}: {run.seconds:.1f} s" for run in planned),
+            f"Next, home the printer, print {target.name}, and fetch what Klipper recorded:",
+            f'  scp "pi@printer.local:/tmp/*-{command}-*.csv" {quoted(folder)}',
+            "Then type",
+            f"  hframe-post {command} -p {quoted(printer)} {' '.join(both)} -o {quoted(profile)}",
+        ]
+    )
 
 
 def recorded_on(files: Iterable[Path]) -> date:

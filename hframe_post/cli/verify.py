@@ -22,6 +22,7 @@ from hframe_post.cli.sweep import (
     axes_option,
     chips_option,
     height_option,
+    next_steps,
     recorded_on,
     recordings_argument,
     write_motion,
@@ -117,7 +118,7 @@ def _write(
         with motion.open("rb") as file:
             planned = runs(profile, lines_of(file))
     write_motion(gcode, printer, profile, planned, chips, z)
-    say("\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned))
+    say(next_steps("verify", gcode, printer, planned))
 
 
 def _judge(

@@ -266,7 +266,10 @@ def test_dry_run_tells_of_every_format_and_writes_nothing(tmp_path: Path) -> Non
         (["-o", "a.parquet"], b"use .npz instead"),
         (["-o", "a.csv.zst"], b"use .gz instead"),
         (["-o", "a.npz.gz"], b".npz is compressed already: leave out .gz"),
-        (["-o", "a.gcode.gz"], b"a.gcode.gz: gcode is not written compressed, because printers cannot read"),
+        (
+            ["-o", "a.gcode.gz"],
+            b"a.gcode.gz: gcode is not written compressed, because printers cannot read",
+        ),
         (["-o", "a.csv", "--tolerance", "0"], b"for G-code"),
         (["-o", "a.csv", "--tolerance", "0.001"], b"for G-code"),
         (["-o", "a.csv", "--format", "pulses"], b"pulses"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from dataclasses import replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
@@ -137,6 +138,23 @@ def record(folder: Path, machine: Machine, axes: str = "xy", day: str = "2026-07
         path = write_klipper(folder / f"adxl345-check-{axis}.csv", turned)
         at = datetime.fromisoformat(f"{day}T12:00:00+00:00").timestamp()
         os.utime(path, (at, at))
+
+
+def test_the_command_to_type_next_is_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shell takes it as it is."""
+    monkeypatch.chdir(folder)
+    run = Path("a place", "check.gcode")
+    run.parent.mkdir()
+    done = invoked("-p", "my.toml", "--gcode", run)
+    *_, fetch, _, command = done.output.splitlines()
+    assert fetch.startswith('  scp "pi@printer.local:/tmp/*-check-*.csv" ')
+    record(folder, changed(MACHINE, hz=33.0))
+    for path in folder.glob("adxl345*"):
+        path.rename(run.parent / path.name)
+    shell = f"printf '%s\n' {command.removeprefix('  hframe-post check ')}"
+    printed = subprocess.run(["sh", "-c", shell], capture_output=True, check=True, text=True)
+    assert "32.00 → 33.0" in invoked(*printed.stdout.splitlines()).output
+    assert load("my.toml").measured == date(2026, 7, 1)
 
 
 def test_a_check_moves_the_profile_and_keeps_the_rest(folder: Path) -> None:

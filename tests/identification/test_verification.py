@@ -166,7 +166,10 @@ def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path)
     held.mkdir()
     windows = load("paper").compensation.windows
     mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
-    assert invoked("-p", mine, "--gcode", held / "v.gcode").exit_code == 0
+    written = invoked("-p", mine, "--gcode", held / "v.gcode")
+    assert written.exit_code == 0
+    typed = f"{held}/*verify-plain.csv {held}/*verify-compensated.csv"
+    assert f"  hframe-post verify -p {mine} {typed} -o {mine}\n" in written.output
     commands = [held / f"v.verify-{name}.csv" for name in ("plain", "compensated")]
     files = [held / f"adxl345-verify-{name}.csv" for name in ("plain", "compensated")]
     for k, (command, path) in enumerate(zip(commands, files, strict=True)):
@@ -175,6 +178,8 @@ def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path)
         write_klipper(path, replace(made, a=made.a[:, [1, 0, 2]] * [1.0, -1.0, 1.0]))
     assert "VERDICT     good" in (done := invoked("-p", mine, held)).output
     assert "exchanged" not in done.output
+    four = sorted(path for name in ("plain", "compensated") for path in held.glob(f"*{name}.csv"))
+    assert "VERDICT     good" in invoked("-p", mine, *four).output
     both = invoked("-p", mine, "--plain", commands[1], files[1], "--compensated", commands[0],
                    files[0])  # fmt: skip
     assert "the plain and the compensated motion were exchanged" in both.output

@@ -81,7 +81,9 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
                     run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
         assert refused.returncode == 1
         assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
-        advice = b"TEST_RESONANCES with an accelerometer, then type 'hframe-post identify recordings"
+        advice = (
+            b"TEST_RESONANCES with an accelerometer, then type 'hframe-post identify recordings"
+        )
         assert advice in refused.stderr
         assert b"sweep" not in refused.stderr
         assert b"--force" not in refused.stderr
