@@ -14,7 +14,10 @@ import pytest
 from tests.conftest import ROOT
 
 SLICER = shutil.which("prusa-slicer")
-pytestmark = pytest.mark.skipif(SLICER is None, reason="prusa-slicer is not installed")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(SLICER is None, reason="prusa-slicer is not installed: make programs"),
+]
 
 
 def plate() -> str:

@@ -14,7 +14,7 @@ from tests.chromium import PROGRAM, Browser
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     if PROGRAM is None:
-        pytest.skip("chromium is not installed")
+        pytest.skip("chromium is not installed: make programs")
     with Browser(tmp_path_factory.mktemp("chromium")) as running:
         yield running
 

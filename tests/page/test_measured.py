@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hframe_post.page.measured import MOST_POINTS, Card, Chart, Line, Section, page
 from tests.chromium import Browser
@@ -35,6 +36,7 @@ def test_lines_are_thinned_and_keep_their_gaps() -> None:
     assert second["lines"][0]["y"] == [1.0, None, 3.0, 4.0]
 
 
+@pytest.mark.slow
 def test_charts_show_values_at_the_pointer_and_text_is_never_markup(
     browser: Browser, tmp_path: Path
 ) -> None:

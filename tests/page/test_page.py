@@ -85,6 +85,7 @@ def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
     assert run("simulate", "--report", report).returncode == 2
 
 
+@pytest.mark.slow
 def test_slider_strategies_click_and_zoom_change_what_they_should(
     browser: Browser, paper: Printer, tmp_path: Path
 ) -> None:
@@ -128,6 +129,7 @@ def test_slider_strategies_click_and_zoom_change_what_they_should(
     assert browser.complaints == []
 
 
+@pytest.mark.slow
 def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_scroll(
     browser: Browser, paper: Printer, tmp_path: Path
 ) -> None:
@@ -159,6 +161,7 @@ def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_sc
     assert browser.complaints == []
 
 
+@pytest.mark.slow
 def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "evil.html"
     built(paper, sliced(EVIL), path, EVIL)
@@ -172,6 +175,7 @@ def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_
     assert browser.complaints == []
 
 
+@pytest.mark.slow
 def test_it_fits_phones_and_desks_by_day_and_by_night(
     browser: Browser, paper: Printer, tmp_path: Path, artefacts: Path
 ) -> None:
