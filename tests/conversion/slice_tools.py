@@ -16,7 +16,7 @@ MOTION = re.compile(rb"\s*(?:G[01235](?!\d)|M20[1345](?!\d)|M220(?!\d)|SET_VELOC
 MOVE = re.compile(rb"\s*G[01235](?!\d)")
 OURS = re.compile(
     rb"; processed by|; hframe-post|SET_VELOCITY_LIMIT|SET_INPUT_SHAPER|M400$|G4 P|G9[01]|M8[23]"
-    rb"|M593 [FXY]|M900 K|M493 S"
+    rb"|M593 [FXY]|M900 K|M493 S|M494 T"
 )
 WORD = re.compile(rb"\bE(-?(?:\d+\.?\d*|\.\d+))")
 LAYER = re.compile(rb"\s*;.*layer|\(Slice", re.IGNORECASE)
