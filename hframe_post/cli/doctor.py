@@ -173,10 +173,13 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
         return
     try:
-        differences = list(_differences(KlipperConfig(config), profile, printer))
+        read = KlipperConfig(config)
+        differences = list(_differences(read, profile, printer))
     except HframeError as error:
         findings.problem(str(error))
         return
+    if read.missing:
+        findings.unchecked = "the include that finds no file"
     for difference in differences:
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):

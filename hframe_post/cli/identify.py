@@ -25,6 +25,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.klipper_check import warnings
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.setup import kinematics_in, text_from_klipper
 from hframe_post.writers.files import Outputs
@@ -164,6 +165,8 @@ def identify(
 
     _check_usage([*recordings, *nozzle], bridge, L_G, band, axes)
     config = KlipperConfig(config_file) if config_file is not None else None
+    for warning in warnings(config) if config is not None else ():
+        click.echo(f"WARNING      {warning}", err=True)
     source, text = _profile_source(printer, config, output)
     profile = load(source) if text is None else parse(text, "printer", source)
     pairs = [path for files in (*nozzle, *bridge) for path in files]

@@ -11,16 +11,24 @@ from typing import Protocol
 import click
 
 from hframe_post.cli.moonraker import Moonraker
-from hframe_post.cli.options import files_read, number
+from hframe_post.cli.options import files_read, number, quoted
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE, macros
-from hframe_post.printer.choice import set_default
-from hframe_post.printer.edit import updated
+from hframe_post.printer import klipper_check
+from hframe_post.printer.choice import VARIABLE, set_default
+from hframe_post.printer.edit import Updated, updated
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin, is_of_marlin, text_in
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables, from_klipper, kinematics_in, profile_text
+from hframe_post.printer.setup import (
+    AS_BEFORE,
+    Known,
+    Tables,
+    from_klipper,
+    kinematics_in,
+    profile_text,
+)
 from hframe_post.writers.files import Outputs
 
 PROFILE = "printer.toml"
@@ -96,24 +104,33 @@ def setup(
     before = parse(old, "printer", str(target)) if old else None
     kind = _kinematics(source, kinematics, before)
     tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value))}
-    text, changes = profile_text(tables, f"made from {files[0].name}"), list[str]()
+    new = Updated(profile_text(tables, f"made from {files[0].name}"), [], [])
     if old:
-        text, changes = updated(old, tables, str(target))
+        new = updated(old, tables, str(target))
     # raises before anything is written
-    profile = parse(text, target.stem, str(target if old else files[0]))
+    profile = parse(new.text, target.stem, str(target if old else files[0]))
     if moonraker is not None and profile.invented:
         raise HframeError(f"{target} is not measured yet: run 'hframe-post identify' first")
     sections = source.macros(profile)
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
-        outputs.open(target).write(text.encode())
-        if sections:
+        if new.text != old:
+            outputs.open(target).write(new.text.encode())
+        if sections and not _holds(folder / FILE, sections):
             outputs.open(folder / FILE).write(sections.encode())
         done = moonraker.connect(outputs, target) if moonraker is not None else []
+    default = "from now on the default"
+    try:
         set_default(os.path.abspath(target))
+    except OSError as error:
+        source.warnings.append(
+            f"{error.filename} cannot be written ({error.strerror}), so {target} is not the "
+            f"default: give -p {quoted(target)} to each command, or set {VARIABLE} to its path"
+        )
+        default = "not the default"
     if old:
-        click.echo("\n".join([f"{target}: {len(changes) or 'no'} changes", *changes]))
-    click.echo("\n".join(_summary(source, profile, target, kind)))
+        click.echo("\n".join(_differences(new, old, target)))
+    click.echo("\n".join(_summary(source, profile, f"{target}, {default}", kind)))
     if done:
         click.echo("\n".join(["", *done]))
     click.echo(source.next_steps(profile, target))
@@ -143,10 +160,7 @@ class _Klipper:
         self.path, self._config = files[0], KlipperConfig(files[0])
         self.possible, self.decided = kinematics_in(self._config), "kinematics of [printer]"
         self.warnings = [self._config.unsaved] if self._config.unsaved else []
-        self.warnings += [
-            f"[include {name}] was not found, so what it sets is not known"
-            for name in self._config.missing
-        ]
+        self.warnings += klipper_check.warnings(self._config)
         names = ", ".join(self._config.accelerometers())
         self.sensors = names or "none in printer.cfg; you need one to measure"
 
@@ -226,7 +240,7 @@ def _kinematics(source: _Source, requested: str | None, before: Printer | None) 
     if requested is not None:
         return Known(requested, "as you said")
     if before is not None and before.kinematics.type in possible:
-        return Known(before.kinematics.type, "as before")
+        return Known(before.kinematics.type, AS_BEFORE)
     if sys.stdin.isatty():
         question = QUESTION if source.decided else ANY_KIND
         kinds = click.Choice(possible)
@@ -236,11 +250,24 @@ def _kinematics(source: _Source, requested: str | None, before: Printer | None) 
     return Known(possible[0], f"assumed: for the firmware {' and '.join(possible)} are the same")
 
 
-def _summary(source: _Source, profile: Printer, target: Path, kind: Known) -> Iterator[str]:
+def _holds(path: Path, text: str) -> bool:
+    return path.is_file() and path.read_bytes() == text.encode()
+
+
+def _differences(new: Updated, old: str, target: Path) -> Iterator[str]:
+    """Yield what setup changed in a profile, and what it kept of its owner's."""
+    n = len(new.changes)
+    only = " (comments only)" if new.text != old and not n else ""
+    yield f"{target}: {n or 'no'} change{'s' * (n != 1)}{only}"
+    yield from new.changes
+    yield from new.kept
+
+
+def _summary(source: _Source, profile: Printer, target: str, kind: Known) -> Iterator[str]:
     limits, motors = profile.limits, profile.motors
     for warning in source.warnings:
         yield f"WARNING          {warning}"
-    yield f"profile          {target}, from now on the default"
+    yield f"profile          {target}"
     yield f"kinematics       {kind.value} ({kind.origin})"
     if kind.origin.startswith("assumed"):
         other = "hbot" if source.decided else "corexy"

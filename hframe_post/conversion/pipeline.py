@@ -237,7 +237,7 @@ class Source:
             motion.peaks, motion.clamped, motion.contour,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
-            plastic=self._plastic(motion.fed),
+            plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
         )  # fmt: skip
 
     def _plastic(self, fed: float) -> Plastic | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from hframe_post.compensation.guard import Clamped, Peaks
@@ -18,6 +20,8 @@ from hframe_post.conversion.meters import (
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.stream.print_time import duration
+
+TOOL = re.compile(r"T[1-9]\d*")
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -56,7 +60,8 @@ class Report:
     are off the command (RMS) where that bounds them. seconds: processor time by
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
     with its errors, if one was asked for. notices: warnings of the printer's profile. plastic: of
-    a bed that moves.
+    a bed that moves. other_tools: commands after which the plant is not that of the tool that
+    prints; None if the profile does not say.
     """
 
     strategy: str
@@ -78,6 +83,7 @@ class Report:
     picture: Picture | None = field(default=None, compare=False, repr=False)
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
+    other_tools: tuple[str, ...] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
@@ -181,8 +187,10 @@ class Report:
                 "nothing was compensated, because no move starts at a known position: move to an "
                 "absolute X, Y and Z before printing"
             )
-        if self.path.extrusion_share > 0.005:
-            cause = max(self.path.uncompensated.items(), key=lambda item: item[1].filament)[0]
+        found += self._tools()
+        uncompensated = self.path.uncompensated
+        cause = max(uncompensated, key=lambda name: uncompensated[name].filament, default="")
+        if self.path.extrusion_share > 0.005 and not self._is_other_tool(cause):
             found.append(
                 f"{100.0 * self.path.extrusion_share:.1f} % of the extrusion is not compensated, "
                 f"mostly after {cause}. If {cause} does not move the head, add it to harmless in "
@@ -206,6 +214,30 @@ class Report:
                 "compensated there"
             )
         return found
+
+    def _tools(self) -> list[str]:
+        """Return a warning if tools print that the plant is not of, or may not be of."""
+        if self.other_tools is None:
+            tools = filter(TOOL.fullmatch, self.path.uncompensated)
+            if not (named := ", ".join(tools)):
+                return []
+            return [
+                f"the file changes tools ({named}), and all are compensated with the model of one. "
+                "If they are separate heads, list those that were not measured below [firmware] of "
+                'the profile, such as other_tools = ["T1"]; otherwise write other_tools = []'
+            ]
+        parts = self.path.uncompensated.items()
+        others = {name: part.filament for name, part in parts if self._is_other_tool(name)}
+        if not (filament := sum(others.values())):
+            return []
+        return [
+            f"{_percent(filament / self.path.filament)} of the extrusion is not compensated: the "
+            f"model is of another tool than {', '.join(others)} (other_tools in the profile)"
+        ]
+
+    def _is_other_tool(self, cause: str) -> bool:
+        names = (name.upper() for name in self.other_tools or ())
+        return any(fnmatchcase(cause, name) for name in names)
 
     def _too_coarse(self) -> list[str]:
         """Return a warning if the firmware's lines miss by more than compensation gains."""

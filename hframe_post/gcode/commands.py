@@ -48,6 +48,7 @@ class Effect(Enum):
     WAITS = "moves nothing, but must happen at rest"
     RETURNS = "may move or change modes, and restores both"
     UNKNOWN = "may move or change modes"
+    OTHER_TOOL = "may move, and the model is not that of the tool that prints after it"
 
     @property
     def handling(self) -> Handling:
@@ -87,13 +88,19 @@ class Vocabulary:
     prefixes: tuple[tuple[str, Effect], ...]
 
     @classmethod
-    def with_names(cls, harmless: Iterable[str] = (), returns: Iterable[str] = ()) -> Vocabulary:
+    def with_names(
+        cls,
+        harmless: Iterable[str] = (),
+        returns: Iterable[str] = (),
+        other_tools: Iterable[str] = (),
+    ) -> Vocabulary:
         """Return the built-in vocabulary with the names that a profile adds or overrides."""
         names = {
             name.upper(): effect
             for texts, effect in (
                 (_NONE, Effect.NONE), (_WAITS, Effect.WAITS), (_RETURNS, Effect.RETURNS),
                 (harmless, Effect.NONE), (returns, Effect.RETURNS),
+                (other_tools, Effect.OTHER_TOOL),
             )
             for text in texts
             for name in text.split()

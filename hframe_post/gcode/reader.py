@@ -8,11 +8,13 @@ Rules:
  4. Lines that only set limits or the feed-rate factor are applied here and do not pass through:
     inside a dense stream the firmware would apply them a second time.
  5. Firmware retraction becomes a move of filament where the profile gives its settings.
+ 6. What a tool prints that the profile's model is not of passes through to the firmware.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
@@ -46,6 +48,7 @@ MAX_DWELL = 24 * 3600.0  # s
 MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
 IMPOSSIBLE_FILAMENT_PER_PATH = 1e3
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
+TOOL = re.compile(r"T\d+")
 START_OF_FILE = "the start"  # the cause of an unknown position before the first command
 
 
@@ -76,6 +79,7 @@ class _Reader:
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
         self._ran_macro = False  # which may have set modes
+        self._other_tool = False  # prints, of which the profile has no model
         self._cause = START_OF_FILE  # of the unknown position
         self.items = ItemBuilder(self._state)
 
@@ -195,13 +199,15 @@ class _Reader:
             raise line.error("a spline from an unknown position; add a G1 with X and Y before it")
         if state.scale != 1.0:  # the output is in mm
             raise line.error("a move in inches from an unknown position; use mm (G21) here")
-        if state.absolute:
+        if state.absolute and not self._other_tool:
             for axis, letter in enumerate("XYZ"):
                 if letter in words:
                     self._bed.check(line, axis, end[axis])
         path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
         self._pass_through(line, Handling.RELEASE, filament=filament, path=path, cause=self._cause)
         state.arrive(end, words)
+        if self._other_tool:
+            state.forget()
 
     # ------------------------------------------------------------------ other commands
 
@@ -247,9 +253,12 @@ class _Reader:
         waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
         self._pass_through(line, effect.handling, seconds)
-        if effect is not commands.Effect.UNKNOWN:
+        if effect not in (commands.Effect.UNKNOWN, commands.Effect.OTHER_TOOL):
             return
-        self._cause = name[:40]
+        if effect is commands.Effect.OTHER_TOOL or TOOL.fullmatch(name):
+            self._other_tool = effect is commands.Effect.OTHER_TOOL
+        if not self._other_tool or effect is commands.Effect.OTHER_TOOL:
+            self._cause = name[:40]
         self._retraction.forget()
         if name == "G28":
             homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]

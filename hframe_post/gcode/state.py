@@ -49,7 +49,9 @@ class ReadOptions:
     ) -> ReadOptions:
         """Return the options for a printer. Raises HframeError if its firmware is unknown."""
         firmware = printer.firmware
-        vocabulary = Vocabulary.with_names(firmware.harmless, firmware.returns)
+        vocabulary = Vocabulary.with_names(
+            firmware.harmless, firmware.returns, firmware.other_tools or ()
+        )
         return cls(
             dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary,
             printer.retraction,

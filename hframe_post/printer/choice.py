@@ -6,6 +6,7 @@ profile's file rather than copying it, so changes by ``tune`` and ``identify`` t
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -51,7 +52,11 @@ def config_file() -> Path:
 
 
 def set_default(profile: str) -> None:
+    """Make a profile the default. Raises OSError if the user's folder cannot be written."""
     path = config_file()
+    with contextlib.suppress(HframeError, OSError):
+        if _default() == profile:
+            return
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
     new.write_text(f"printer = {json.dumps(profile, ensure_ascii=False)}\n", "utf-8")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import date
 from typing import Any
 
 import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Item
+from tomlkit.items import Item, Table
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import PrinterError
@@ -20,7 +20,7 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import AXES, model_digest, parse, shipped, text_of
-from hframe_post.printer.setup import Known, Tables
+from hframe_post.printer.setup import AS_BEFORE, Known, Tables
 
 Windows = tuple[Window, Window]
 Settings = Mapping[str, dict[str, Any]]  # by the names of their tables
@@ -216,38 +216,58 @@ def _pairs(roots: Complex) -> str:
 # ---------------------------------------------------------------------- new values from printer.cfg
 
 
-def updated(text: str, tables: Tables, source: str = "") -> tuple[str, list[str]]:
-    """Return a profile's text with newly found settings, and a line for each change.
+@dataclass(frozen=True, slots=True)
+class Updated:
+    """A profile's text with newly found settings, and a line for each that it changes or keeps.
+
+    kept: settings that differ from what was found, because their owner changed them.
+    """
+
+    text: str
+    changes: list[str]
+    kept: list[str]
+
+
+def updated(text: str, tables: Tables, source: str = "") -> Updated:
+    """Return a profile's text with newly found settings.
 
     A value that differs from the one that its comment begins with was changed by its owner, and
-    stays. Raises PrinterError.
+    stays. A table without settings is removed if it is as it was found. Nothing else changes.
+    Raises PrinterError.
     """
     document: Any = tomlkit.parse(text)
-    changes = [
-        line
-        for name, table in tables.items()
-        for key, known in table.items()
-        if (line := _update(_table_in(document, name), key, known, f"{name}.{key}"))
-    ]
+    own = changed_by_hand(text)
+    changes, kept = list[str](), list[str]()
+    for name, table in tables.items():
+        if not table and name in document and not any(key.startswith(f"{name}.") for key in own):
+            document.remove(name)
+            changes.append(f"[{name}]: removed, because the printer has none any more")
+        for key, known in table.items():
+            _update(_table_in(document, name), key, known, f"{name}.{key}", changes, kept)
     changed: str = document.as_string()
     parse(changed, "changed", source)  # raises if it cannot be loaded
-    return changed, changes
+    return Updated(changed, changes, kept)
 
 
 def changed_by_hand(text: str) -> list[str]:
     """Return the settings of a profile that differ from what `setup` found, as "table.key"."""
-    tables = {name: table for name, table in tomlkit.parse(text).items() if isinstance(table, dict)}
-    return [
-        f"{name}.{key}"
-        for name, table in tables.items()
-        for key, item in table.items()
-        if isinstance(item, Item)  # not for true and false
-        and (found := COMMENT.match(item.trivia.comment)) is not None
-        and tomllib.loads(f"value = {found[1]}")["value"] != item.unwrap()
-    ]
+    return list(_changed_in(tomlkit.parse(text), ""))
+
+
+def _changed_in(table: Any, prefix: str) -> Iterator[str]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _changed_in(value, f"{prefix}{key}.")
+        elif isinstance(value, Item):  # not true and false
+            found = COMMENT.match(value.trivia.comment)
+            if found and tomllib.loads(f"value = {found[1]}")["value"] != value.unwrap():
+                yield f"{prefix}{key}"
 
 
 def _table_in(document: Any, name: str) -> Any:
+    for key, item in document.body:  # [firmware] may stand behind [firmware.klipper]
+        if key and key.key == name and isinstance(item, Table) and not item.is_super_table():
+            return item
     for part in name.split("."):
         if part not in document:
             document.add(part, tomlkit.table())
@@ -255,23 +275,32 @@ def _table_in(document: Any, name: str) -> Any:
     return document
 
 
-def _update(table: Any, key: str, known: Known, name: str) -> str:
-    """Set a value unless it was changed by hand; return what is worth saying."""
+def _update(
+    table: Any, key: str, known: Known, name: str, changes: list[str], kept: list[str]
+) -> None:
+    """Set a value unless it was changed by hand; add what is worth saying."""
     new = tomllib.loads(f"value = {known.as_toml()}")["value"]
-    line = f"{known.as_toml()} ({known.origin})"
     if key not in table:
         table.add(key, new)
         table.value.item(key).comment(known.comment())
-        return f"{name} = {line}: added"
+        changes.append(f"{name} = {known.comment()}: added")
+        return
     item = table.value.item(key)  # table[key] is a plain bool for true and false
     before = item.unwrap()
     found = COMMENT.match(item.trivia.comment)
     written = found[1] if found else None
-    item.comment(known.comment())
-    if before == new:
-        return ""
-    if written is None or tomllib.loads(f"value = {written}")["value"] != before:
-        return f"{name} = {item.as_string()}: kept, because it was changed by hand; {line}"
-    table[key] = new
-    table.value.item(key).comment(known.comment())
-    return f"{name} = {line}: it was {written}"
+    if before != new and (
+        written is None or tomllib.loads(f"value = {written}")["value"] != before
+    ):
+        kept.append(
+            f"{name} = {item.as_string()}: kept, because it was changed by hand; to take the "
+            f"printer's, write {known.comment()}"
+        )
+    elif before != new:
+        table[key] = new
+        item = table.value.item(key)
+        changes.append(f"{name} = {known.comment()}: it was {written}")
+    if known.origin != AS_BEFORE and item.trivia.comment != (comment := f"# {known.comment()}"):
+        space = item.trivia.comment_ws
+        item.comment(comment)
+        item.trivia.comment_ws = space or item.trivia.comment_ws

@@ -16,6 +16,8 @@ from hframe_post.printer.schema import checked, known_keys, not_negative, positi
 FASTEST, HARDEST = 1e4, 1e7  # largest mm/s and mm/s² of a setting
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
 S_CURVES = ("2.0", "2.1")  # planners whose S_CURVE_ACCELERATION is modelled
+MACROS = "hframe.cfg"  # what `setup` writes for Klipper
+END_MACRO = "HFRAME_END"  # one of them: restores what printer.cfg sets, whatever the profile says
 SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
 SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 
@@ -24,8 +26,9 @@ SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 class KlipperTable:
     """Klipper's own limits, which hold before and after the print.
 
-    lines_per_second: as many as the host shall take. begin_macro, end_macro: macros to call instead
-    of the commands that set and restore limits.
+    lines_per_second: as many as the host shall take. begin_macro: macro to call instead of the
+    commands that set limits. end_macro: macro to call after those that restore them; Klipper goes
+    on if it has no macro of that name.
     """
 
     velocity: float = positive(most=FASTEST)
@@ -102,12 +105,14 @@ class Firmware:
     """The firmware that plays the output (``dialect``), and the tables of all that the profile has.
 
     harmless: commands and macros that move nothing. returns: those that may move, but return to
-    the same position and modes. A name may end in ``*``.
+    the same position and modes. other_tools: those after which a tool prints that the plant is not
+    of; None if its owner has not said. A name may end in ``*``.
     """
 
     dialect: str = "klipper"
     harmless: tuple[str, ...] = ()
     returns: tuple[str, ...] = ()
+    other_tools: tuple[str, ...] | None = None
     klipper: KlipperTable | None = None
     marlin: MarlinTable | None = None
 
@@ -117,7 +122,7 @@ REPRAPFIRMWARE_REMOVED = (
     "support for RepRapFirmware was removed, because its output was never run on the real "
     f"firmware: choose one of {', '.join(TABLES)}"
 )
-NAMES = ("harmless", "returns")
+NAMES = ("harmless", "returns", "other_tools")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
 
@@ -146,7 +151,7 @@ def load_firmware(table: dict[str, Any]) -> Firmware:
         for name, kind in TABLES.items()
         if name in table
     }
-    tables |= {key: _names(table.get(key, []), f"firmware.{key}") for key in NAMES}
+    tables |= {key: _names(table[key], f"firmware.{key}") for key in NAMES if key in table}
     return Firmware(dialect, **tables)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.printer.decoding import decoded
+from hframe_post.printer.firmware_tables import MACROS
 
 SAVED = "#*#"  # starts each line that SAVE_CONFIG wrote
 HEADING = re.compile(r"#\*# <-+ SAVE_CONFIG -+>")
@@ -49,8 +50,8 @@ class Line:
 class KlipperConfig:
     """A printer.cfg with its includes. Raises HframeError if it is not a printer.cfg.
 
-    missing: includes that were not found. unsaved: why Klipper ignores all that SAVE_CONFIG wrote,
-    and what to do; empty if it does not.
+    missing: a sentence for each include that finds no file. unsaved: why Klipper ignores all that
+    SAVE_CONFIG wrote, and what to do; empty if it does not.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,11 +69,8 @@ class KlipperConfig:
         except _MalformedError as error:
             raise HframeError(_advice(path, text) or str(error)) from None
         if not self._parser.has_section("printer"):
-            lost = f"; {', '.join(self.missing)} was not found" if self.missing else ""
-            raise HframeError(
-                _advice(path, text)
-                or f"{path} has no section [printer]{lost}: is it a printer.cfg?"
-            )
+            lost = f"; {self.missing[0]}" if self.missing else ": is it a printer.cfg?"
+            raise HframeError(_advice(path, text) or f"{path} has no section [printer]{lost}")
 
     def _read(self, lines: Sequence[Line], within: tuple[str, ...]) -> None:
         """Read lines and, where they stand, the includes among them. within: files around them."""
@@ -93,8 +91,11 @@ class KlipperConfig:
         self._files += len(files)
         if self._files > MAX_FILES:
             raise HframeError(f"{self.path} includes more than {MAX_FILES} files")
-        if not files and not glob.has_magic(pattern):
-            self.missing.append(pattern)
+        if not files and os.path.basename(pattern) != MACROS:  # see `check_macros`
+            self.missing.append(
+                f"{line.place}: [include {pattern}] finds no file, so what it sets is not known "
+                "here: copy the whole folder of printer.cfg from the printer"
+            )
         for each in files:
             if os.path.abspath(each) in inside:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
@@ -166,10 +167,14 @@ class KlipperConfig:
             where = f"{self.place(section, key)}: [{section}] {key}"
             raise HframeError(f"{where}: {text!r} is not a number") from None
 
+    def sections(self, *kinds: str) -> list[str]:
+        """Return the sections whose name begins with one of these words, in order."""
+        named = ((each, *each.split()) for each in self._parser.sections())
+        return [each for each, *words in named if words and words[0] in kinds]
+
     def accelerometers(self) -> list[str]:
         """Return the names by which Klipper's commands know the accelerometers."""
-        sections = (section.split() for section in self._parser.sections())
-        return [words[-1] for words in sections if words and words[0] in ACCELEROMETERS]
+        return [section.split()[-1] for section in self.sections(*ACCELEROMETERS)]
 
     def cruise_ratio(self) -> float:
         """Return minimum_cruise_ratio; Klipper computes it where max_accel_to_decel is given."""

@@ -6,16 +6,20 @@ Klipper's defaults hold here too: https://www.klipper3d.org/Config_Reference.htm
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, as_float, extruder, motors
 
 CLOSE = 1e-3  # tolerated difference of two numbers
+SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
 
-Difference = tuple[bool, str, str, str]  # whether it is wrong, section, option, text
+# Whether it is wrong, section, option, text, and the profile's key if setup finds its value
+Difference = tuple[bool, str, str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +36,11 @@ def check(
     """Yield the differences of a printer.cfg from a profile. Raises HframeError.
 
     remedy: what to do where they differ. chosen: settings of the profile that its owner chose, such
-    as "motors.belt_acceleration".
+    as "motors.belt_acceleration", which setup keeps.
     """
-    for name in config.missing:
-        place = config.place(f"include {name}", "")
-        yield Finding(False, f"{place}: [include {name}] was not found and is not checked")
     if config.unsaved:
         yield Finding(True, config.unsaved)
-    for wrong, section, option, text in (
+    for wrong, section, option, text, key in (
         *_kinematics(config, printer),
         *_steps(config, printer),
         *_numbers(config, printer),
@@ -47,8 +48,14 @@ def check(
         *_above(config, printer, chosen),
     ):
         where = f"{config.place(section, option)}: [{section}] {text}"
-        yield Finding(wrong, f"{where}: {remedy}" if wrong else where)
+        if key in chosen:
+            where += ", which was changed by hand: write the printer's value into the profile"
+            yield Finding(wrong, f"{where}, or the profile's into printer.cfg")
+        else:
+            yield Finding(wrong, f"{where}: {remedy}" if wrong else where)
     yield from _stream(config, printer)
+    for warning in warnings(config):
+        yield Finding(False, warning)
 
 
 def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
@@ -56,7 +63,7 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]
     needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
     if has != needs:
         text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
-        yield True, "printer", "kinematics", text
+        yield True, "printer", "kinematics", text, "kinematics.type"
 
 
 def _speed_and_acceleration(config: KlipperConfig) -> tuple[float, float]:
@@ -80,7 +87,7 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
         ("limits.extruder_corner_velocity", limits.extruder_corner_velocity,
          "extruder", "instantaneous_corner_velocity", 1.0),
     ]  # fmt: skip
-    if klipper is not None and not klipper.end_macro:
+    if klipper is not None:
         table = "firmware.klipper"
         pairs += [
             (f"{table}.velocity", klipper.velocity, "printer", "max_velocity", math.nan),
@@ -109,12 +116,15 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
 def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
     for key, wanted, section, option, default in _repeated(config, printer):
         has = config.number(section, option, default)
+        if config.missing and not config.text(section, option):
+            continue  # a file that was not found may set it
         if math.isnan(has):
             line = f"'{option}: {wanted:g}', the profile's {key}"
-            yield False, section, option, f"has no {option}, so Klipper chooses it: add {line}"
+            text = f"has no {option}, so Klipper chooses it: add {line}"
+            yield False, section, option, text, ""
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
-            yield True, section, option, f"{option}: {has:g}{given}, but {key} = {wanted:g}"
+            yield True, section, option, f"{option}: {has:g}{given}, but {key} = {wanted:g}", key
 
 
 def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
@@ -123,7 +133,7 @@ def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         step = config.step(motor)
         if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
             text = f"steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
-            yield True, motor, "rotation_distance", text
+            yield True, motor, "rotation_distance", text, "steps.belt"
 
 
 def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
@@ -138,7 +148,7 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         ):
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
-                yield True, section, option, text
+                yield True, section, option, text, f"travel.{axis}"
 
 
 def _above(
@@ -165,13 +175,13 @@ def _above(
             if above:
                 has = config.text("printer", option)
                 text = f"{option}: {has}, but the profile has {' and '.join(above)}, {who}"
-                yield who != "as you chose", "printer", option, text
+                yield who != "as you chose", "printer", option, text, ""
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     klipper = printer.firmware.klipper
     for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
-        if name and not config.macros(name):
+        if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
             yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
     if config.text("printer", "max_accel_to_decel"):
         place = config.place("printer", "max_accel_to_decel")
@@ -183,3 +193,26 @@ def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     if config.has("skew_correction"):
         place = config.place("skew_correction", "")
         yield Finding(False, f"{place}: [skew_correction] distorts converted motion: turn it off")
+
+
+def warnings(config: KlipperConfig) -> Iterator[str]:
+    """Yield what the owner of a printer.cfg must know, whatever the profile says."""
+    yield from config.missing
+    for section in config.sections("dual_carriage"):
+        yield (
+            f"{config.place(section, '')}: [{section}]: a profile has the model of one carriage: "
+            "what the other prints, after T1, is not compensated"
+        )
+    for section in config.sections("toolchanger", "tool")[:1]:
+        yield (
+            f"{config.place(section, '')}: [{section}]: a profile has the model of one tool head, "
+            "and others ring differently: list their commands below [firmware] of the profile, as "
+            'other_tools = ["T1", "T2"], and what they print is not compensated'
+        )
+    for section in config.sections("gcode_macro", "delayed_gcode"):
+        line = config.lines(section, "gcode")
+        if line and line[-1].path.name != MACROS and SHAPES.search(config.text(section, "gcode")):
+            yield (
+                f"{line[-1].place}: [{section}] runs SET_INPUT_SHAPER: what it sets lasts until a "
+                "converted file begins, which restores the frequencies of [input_shaper] at its end"
+            )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from hframe_post.errors import HframeError
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.firmware_tables import END_MACRO
 from hframe_post.printer.klipper_cfg import KlipperConfig
 
 KINEMATICS = {  # ours, the safest first, by Klipper's name
@@ -28,8 +29,9 @@ HARD = 8000.0  # mm/s²
 VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 DEFAULT = "Klipper's default"
+AS_BEFORE = "as before"  # origin of what an earlier setup found
 
-Value = float | tuple[float, float] | str | bool
+Value = float | tuple[float, float] | tuple[str] | str | bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +45,15 @@ class Known:
         if isinstance(self.value, str | bool):
             return json.dumps(self.value, ensure_ascii=False)
         if isinstance(self.value, tuple):
-            return f"[{', '.join(f'{number:.9g}' for number in self.value)}]"
+            items = (json.dumps(v) if isinstance(v, str) else f"{v:.9g}" for v in self.value)
+            return f"[{', '.join(items)}]"
         return f"{self.value:.9g}"
 
     def comment(self) -> str:
         return f"{self.as_toml()} ({self.origin})"
 
 
-Tables = dict[str, dict[str, Known]]  # settings, by the names of their tables
+Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
 
 # What an inexact model leaves is excited by the path, mostly where it brakes before a corner
 RAMP = 0.01  # s in which max_accel is reached: a third less error for 1 % (at most 8 %) more time
@@ -106,9 +109,14 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
                 config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
             ),
             **_shaper(config),
+            "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
         },
     }
-    return {name: table for name, table in tables.items() if table}
+    for section in config.sections("dual_carriage")[:1]:
+        tables["firmware"] = {"other_tools": Known(("T1",), f"[{section}] prints then")}
+    # a file that was not found may set it
+    unknown = ("steps", "retraction") if config.missing else ("steps",)
+    return {name: table for name, table in tables.items() if table or name not in unknown}
 
 
 def gentle(acceleration: Known) -> dict[str, Known]:
@@ -147,7 +155,7 @@ def _needed(config: KlipperConfig, section: str, key: str) -> Known:
     value = config.number(section, key)
     if math.isnan(value):
         where = f"{config.path}: [{section}] {key} is missing"
-        lost = f"; [include {config.missing[0]}] was not found" if config.missing else ""
+        lost = f"; {config.missing[0]}" if config.missing else ""
         raise HframeError(where + lost)
     if not 0.0 < value < 1e9:
         raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
@@ -225,9 +233,10 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
 
 
 def _shaper(config: KlipperConfig) -> dict[str, Known]:
+    if config.missing and not config.has("input_shaper"):
+        return {}  # it may be in a file that was not found
     keys = [f"shaper_freq_{axis}" for axis in "xyz"]
-    found = {key: _or(config, "input_shaper", key, 0.0) for key in keys}
-    return {key: known for key, known in found.items() if known.value}
+    return {key: _or(config, "input_shaper", key, 0.0) for key in keys}
 
 
 def text_from_klipper(config: KlipperConfig) -> str:
@@ -257,7 +266,9 @@ COLUMN = 32
 def profile_text(tables: Tables, description: str) -> str:
     """Return a new profile as TOML. It has no plant yet: the nozzle follows the motors exactly."""
     dialect = "marlin" if "firmware.marlin" in tables else "klipper"
-    settings = "\n".join(line for name in tables for line in _table(name, tables[name]))
+    others = dict(tables)
+    firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
+    settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     x = tables["travel"]["x"].value
     assert isinstance(x, tuple)
     return f"""\
@@ -269,7 +280,7 @@ description = {json.dumps(description, ensure_ascii=False)}
 {settings}
 [firmware]
 dialect = "{dialect}"
-
+{firmware}
 [compensation]          # 'hframe-post identify' chooses these for your printer
 strategy = "racking"    # ringing and, on an H-bot, racking
 L = 5                   # samples between knots
@@ -280,13 +291,15 @@ effort = [10, 10]       # weight on the second difference of the command in x an
 [plant]                 # Not measured yet: 'hframe-post identify' writes it (docs/identify.md).
 invented = true         # Until then nothing is compensated.
 Ts = 0.001
-x_c = {sum(x) / 2.0:.9g}
+x_c = {sum(map(float, x)) / 2.0:.9g}
 Gxx = {{gain = 1.0, zeros = [], poles = []}}
 Gyy = {{gain = 1.0, zeros = [], poles = []}}
 """
 
 
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
+    if not table:
+        return
     yield f"{f'[{name}]':24s}# {TITLES[name]}"
     for key, known in table.items():
         yield _line(key, known)

@@ -95,6 +95,137 @@ def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: P
     assert "motors.belt_acceleration = 20000: kept" in set_up(config)
 
 
+def test_a_second_setup_changes_no_byte(config: Path) -> None:
+    written = [config.parent / name for name in ("printer.toml", "hframe.cfg")]
+    default = config.parent / "config" / "hframe-post" / "config.toml"
+    set_up(config)
+    own = written[0]
+    own.write_text(own.read_text().replace("belt_velocity = ", "belt_velocity   =  "))
+    for _ in range(2):
+        before = [(path.read_bytes(), path.stat().st_mtime_ns) for path in (*written, default)]
+        printed = set_up(config)
+        assert "no changes" in printed
+        assert "kept" not in printed
+        after = [(path.read_bytes(), path.stat().st_mtime_ns) for path in (*written, default)]
+        assert after == before
+        edited(own, "z_velocity = 20", "z_velocity = 19")  # kept, once it is noted
+        set_up(config)
+        edited(own, "z_velocity = 19", "z_velocity = 20")
+
+
+@pytest.mark.parametrize(
+    ("key", "by_hand", "printers"),
+    [
+        ("limits.z_velocity", "z_velocity = 15", "z_velocity = 20"),
+        ("travel.x", "x = [0, 300]", "x = [0, 280]"),
+        ("firmware.klipper.acceleration", "acceleration = 4000", "acceleration = 10000"),
+    ],
+)
+def test_the_printers_value_comes_back_where_one_was_changed_by_hand(
+    config: Path, key: str, by_hand: str, printers: str
+) -> None:
+    """What doctor and setup advise ends the difference that doctor finds."""
+    with config.open("a") as file:
+        file.write("[include hframe.cfg]\n")
+    set_up(config)
+    own = config.parent / "printer.toml"
+    table = f"[{key.rpartition('.')[0]}]"
+    head, rest = own.read_text().split(table)
+    own.write_text(head + table + rest.replace(printers, by_hand, 1))
+
+    def doctor() -> list[str]:
+        done = run("doctor", "-p", own, "--printer-cfg", config,
+                   XDG_CONFIG_HOME=str(config.parent / "config"), HFRAME_PRINTER="")  # fmt: skip
+        return [line for line in done.stdout.decode().splitlines() if line.startswith("PROBLEM")]
+
+    (problem,) = doctor()
+    assert "changed by hand: write the printer's value into the profile" in problem
+    assert "run 'hframe-post setup" not in problem
+    kept = set_up(config)
+    assert f"{key} = {by_hand.split(' = ')[1]}: kept, because it was changed by hand" in kept
+    value = printers.split(" = ")[1]
+    assert f"to take the printer's, write {value} (" in kept
+    head, rest = own.read_text().split(table)
+    own.write_text(head + table + rest.replace(by_hand, printers, 1))
+    assert doctor() == []
+    assert "no changes" in (again := set_up(config))
+    assert "kept" not in again
+
+
+def test_what_the_printer_has_no_more_goes(config: Path) -> None:
+    """Input shaping and firmware retraction, which doctor would report for ever."""
+    before = config.read_text()
+    assert "[firmware_retraction]" in before
+    edited(config, "[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5")
+    set_up(config)
+    own = config.parent / "printer.toml"
+    has = load(str(own))
+    assert has.firmware.klipper is not None
+    assert has.firmware.klipper.shaper_freq_x == 51.5
+    assert has.retraction is not None
+    config.write_text(before.replace("[firmware_retraction]", "[unused]"))
+    printed = set_up(config)
+    assert "[retraction]: removed, because the printer has none any more" in printed
+    has = load(str(own))
+    assert has.firmware.klipper is not None
+    assert has.firmware.klipper.shaper_freq_x == 0.0
+    assert has.retraction is None
+    assert "no changes" in set_up(config)
+
+
+@pytest.mark.parametrize("pattern", ["conf/*.cfg", "conf/shaper.cfg"])
+def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
+    config: Path, pattern: str, tmp_path: Path
+) -> None:
+    """They may hold [input_shaper], so what was known of it stays."""
+    shaper = config.parent / "conf" / "shaper.cfg"
+    shaper.parent.mkdir()
+    shaper.write_text("[input_shaper]\nshaper_freq_x: 51.5\n")
+    text = config.read_text().replace("[input_shaper]\n", "")
+    config.write_text(f"[include {pattern}]\n{text}\n[include hframe.cfg]\n")
+    assert "WARNING" not in set_up(config)
+    shaper.unlink()
+    missing = f"{config}:1: [include {pattern}] finds no file, so what it sets is not known here"
+    assert f"WARNING          {missing}" in set_up(config)
+    own = config.parent / "printer.toml"
+    klipper = load(str(own)).firmware.klipper
+    assert klipper is not None
+    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "HFRAME_END")
+    checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
+    assert f"note     {missing}" in checked.stdout.decode()
+    assert b"but the include that finds no file was not checked" in checked.stdout
+    (tmp_path / "recordings").mkdir()
+    done = run("identify", tmp_path / "recordings", "--printer-cfg", config)
+    assert f"WARNING      {missing}" in done.stderr.decode()
+
+
+def test_setup_works_where_the_users_folder_cannot_be_written(config: Path) -> None:
+    (config.parent / "config").write_text("a file, not a folder")
+    printed = set_up(config)
+    own = config.parent / "printer.toml"
+    assert load(str(own)).invented
+    assert f"is not the default: give -p {own} to each command" in printed
+    assert f"profile          {own}, not the default" in printed
+    assert "Traceback" not in printed
+
+
+def test_printers_with_several_tools_are_told_what_is_compensated(config: Path) -> None:
+    text = config.read_text()
+    config.write_text(f"{text}\n[dual_carriage]\naxis: x\n")
+    assert f"WARNING          {config}:" in (printed := set_up(config))
+    assert "[dual_carriage]: a profile has the model of one carriage" in printed
+    own = config.parent / "printer.toml"
+    assert load(str(own)).firmware.other_tools == ("T1",)
+    assert "no changes" in set_up(config)
+    changer = (
+        "[toolchanger]\n[tool T0]\n[gcode_macro USE]\ngcode:\n  SET_INPUT_SHAPER SHAPER_FREQ_X=9\n"
+    )
+    config.write_text(f"{text}\n{changer}")
+    printed = set_up(config)
+    assert "[toolchanger]: a profile has the model of one tool head" in printed
+    assert "[gcode_macro USE] runs SET_INPUT_SHAPER" in printed
+
+
 def test_again_it_keeps_an_identified_plant(config: Path) -> None:
     own = config.parent / "printer.toml"
     set_up(config, "--kinematics", "hbot")
@@ -117,7 +248,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b'extends = "paper"\n[travel]\nx = [0, 1]\n', "is a profile of hframe-post"),
         (b"#define X_BED_SIZE 220\n", "Send M503 to the printer"),
         (b"[extruder]\nnozzle_diameter: 0.4\n", "no section [printer]"),
-        (b"[include gone.cfg]\n", "gone.cfg was not found"),
+        (b"[include gone.cfg]\n", "[include gone.cfg] finds no file"),
         (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
         (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),

@@ -200,7 +200,7 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
     assert z_only[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=22"
 
 
-def test_macros_replace_the_limits_and_the_shaper() -> None:
+def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_ones() -> None:
     firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
     assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
@@ -208,7 +208,13 @@ def test_macros_replace_the_limits_and_the_shaper() -> None:
         b"G90",
         b"M83",
     ]
-    assert Klipper(firmware, STREAM).end(STATE, AT) == [b"G4 P0", b"HFRAME_END A=1", b"G1 F6000"]
+    assert Klipper(firmware, STREAM).end(STATE, AT) == [
+        b"G4 P0",
+        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
+        b"MINIMUM_CRUISE_RATIO=0.5",  # holds where printer.cfg has no such macro
+        b"HFRAME_END A=1",
+        b"G1 F6000",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,30 @@ def test_a_check_is_printed_from_the_console(machine: Printer, tmp_path: Path) -
 
 
 @pytest.mark.klipper
+def test_the_shaper_comes_back_though_the_profile_knows_none(
+    machine: Printer, tmp_path: Path
+) -> None:
+    """printer.cfg was read without the file that has [input_shaper]."""
+    copy = tmp_path / "printer.cfg"
+    lost = TEMPLATE.read_text().replace("[input_shaper]", "[include conf/*.cfg]")
+    copy.write_text(lost + PRINTER.partition("[input_shaper]")[0])
+    config = KlipperConfig(copy)
+    unaware = profile_of(config)
+    assert unaware.firmware.klipper is not None
+    assert unaware.firmware.klipper.shaper_freq_x == 0.0
+    lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
+    conversion = GcodeConversion(lines, unaware, Options("racking"))
+    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    assert text.count(b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 ") == text.count(b"SET_INPUT_SHAPER")
+    script = [PRINT, ("in mid-print", ""), ("stopped", "")]
+    host = sections("Klipper's own", machine, tmp_path)
+    _, printing, done = typed(script, {"part.gcode": text}, host, tmp_path / "host")
+    assert printing["shapers"] == [0.0, 0.0], "Hz, in mid-print"
+    assert done["state"] == "complete"
+    assert like(done, OWN)
+
+
+@pytest.mark.klipper
 @pytest.mark.parametrize("client", few([*CLIENTS], 2))
 def test_limits_and_shapers_are_the_printers_whatever_stops_the_print(
     client: str, machine: Printer, files: dict[str, bytes], tmp_path: Path

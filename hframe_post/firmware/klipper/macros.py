@@ -14,11 +14,11 @@ from __future__ import annotations
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 
-FILE = "hframe.cfg"
-BEGIN, END = "HFRAME_BEGIN", "HFRAME_END"
+FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
 WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
 """Klipper's command, and the spelling of the section that is called before it."""
 

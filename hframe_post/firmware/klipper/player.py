@@ -115,14 +115,13 @@ class Klipper:
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
+        corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
+        stop = [_limit(table.velocity, table.acceleration, corner, cruise)]
+        shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
+        if any(shaped):
+            stop.append(_shaper(shaped))
         if table.end_macro:
-            stop = [table.end_macro]
-        else:
-            corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
-            stop = [_limit(table.velocity, table.acceleration, corner, cruise)]
-            shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
-            if any(shaped):
-                stop.append(_shaper(shaped))
+            stop.append(table.end_macro)
         return [line.encode() for line in [STAND, *stop, *names, *_modes(state)]]
 
     def modes_after(self, name: str) -> bytes:
