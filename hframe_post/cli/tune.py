@@ -136,10 +136,11 @@ def tune(
                     extrusion=extrusion,
                 )  # fmt: skip
             best, pace = tuned.best, None
-            if best is not None and not keep_limits and str(source) != "-":
+            limited = keep_limits or str(source) == "-"  # which cannot be read again
+            if best is not None and not limited and (kept := _pieces(source, profile)):
                 grid = pareto.windows(tuned.trials, best, profile.motors)
                 plants = random_plants(profile.plant, model_error, draws, seed)
-                pace = pareto.pareto(_pieces(source, profile), profile, grid, plants)
+                pace = pareto.pareto(kept, profile, grid, plants)
             found = summary(tuned.trials, best, model_error, draws, tuned.stops)
             write_json(found | (pace_as_json(pace) if pace else {}))
             if figure is not None and drawing is not None:

@@ -40,7 +40,7 @@ from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer, Speed
-from hframe_post.stream.chunks import ended, shifted
+from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
 from hframe_post.stream.types import Item, Planned, Samples
@@ -200,13 +200,8 @@ def continued(
     spans: Spans, commands: Callable[[Iterable[Planned]], Iterator[Samples]], printer: Printer
 ) -> Iterator[Samples]:
     """Yield the commands for the planned items of all spans as one stream."""
-    first = end = 0
-    for span in spans:
-        chunks = commands(span.items)
-        for chunk in chunks if printer.plant.bed is None else ended(chunks):
-            yield shifted(chunk, first)
-            end = first + chunk.end
-        first = end
+    streams = (commands(span.items) for span in spans)
+    return successive(streams if printer.plant.bed is None else map(ended, streams))
 
 
 class Source:

@@ -43,6 +43,17 @@ def ended(chunks: Iterable[Samples]) -> Iterator[Samples]:
         yield replace(last, ends_stretch=True)
 
 
+def successive(streams: Iterable[Iterable[Samples]]) -> Iterator[Samples]:
+    """Yield streams as one: each begins at the sample after those before it, not at its own 0."""
+    first = end = 0
+    for stream in streams:
+        for chunk in stream:
+            chunk = shifted(chunk, first)
+            end = chunk.end
+            yield chunk
+        first = end
+
+
 def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
     waiting: list[Samples] = []
     for chunk in chunks:

@@ -171,6 +171,15 @@ def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path
     assert "recommended: acceleration = " in done.stdout.decode()
 
 
+def test_tune_recommends_no_limits_where_no_layer_has_a_label(tmp_path: Path) -> None:
+    source = tmp_path / "part.gcode"
+    source.write_text("G28\nM83\nG0 X60 Y60 Z0.3 F9000\nG1 X90 Y80 E2\nG1 X60 E2\n")
+    done = run("tune", source, *SMALL_TUNE[:-1])
+    assert done.returncode == 0, done.stderr.decode()
+    assert "recommended: L = 10" in done.stdout.decode()
+    assert "time against error" not in done.stdout.decode()
+
+
 def test_tune_extends_a_shipped_profile_and_tells_refused_candidates(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
     arguments = [

@@ -107,7 +107,10 @@ def search(plant: Plant, paths: Paths) -> list[Shaping]:
     Raises HframeError if there are no paths.
     """
     if not paths:
-        raise HframeError("nothing is extruded at a known place: there is no path to shape")
+        raise HframeError(
+            "there is no path to shape: nothing is extruded at a known place after the label of a "
+            "layer, such as ;LAYER:0"
+        )
     Q = quadratic_form(plant, paths)
     return sorted((best(plant, paths, name, Q) for name in SHAPERS), key=BY_ERROR)
 

@@ -14,13 +14,14 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import product
 
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.settings import Limits, Motors, Printer
+from hframe_post.stream.chunks import ended, successive
 from hframe_post.studies.inputs import Piece, excerpt
 from hframe_post.studies.tuning.tune import Trial, tried
 
@@ -66,7 +67,10 @@ class Pareto:
 
 
 def pieces(lines: Iterable[bytes], printer: Printer) -> list[Piece]:
-    """Return a short part of a print, read with the printer's limits. Raises HframeError."""
+    """Return a short part of a print's layers, read with the printer's limits.
+
+    None are returned if nothing is extruded or no layer has a label. Raises HframeError.
+    """
     items = parsed(lines, printer, Options("racking", limits="printer"))
     kept = excerpt(items, first_layers=0)
     while len(kept) > 1 and sum(sum(p.seconds.values()) for p in kept) > ENOUGH:
@@ -84,7 +88,8 @@ def pareto(
     for limits in _paths(usual):
         driven = replace(printer, limits=limits)
         plans = (plan(piece.items, limits) for piece in kept)
-        samples = chain.from_iterable(sampled(p, driven, Options("racking")) for p in plans)
+        pieces = (sampled(each, driven, Options("racking")) for each in plans)
+        samples = successive(map(ended, pieces))  # the machine is elsewhere in between
         found += [Point(limits, trial) for trial in tried(samples, driven, grid, drawn)]
     own = next(point for point in found if point.limits == usual)
     best = front(found, printer.motors)
