@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.conversion.report import Report
+from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.gcode.state import LimitSource
 from hframe_post.model.plant import Plant, Response
 from hframe_post.prediction.predict import contour_error
@@ -27,6 +29,7 @@ from .host import BEFORE_2024, Playback, play
 
 MINUTE = 60_000  # samples
 MOVING = 2e-4  # mm a millisecond
+ARC = np.arange(0.0, 12.0, 0.04).tolist()  # rad
 
 
 def hops(seed: int, count: int) -> list[bytes]:
@@ -186,6 +189,44 @@ def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
     assert np.sqrt(np.square(off).mean()) < 0.012
     end = run.playback.end
     assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
+
+
+def hardest(run: Played, printer: Printer, over: float) -> float:
+    """Return the greatest mean acceleration of a belt over a time (s) in the stream, mm/s²."""
+    moves = run.playback.moves
+    limit = StreamLimits.from_limits(printer.limits, printer.motors, printer.kinematics)
+    own = moves["print_time"][moves["accel"] == limit.acceleration]  # others: the user's limits
+    t = np.arange(own[0], own[-1], 2.5e-4)
+    at = (run.playback.position(t + shift)[:, :2] for shift in (-over, 0.0, over))
+    before, now, after = (printer.kinematics.belts(*xy.T) for xy in at)
+    return float(np.abs(after - 2.0 * now + before).max()) / over**2
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize(
+    ("name", "acceleration", "limit"),
+    [
+        ("paper", 18_000.0, 50_000.0),  # reached, so that the clamp acts
+        pytest.param("example-corexy", 10_000.0, 14_500.0, marks=pytest.mark.slow),
+        pytest.param("example-cartesian", 8_000.0, 8_000.0, marks=pytest.mark.slow),
+    ],
+)
+def test_klipper_keeps_the_limit_of_the_belts_over_5_ms(
+    tmp_path: Path, name: str, acceleration: float, limit: float
+) -> None:
+    """Lines meet at small steps of speed, which no motor can follow within a millisecond."""
+    printer, effort = profile.load(name), (1.0, 2.0) if name == "paper" else None
+    limits = replace(printer.limits, acceleration=acceleration, deceleration=acceleration)
+    compensation = replace(printer.compensation, effort=effort or printer.compensation.effort)
+    motors = replace(printer.motors, belt_acceleration=limit)
+    printer = replace(printer, limits=limits, compensation=compensation, motors=motors)
+    options = Options("racking", limits="printer", clamp=True)
+    turn = (f"G1 X{120 + 8 * math.cos(k):.3f} Y{120 + 8 * math.sin(k):.3f} F12000" for k in ARC)
+    lines = [*hops(1, 8), *(line.encode() + b"\n" for line in turn)]
+    run = lines_played(lines, tmp_path, options, printer)
+    peak = run.report.peaks.belt_acceleration
+    assert 0.7 * limit < peak <= limit, "mm/s², of the command"
+    assert hardest(run, printer, 5e-3) <= limit, "mm/s², over 5 ms"
 
 
 @pytest.mark.klipper
