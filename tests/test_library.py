@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hframe_post as hp
-from hframe_post.arrays import Array
+from hframe_post.arrays import TS, Array
 from hframe_post.library import first_line
 from hframe_post.paper.results import path
 from hframe_post.printer.settings import Printer
@@ -59,8 +59,11 @@ def test_import_costs_nothing_until_a_name_is_used() -> None:
 
 @pytest.mark.parametrize("name", hp.__all__)
 def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
+    """A dataclass without a docstring gets its signature as one, which says nothing."""
     offered = getattr(hp, name)
-    assert name == "__version__" or offered.__doc__
+    if name != "__version__":
+        assert offered.__doc__, f"{name} has no docstring"
+        assert not offered.__doc__.startswith(f"{name}("), f"{name} has only a generated docstring"
 
 
 @pytest.mark.parametrize("name", hp.__all__)
@@ -113,6 +116,25 @@ def test_command_begins_and_ends_at_rest_on_the_path(paper: Printer, strategy: s
         np.testing.assert_array_equal(command[r:-r], xy)
     else:
         assert np.abs(command[r:-r] - xy).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["paper", "example-corexy", "example-cartesian"])
+@pytest.mark.parametrize("acceleration", [500.0, 3000.0, 10_000.0])
+def test_strokes_get_as_much_rest_as_compensation_can_use(name: str, acceleration: float) -> None:
+    """With a second of rest around it, a stroke begins and ends no more exactly."""
+    profile = hp.load_printer(name)
+    printer = replace(profile, limits=replace(profile.limits, acceleration=acceleration))
+    up = np.arange(0.0, 60.0, acceleration * TS)  # mm/s
+    s = TS * np.cumsum(np.concatenate([up, np.full(300, 60.0), up[::-1]]))
+    xy = np.array([140.0, 100.0]) + s[:, None] * np.array([0.6, 0.8])
+    rested = np.pad(xy, ((1000, 1000), (0, 0)), mode="edge")
+    short, long = (
+        hp.contour_error(hp.predict(hp.compensate(each, printer), printer), each)
+        for each in (xy, rested)
+    )
+    for ends in (slice(0, 30), slice(-30, None)):
+        worse = np.abs(short[ends]).max() - np.abs(long[1000:-1000][ends]).max()
+        assert worse < 1e-3, f"{1e3 * worse:.2f} µm"
 
 
 def test_a_single_place_is_a_path(paper: Printer) -> None:

@@ -19,6 +19,8 @@ from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Samples, frozen
 
+SETTLED = 1e-4  # mm; a few µm of the command decide over as much of the nozzle's error
+
 
 def compensate(
     chunks: Iterable[Samples], compensator: Compensator, names: tuple[str, ...]
@@ -98,7 +100,7 @@ class _Rows:
 
 
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
-    """Return the samples of standstill in which any command leads and settles, to 0.01 mm.
+    """Return the samples of standstill in which any command leads and settles, to SETTLED.
 
     They are those of the fastest start and stop, in x and y at once, from the bed's corners.
     """
@@ -114,7 +116,7 @@ def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -
         samples = Samples(0, xyze + np.array([x, y, 0.0, 0.0]), line)
         commanded = compensate([samples], compensator, ("racking",))
         off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
-        beyond = np.flatnonzero(np.abs(off).max(axis=1) > 0.01)
+        beyond = np.flatnonzero(np.abs(off).max(axis=1) > SETTLED)
         if len(beyond):
             needed += [int(beyond[-1]) - stopped, long - int(beyond[0])]
     return max(needed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.compensate import compensate, settling_samples
+from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
 from hframe_post.model.plant import Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
@@ -64,12 +64,6 @@ def test_without_racking_in_the_plant_both_strategies_are_one(compensator: Compe
     np.testing.assert_array_equal(done.commands["racking"], done.commands["fbs"])
 
 
-def test_strategy_none_commands_the_path(compensator: Compensator) -> None:
-    samples = block(100 + stroke(30, 100, 50), 20 + stroke(30, 100, 50))
-    done = join(list(compensate([samples], compensator, ("none",))))
-    np.testing.assert_array_equal(done.commands["none"], samples.xyze[:, :2])
-
-
 @pytest.mark.parametrize("cut", [1, 7, 100, 10_000])
 def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int) -> None:
     samples = block(100 + stroke(30, 100, 700), 20 + stroke(30, 100, 700))
@@ -91,6 +85,6 @@ def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     samples = block(280.0 - x.max() + x, x)
     done = join(list(compensate([samples], compensator, ("racking",))))
     off = np.abs(done.commands["racking"] - samples.xyze[:, :2]).max(axis=1)
-    assert (off[-1000 + r + 5 :] < 0.012).all()
-    assert (off[: 1000 - r - 5] < 0.012).all()
-    assert off[-1000 + r - 20] > 0.008
+    assert (off[-1000 + r + 5 :] < 1.2 * SETTLED).all(), "mm"
+    assert (off[: 1000 - r - 5] < 1.2 * SETTLED).all(), "mm"
+    assert off[-1000 + r - 20] > 0.8 * SETTLED, "mm"
