@@ -20,6 +20,7 @@ from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import CONVERTING, FOLDER, REFUSAL, FailureError, Upload, refuse
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
+from tests.hosts.moonraker import WAIT, until
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
@@ -35,16 +36,20 @@ def part(tmp_path: Path) -> Path:
     return path
 
 
-def work(part: Path) -> Path:
-    return Upload(part, part.parents[1]).work
+def kept(part: Path) -> list[str]:
+    return os.listdir(part.parents[1] / FOLDER)
+
+
+def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
+    """Start the component as a program on a file."""
+    gcodes = next(folder for folder in part.parents if (folder / FOLDER).is_dir())
+    words = (sys.executable, moonraker.__file__, part, gcodes, gcodes / "socket")
+    return subprocess.Popen([str(word) for word in (*words, *(command or COMMAND))], cwd=ROOT)
 
 
 def processed(part: Path, *command: str) -> int:
     """Run the component as a program on a file; return its exit status."""
-    gcodes = part.parents[1]
-    words = (sys.executable, moonraker.__file__, part, gcodes, gcodes / "socket")
-    arguments = [str(word) for word in (*words, *(command or COMMAND))]
-    return subprocess.run(arguments, cwd=ROOT, check=False).returncode
+    return started(part, *command).wait()
 
 
 @pytest.fixture
@@ -80,7 +85,7 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
     assert processed(part) == 0  # a second pass
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    assert os.listdir(part.parents[1] / FOLDER) == []
+    assert kept(part) == []
     texts = [each["text"] for each in reports]
     assert len(texts) == 2
     assert texts[0].startswith("hframe-post: part.gcode: converted\n")
@@ -99,7 +104,7 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
         assert refusal.startswith(REFUSAL.encode() + b"not converted: line ")
         assert refusal.count(b'"') == 2
         assert rest == OUTSIDE
-        assert not work(part).exists()
+        assert kept(part) == []
     assert all(each["failed"] for each in reports)
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
@@ -125,13 +130,115 @@ def test_a_command_that_cannot_run_is_a_reason(part: Path) -> None:
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
     upload = Upload(part, part.parents[1])
     upload.take()
-    assert part.read_text() == f'{REFUSAL}{CONVERTING}"\n'
+    refusal, name, end = part.read_text().split("\n")
+    assert refusal == f'{REFUSAL}{CONVERTING}"'
+    assert name == f"; hframe-post keeps the sliced file as {upload.work.name}"
+    assert end == ""
     assert upload.work.read_bytes() == PART
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
     upload.refuse(CONVERTING)  # as if it were interrupted once more, and the original deleted
     with pytest.raises(FailureError, match="upload it again"):
         upload.take()
+
+
+LONG = "é" * 117  # 234 bytes of at most 255 in a name
+NAMES = [
+    f"1{LONG}.gcode", f"2{LONG}.gcode", "测" * 80 + ".gcode", "试" + "测" * 79 + ".gcode",
+    "🖨" * 60 + ".gcode", "🧊" + "🖨" * 59 + ".gcode", "Part.gcode", "part.gcode", "50%.gcode",
+    "50%25.gcode", "sub%2Fpart.gcode", "sub/part.gcode", "a/" + LONG + ".gcode",
+    "b/" + LONG + ".gcode", "sub/sub/part.gcode", "-dash.gcode", "two words.gcode",
+]  # fmt: skip
+
+
+def test_after_an_interruption_every_name_gets_its_own_file_back(tmp_path: Path) -> None:
+    (tmp_path / FOLDER).mkdir()
+    uploads = []
+    for number, name in enumerate(NAMES):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(PART + b"; part %d\n" % number)
+        uploads.append(Upload(path, tmp_path))
+        uploads[-1].take()
+    assert len(os.listdir(tmp_path / FOLDER)) == len(NAMES)
+    for number, name in reversed([*enumerate(NAMES)]):
+        again = Upload(tmp_path / name, tmp_path)
+        again.take()
+        assert again.work.read_bytes() == PART + b"; part %d\n" % number, name
+        again.give_back()
+    assert os.listdir(tmp_path / FOLDER) == []
+
+
+def test_an_interrupted_file_is_found_under_its_new_name_and_as_copies(tmp_path: Path) -> None:
+    (tmp_path / FOLDER).mkdir()
+    old, new, copied = (tmp_path / f"{name}.gcode" for name in ("old", "new", "copied"))
+    old.write_bytes(PART)
+    Upload(old, tmp_path).take()
+    old.rename(new)
+    copied.write_bytes(new.read_bytes())
+    old.write_bytes(PART + b"; another\n")
+    Upload(old, tmp_path).take()
+    for path, expected in ((new, PART), (old, PART + b"; another\n"), (copied, PART)):
+        again = Upload(path, tmp_path)
+        again.take()
+        again.give_back()
+        assert path.read_bytes() == expected, path.name
+    assert os.listdir(tmp_path / FOLDER) == []
+
+
+def test_what_is_kept_for_a_deleted_file_goes_with_the_next_of_its_name(part: Path) -> None:
+    upload = Upload(part, part.parents[1])
+    upload.take()
+    part.write_bytes(PART + b"; another\n")
+    again = Upload(part, part.parents[1])
+    again.take()
+    assert kept(part) == [again.work.name]
+    assert again.work.read_bytes() == PART + b"; another\n"
+
+
+def test_a_line_that_names_any_other_file_is_not_followed(part: Path) -> None:
+    part.with_name("secret.sliced").write_bytes(b"G28\n")
+    line = f'{REFUSAL}x"\n; hframe-post keeps the sliced file as ../sub/secret.sliced\n'
+    part.write_text(line)
+    upload = Upload(part, part.parents[1])
+    upload.take()
+    assert upload.work.read_text() == line.split("\n", 1)[1]
+    assert part.with_name("secret.sliced").read_bytes() == b"G28\n"
+
+
+@pytest.mark.parametrize("fate", ["deleted", "renamed", "written over"])
+def test_a_conversion_ends_when_its_file_is_gone(
+    part: Path, reports: list[Any], fate: str, tmp_path: Path
+) -> None:
+    renamed, began = part.with_name("new.gcode"), tmp_path / "began"
+    # at first a command that never ends by itself, as that of a long file
+    command = ("sh", "-c", f'test -e {began} && exec "$@"; touch {began}; read x', "sh", *COMMAND)
+    with started(part, *command) as program:
+        try:
+            until(began.exists)
+            if fate == "deleted":
+                part.unlink()
+            elif fate == "renamed":
+                part.rename(renamed)
+            else:
+                part.write_bytes(PART)
+            status = program.wait(timeout=WAIT)
+        finally:
+            program.kill()
+    if fate == "written over":
+        assert status == 0
+        assert part.read_bytes().startswith(b"; processed by hframe-post")
+    else:
+        assert status == 1
+        assert not part.exists()
+        texts = [each["text"] for each in reports]
+        assert texts == [
+            f"hframe-post: part.gcode: its conversion was stopped, because it was {fate}"
+        ]
+    if fate == "renamed":
+        assert processed(renamed) == 0
+        assert renamed.read_bytes().startswith(b"; processed by hframe-post")
+    assert kept(part) == []
 
 
 def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
