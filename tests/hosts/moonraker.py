@@ -101,6 +101,11 @@ class Printer(Server):
         self.profile = self.data / "config/printer.toml"
         shutil.copy(ROOT / "tests/measured.toml", self.profile)
         self.set_up("--moonraker")
+        self.as_set_up = self.config.read_text()
+        # while the gate exists, conversions wait: no test depends on who is faster
+        self.gate = folder / "gate"
+        waits = f"command: {sys.executable} {Path(__file__).with_name('gate.py')} {self.gate} "
+        self.config.write_text(self.as_set_up.replace("command: ", waits, 1))
 
     def set_up(self, *options: str) -> str:
         config = self.data / "config"

@@ -6,6 +6,7 @@ MOONRAKER_PYTHON names a Python in which Moonraker is installed, as ``make hosts
 from __future__ import annotations
 
 import base64
+import contextlib
 import os
 import re
 import shutil
@@ -17,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from hframe_post.hosts.moonraker import Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
 from tests.hosts.moonraker import Printer, until
@@ -50,10 +52,11 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     start = b"; thumbnail begin 32x32 %d\n; %s\n; thumbnail end\n" % (len(picture), picture)
     labels = b"EXCLUDE_OBJECT_DEFINE NAME=cube CENTER=110,110\n"
     sliced = start + CUBE.replace(b";LAYER:0\n", labels + b";LAYER:0\n", 1)
+    sliced = sliced.replace(b";LAYER:2\n", b"PAUSE\n;LAYER:2\n", 1)  # until it is cancelled
     answer = printer.upload("cube.gcode", sliced, "/api/files/local", print="true")
     assert answer["print_started"]
-    assert printer.print_stats()["state"] == "printing"
-    until(lambda: printer.print_stats()["progress"] > 0.01)
+    until(lambda: printer.print_stats()["state"] == "paused")
+    assert printer.print_stats()["progress"] > 0.01
     printer.post("/printer/print/cancel")
     assert printer.print_stats()["state"] == "cancelled"
     objects = printer.get("/printer/objects/query?exclude_object")["status"]["exclude_object"]
@@ -119,14 +122,14 @@ def test_a_conversion_that_was_interrupted_is_done_after_the_restart(
     printer: Printer, alone: bool
 ) -> None:
     """alone: Moonraker is killed, and the conversion goes on."""
-    uploading = threading.Thread(target=attempted, args=(printer, "long.gcode", CUBE), daemon=True)
-    uploading.start()
+    printer.gate.touch()
+    uploading = started(printer, "long.gcode", CUBE)
     path = printer.gcodes / "long.gcode"
     until(lambda: path.exists() and b"not converted yet" in path.read_bytes())
     printer.kill("moonraker", alone)
     uploading.join()
-    if not alone:
-        assert b"not converted yet" in path.read_bytes()
+    assert b"not converted yet" in path.read_bytes()
+    printer.gate.unlink()
     printer.start_moonraker()
     until(lambda: path.read_bytes().startswith(b"; processed by hframe-post"))
     assert path.read_bytes() == printer.converted(CUBE)
@@ -135,9 +138,85 @@ def test_a_conversion_that_was_interrupted_is_done_after_the_restart(
     path.unlink()
 
 
-def attempted(printer: Printer, name: str, content: bytes) -> Any:
+def test_files_with_long_and_similar_names_are_all_converted_after_a_restart(
+    printer: Printer,
+) -> None:
+    names = [*("测" * 70 + f"{each}.gcode" for each in "甲乙"), f"A{'b' * 240}.gcode"]
+    names += [f"B{'b' * 240}.gcode", "50%.gcode", "50%25.gcode", "sub/50%.gcode"]
+    files = {name: PART + b"; part %d\n" % number for number, name in enumerate(names)}
+    printer.kill("moonraker")
+    printer.gate.touch()
+    for name, content in files.items():
+        path = printer.gcodes / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+        Upload(path, printer.gcodes).take()  # as a conversion that was interrupted leaves it
+    printer.gate.unlink()
+    printer.start_moonraker()
+    for name, content in files.items():
+        path = printer.gcodes / name
+        until(lambda path=path: path.read_bytes().startswith(b"; processed by"))  # type: ignore[misc]
+        assert path.read_bytes() == printer.converted(content), name
+    until(lambda: left_over(printer) == [])
+
+
+def test_an_upload_that_is_deleted_is_not_converted_and_the_next_one_is(printer: Printer) -> None:
+    path = printer.gcodes / "long.gcode"
+    uploading = started(printer, "long.gcode", 15 * CUBE, print="true")
+    until(lambda: len(conversions(printer)) > 0)
+    # one at a time: Moonraker confuses uploads that begin in the same second
+    waiting = started(printer, "next.gcode", PART)
+    printer.request("DELETE", "/server/files/gcodes/long.gcode")
+    assert not path.exists()
+    waiting.join()
+    uploading.join()
+    assert (printer.gcodes / "next.gcode").read_bytes() == printer.converted(PART)
+    for name in ("long.gcode", "sub/long.gcode", "long.gcode"):
+        printer.upload(name, PART)
+        assert (printer.gcodes / name).read_bytes() == printer.converted(PART)
+    listed = {each["path"] for each in printer.get("/server/files/list")}
+    assert {"long.gcode", "sub/long.gcode", "next.gcode"} <= listed
+    assert any("long.gcode: its conversion was stopped" in line for line in printer.console())
+    assert printer.print_stats()["state"] not in ("printing", "error")
+    assert left_over(printer) == []
+    until(lambda: conversions(printer) == [])
+
+
+def conversions(printer: Printer) -> list[str]:
+    """Return the processes that convert a file for this Moonraker."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            words = process.read_bytes().decode(errors="replace").split("\0")
+            if any(word.startswith(f"{printer.gcodes}/.hframe_post/") for word in words):
+                found.append(" ".join(words))
+    return found
+
+
+def test_the_reason_of_a_limit_that_a_worker_finds_is_shown(printer: Printer) -> None:
+    profile = printer.profile.read_text()
+    weak = profile + "\n[motors]\nbelt_acceleration = 9000\n"
     try:
-        return printer.upload(name, content)
+        printer.profile.write_text(weak)
+        printer.upload("weak.gcode", CUBE)
+    finally:
+        printer.profile.write_text(profile)
+    refusal = (printer.gcodes / "weak.gcode").read_text().split("\n")[0]
+    assert re.search(r"not converted: line \d+: .*belt.* would be \d+.* limit is 9000", refusal)
+    assert any(refusal.split('"')[1] in line.replace('"', "'") for line in printer.console())
+
+
+def started(printer: Printer, name: str, content: bytes, **form: str) -> threading.Thread:
+    """Start an upload that may end with the server."""
+    arguments = (printer, name, content)
+    uploading = threading.Thread(target=attempted, args=arguments, kwargs=form, daemon=True)
+    uploading.start()
+    return uploading
+
+
+def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
+    try:
+        return printer.upload(name, content, **form)
     except Exception:  # Moonraker is killed meanwhile
         return None
 
@@ -172,7 +251,8 @@ def test_a_full_disk_leaves_nothing_that_could_be_printed(
 
 
 def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
-    before = printer.config.read_text()
+    before = printer.as_set_up
+    printer.config.write_text(before)
     assert "[hframe_post]" in before
     assert printer.set_up("--moonraker").count("added") == 0
     assert printer.config.read_text() == before
