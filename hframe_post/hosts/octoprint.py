@@ -1,11 +1,15 @@
 """OctoPrint's plugin: convert each file of G-code that is uploaded, before it is stored.
 
 ``hframe-post octoprint-plugin`` copies this file into OctoPrint's folder of plugins, with COMMAND.
+The summary of each conversion goes to octoprint.log and, as OctoPrint has no console of its own, to
+the terminal tab: its warnings first.
 """
 
 from __future__ import annotations
 
+import logging
 import os
+import shutil
 import subprocess
 import tempfile
 from importlib import import_module  # of what only OctoPrint's Python has
@@ -18,6 +22,7 @@ __plugin_pythoncompat__ = ">=3.7,<4"
 
 COMMAND = ["hframe-post"]
 SUFFIXES = (".gcode", ".gco", ".g")
+NICE = ["nice", "-n", "10"] if shutil.which("nice") else []  # OctoPrint may be printing
 
 
 class Converted:
@@ -44,19 +49,35 @@ class Converted:
         try:
             self._source.save(path)
             done = subprocess.run(
-                [*COMMAND, "-q", path], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                [*NICE, *COMMAND, path], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE, text=True, errors="replace", check=False,
             )  # fmt: skip
         except OSError as error:
             os.unlink(path)
-            raise refused(f"{COMMAND[0]} cannot be run: {error.strerror}") from None
+            raise refused(self.filename, f"{COMMAND[0]} cannot be run: {error.strerror}") from None
+        said = done.stderr.replace(f"{path}: ", "").replace(path, self.filename).splitlines()
         if done.returncode != 0:
             os.unlink(path)
-            raise refused(" ".join(done.stderr.splitlines()[-1:]).removeprefix("Error: "))
+            reason = " ".join(said[-1:]) or f"hframe-post ended with status {done.returncode}"
+            raise refused(self.filename, reason.replace("Error: ", "", 1))
+        show(self.filename, said)
         return path
 
 
-def refused(reason: str) -> Exception:
+def show(name: str, summary: list[str]) -> None:
+    """Show a summary in the log, warnings as such, and in the terminal tab."""
+    log = logging.getLogger("octoprint.plugins.hframe_post")
+    for line in summary:
+        level = logging.WARNING if line.startswith(("WARNING", "SLICER")) else logging.INFO
+        log.log(level, "%s: %s", name, line)
+    printer = import_module("octoprint.server").printer
+    if printer is not None:  # OctoPrint has started
+        printer.log_lines(*(f"hframe-post: {name}: {line}" for line in summary))
+
+
+def refused(name: str, reason: str) -> Exception:
+    """Return the exception with which the upload fails; its reason is logged and shown, too."""
+    show(name, [f"WARNING          not converted: {reason}"])
     text = f"hframe-post did not convert this file: {reason}"
     error: Exception = import_module("werkzeug.exceptions").UnprocessableEntity(text)
     return error

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any
@@ -104,8 +104,8 @@ class Printer(Server):
         self.as_set_up = self.config.read_text()
         # while the gate exists, conversions wait: no test depends on who is faster
         self.gate = folder / "gate"
-        waits = f"command: {sys.executable} {Path(__file__).with_name('gate.py')} {self.gate} "
-        self.config.write_text(self.as_set_up.replace("command: ", waits, 1))
+        waits = " ".join(waiting_for(self.gate))
+        self.config.write_text(self.as_set_up.replace("command: ", f"command: {waits} ", 1))
 
     def set_up(self, *options: str) -> str:
         config = self.data / "config"
@@ -186,6 +186,21 @@ class Printer(Server):
     def print_stats(self) -> Mapping[str, Any]:
         status = self.get("/printer/objects/query?print_stats&virtual_sdcard")["status"]
         return {**status["virtual_sdcard"], **status["print_stats"]}
+
+
+def waiting_for(gate: Path) -> list[str]:
+    """Return the first words of a command that waits while a file exists."""
+    return [sys.executable, str(Path(__file__).with_name("gate.py")), str(gate)]
+
+
+def processes(word: str) -> list[int]:
+    """Return the processes whose commands have a word that begins so."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            words = process.read_bytes().decode(errors="replace").split("\0")
+            found += [int(process.parent.name)] * any(each.startswith(word) for each in words)
+    return found
 
 
 def free_port() -> int:

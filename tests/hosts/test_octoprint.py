@@ -6,20 +6,23 @@ OCTOPRINT_PYTHON names a Python in which OctoPrint is installed, as ``make hosts
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT
-from tests.hosts.moonraker import Server, free_port, until
+from tests.conftest import ROOT, SAMPLES
+from tests.hosts.moonraker import Server, free_port, processes, until, waiting_for
 
 PYTHON = os.environ.get("OCTOPRINT_PYTHON", "")
 PROFILE = ROOT / "tests/measured.toml"
 PART = RECTANGLE.read_bytes()
+CUBE = (SAMPLES / "cube.gcode").read_bytes()
 KEY = "0123456789ABCDEF0123456789ABCDEF"
 CONFIG = f"""\
 server: {{firstRun: false, onlineCheck: {{enabled: false}}, pluginBlacklist: {{enabled: false}}}}
@@ -38,16 +41,28 @@ def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     refused = run("octoprint-plugin", "-p", "paper", "--folder", tmp_path)
     assert refused.returncode == 1
     assert b"not measured" in refused.stderr
+    marlin = tmp_path / "marlin.toml"
+    text = 'extends = "paper-marlin"\nplant.invented = false\nfirmware.marlin.baud = '
+    marlin.write_text(f"{text}0\n")
+    for_sd = run("octoprint-plugin", "-p", marlin, "--folder", tmp_path)
+    assert for_sd.returncode == 1
+    assert b"marlin: firmware.marlin.baud: OctoPrint prints over a serial line" in for_sd.stderr
     missing = run("octoprint-plugin", "-p", PROFILE, HOME=str(tmp_path))
     assert b".octoprint does not exist" in missing.stderr
     assert (tmp_path / "plugins/hframe_post.py").read_text() == plugin
+    marlin.write_text(f"{text}115200\n")
+    assert run("octoprint-plugin", "-p", marlin, "--folder", tmp_path).returncode == 0
 
 
 @pytest.fixture
 def octoprint(tmp_path: Path) -> Iterator[Server]:
     (tmp_path / "config.yaml").write_text(CONFIG)
     (tmp_path / "users.yaml").write_text(USER)
-    run("octoprint-plugin", "-p", PROFILE, "--folder", tmp_path)
+    shutil.copy(PROFILE, tmp_path / "printer.toml")
+    run("octoprint-plugin", "-p", tmp_path / "printer.toml", "--folder", tmp_path)
+    plugin = tmp_path / "plugins/hframe_post.py"
+    waits = ", ".join(map(repr, waiting_for(tmp_path / "gate")))
+    plugin.write_text(plugin.read_text().replace("COMMAND = [", f"COMMAND = [{waits}, ", 1))
     server = Server(free_port(), {"X-Api-Key": KEY})
     with (tmp_path / "out").open("wb") as output:
         process = subprocess.Popen(
@@ -69,7 +84,7 @@ def octoprint(tmp_path: Path) -> Iterator[Server]:
 @pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
 def test_an_upload_is_converted_or_fails_with_the_reason(octoprint: Server, tmp_path: Path) -> None:
     stored, expected = tmp_path / "uploads/part.gcode", tmp_path / "expected.gcode"
-    run(RECTANGLE, "-o", expected, "-p", PROFILE)
+    run(RECTANGLE, "-o", expected, "-p", tmp_path / "printer.toml")
     for content in (PART, expected.read_bytes()):
         octoprint.upload("part.gcode", content, "/api/files/local")
         assert stored.read_bytes() == expected.read_bytes()
@@ -78,3 +93,41 @@ def test_an_upload_is_converted_or_fails_with_the_reason(octoprint: Server, tmp_
     assert stored.read_bytes() == expected.read_bytes()  # that of the last upload that succeeded
     octoprint.upload("marked.gcode", b"; hframe-post: off\n" + PART, "/api/files/local")
     assert (tmp_path / "uploads/marked.gcode").read_bytes().endswith(PART)
+    shown = logged(tmp_path)
+    for text in (
+        "INFO - part.gcode: predicted        ringing",
+        "WARNING - part.gcode: WARNING          NOT VERIFIED",
+        "WARNING - part.gcode: WARNING          not converted: line ",
+        "INFO - marked.gcode: the file says",
+    ):
+        assert any(text in line for line in shown), (text, shown)
+
+
+def logged(folder: Path) -> list[str]:
+    text = (folder / "logs/octoprint.log").read_text("utf-8")
+    return [line for line in text.splitlines() if "octoprint.plugins.hframe_post" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
+def test_what_a_print_must_not_suffer_from_and_its_owner_must_know(
+    octoprint: Server, tmp_path: Path
+) -> None:
+    gate, profile = tmp_path / "gate", tmp_path / "printer.toml"
+    gate.touch()
+    content = PART.replace(b"G1 X260 Y120", b"UNKNOWN_MACRO\nG1 X260 Y120", 1)
+    arguments = ("part.gcode", content, "/api/files/local")
+    with ThreadPoolExecutor(1) as executor:
+        uploading = executor.submit(octoprint.upload, *arguments)
+        try:
+            until(lambda: len(processes(str(gate))) > 0)
+            nice = [os.getpriority(os.PRIO_PROCESS, pid) for pid in processes(str(gate))]
+            assert min(nice) >= min(19, os.nice(0) + 10)
+        finally:
+            gate.unlink()
+        uploading.result()
+    assert any("% of the extrusion is not compensated" in line for line in logged(tmp_path))
+    profile.write_text(PROFILE.read_text() + "\n[motors]\nbelt_acceleration = 4000.0\n")
+    cause = r"did not convert this file: line \d+: belt acceleration .* limit is 4000; "
+    with pytest.raises(AssertionError, match=cause):
+        octoprint.upload("cube.gcode", CUBE, "/api/files/local")
