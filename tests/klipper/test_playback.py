@@ -24,10 +24,12 @@ from hframe_post.studies.inputs import rectangle
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.coupled import coupled_plant
+from tests.quantities import below, near
 
 from .host import BEFORE_2024, Playback, play
 
 MINUTE = 60_000  # samples
+FIFTH = 200  # samples
 MOVING = 2e-4  # mm a millisecond
 ARC = np.arange(0.0, 12.0, 0.04).tolist()  # rad
 
@@ -108,23 +110,55 @@ def first_offset(run: Played) -> tuple[int, float]:
 
 
 def check(run: Played) -> None:
-    assert run.playback.warnings == ()
+    """Check place and time apart, minute by minute.
+
+    To be late by 1 ms, and in place all the same, is no fault of the part; at 150 mm/s it would
+    hide under 150 µm along the path what is wrong across it. So the place is judged by its
+    distance to the path of the command, and lateness by what fits best in each fifth of a second.
+    Late is for a second what follows a lift that is entered slower than planned, up to 1.3 ms.
+    """
+    playback, command = run.playback, run.command
+    assert playback.warnings == ()
     start, offset = first_offset(run)
     offsets = []
-    for first in range(start, len(run.command), MINUTE):
-        last = min(first + MINUTE, len(run.command))
+    for first in range(start, len(command), MINUTE):
+        last = min(first + MINUTE, len(command))
         if last - first < MINUTE // 10:
             break
         offset = offset_between(run, first, last, offset)
         offsets.append(offset)
-        t = np.arange(first, last) * TS + offset
-        off = np.hypot(*(run.playback.position(t)[:, :2] - run.command[first:last]).T)
-        assert np.sqrt((off**2).mean()) < 0.010
-        assert off.max() < 0.030
-    assert np.abs(np.diff(offsets)).max(initial=0.0) < 1e-3  # drift in a minute
-    end = run.playback.end
-    assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
-    assert run.playback.position([end])[0, 2] == pytest.approx(run.z_e[-1, 0], abs=1e-3)
+        begin = max(first - FIFTH, 0)  # so that the path reaches beyond the minute
+        path = command[begin : last + FIFTH]
+        t = np.arange(begin, begin + len(path)) * TS + offset
+        played = playback.position(t)[:, :2]
+        across = contour_error(path, played, np.arange(first, last) - begin)
+        when = f"from {first * TS:.0f} s on"
+        below(rms(across), 0.003, f"RMS distance to the command's path {when}, mm")
+        below(across.max(), 0.020, f"greatest distance to the command's path {when}, mm")
+        late = lateness(played - path, np.gradient(path, TS, axis=0))
+        below(rms(late), 0.3e-3, f"RMS lateness {when}, s")
+        below(np.abs(late).max(), 2e-3, f"greatest lateness {when}, s")
+    below(np.abs(np.diff(offsets)).max(initial=0.0), 1e-3, "drift in a minute, s")
+    end, filament = playback.end, run.report.filament_after
+    assert filament is not None
+    near(playback.extruded([end])[0], filament, 1e-3, "filament, mm")
+    near(playback.position([end])[0, 2], run.z_e[-1, 0], 1e-3, "z at the end, mm")
+
+
+def lateness(off: Array, velocity: Array) -> Array:
+    """Return by how many seconds what is off (n, 2) by so much is late, in each fifth that moves.
+
+    The fifths of a second in which it moves at less than 10 mm/s on average are left out.
+    """
+    whole = len(off) // FIFTH * FIFTH
+    along = (off * velocity)[:whole].reshape(-1, 2 * FIFTH).sum(axis=1)
+    square = np.square(velocity[:whole]).reshape(-1, 2 * FIFTH).sum(axis=1)
+    moving = square > FIFTH * 10.0**2
+    return np.asarray(-along[moving] / square[moving])
+
+
+def rms(x: Array) -> float:
+    return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
 def nozzle_error(run: Played, path: Array, plant: Plant) -> float:
@@ -149,13 +183,12 @@ def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
         run = lines_played(lines, tmp_path, options, printer)
         check(run)
         errors.append(nozzle_error(run, path, coupled.plant))
-    assert errors[1] < 0.25 * errors[0]
+    below(errors[1], 0.25 * errors[0], "RMS contour error with couplings cancelled, mm")
 
 
 @pytest.mark.klipper
-@pytest.mark.parametrize("limits", [pytest.param("file-all", marks=pytest.mark.slow), "printer"])
-def test_cube_is_played_as_intended(tmp_path: Path, limits: LimitSource) -> None:
-    check(played("cube.gcode", tmp_path, Options("racking", limits=limits), 8))
+def test_cube_is_played_as_intended(tmp_path: Path) -> None:
+    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 8))
 
 
 @pytest.mark.klipper
@@ -167,8 +200,9 @@ def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
     t = np.arange(start, len(run.command)) * TS + offset
     at = run.playback.position(t)
     off = np.hypot(*(at[:, :2] - run.command[start:]).T)
-    assert np.sqrt(np.square(off).mean()) < 0.010
-    assert np.abs(at[:, 2] - run.z_e[start:, 0]).max() < 0.025  # z is there in time, not as fast
+    below(rms(off), 0.010, "RMS distance to the command, mm")
+    z_off = np.abs(at[:, 2] - run.z_e[start:, 0]).max()  # z is there in time, not as fast
+    below(z_off, 0.025, "greatest difference of z, mm")
     moves = run.playback.moves
     lifts = moves[np.abs(moves["ratio"][:, 2]) > 0.5][1:]
     ends = np.maximum(lifts["start_v"], lifts["cruise_v"] - lifts["accel"] * lifts["decel_t"])
@@ -186,9 +220,10 @@ def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
     start, offset = first_offset(run)
     t = np.arange(start, len(run.command)) * TS + offset
     off = np.hypot(*(run.playback.position(t)[:, :2] - run.command[start:]).T)
-    assert np.sqrt(np.square(off).mean()) < 0.012
-    end = run.playback.end
-    assert run.playback.extruded([end])[0] == pytest.approx(run.report.filament_after, abs=1e-3)
+    below(rms(off), 0.012, "RMS distance to the command, mm")
+    end, filament = run.playback.end, run.report.filament_after
+    assert filament is not None
+    near(run.playback.extruded([end])[0], filament, 1e-3, "filament, mm")
 
 
 def hardest(run: Played, printer: Printer, over: float) -> float:
@@ -248,9 +283,10 @@ def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
     start, offset = first_offset(run)
     t = np.arange(start, len(run.command)) * TS + offset
     off = run.playback.position(t)[:, :2] - run.command[start:]
-    rms = np.sqrt(np.square(off).sum(axis=1).mean())
     assert run.report.busiest_second <= 60
-    assert 0.005 < rms < 1.3 * run.report.approximation
+    off_by = rms(np.hypot(*off.T))
+    assert off_by > 0.005
+    below(off_by, 1.3 * run.report.approximation, "RMS distance to the command, mm")
     assert f"at most {run.report.busiest_second} in a second" in run.report.as_text()
 
 
@@ -258,12 +294,6 @@ def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spans, "SECONDS", 4.0)
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-def test_prism_is_played_as_intended(tmp_path: Path) -> None:
-    check(played("prism.gcode", tmp_path, Options("racking"), 3))
 
 
 @pytest.mark.klipper
@@ -278,9 +308,10 @@ def test_whole_samples_are_played_as_intended(
 
 @pytest.mark.klipper
 @pytest.mark.slow
-def test_print_time_is_close_to_klippers_own(tmp_path: Path) -> None:
-    """The prism with Cura's limits, settling included, against the file as sliced."""
-    report = played("prism.gcode", tmp_path, Options("racking")).report
+def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_path: Path) -> None:
+    """With Cura's limits, settling included; and it is played as intended."""
+    run = played("prism.gcode", tmp_path, Options("racking"))
+    check(run)
     limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
     own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
-    assert report.time.after <= 1.05 * own.print_time
+    below(run.report.time.after, 1.05 * own.print_time, "print time, s")
