@@ -1,0 +1,137 @@
+"""Commands, printers, files, and what each must answer: matrix.txt shows it at one look.
+
+A cell is the name of an outcome: ``done`` is what the row says of a command that has done its
+work, all others are in OUTCOMES. A capital letter marks a cell of the fast suite. A dot stands for
+a cell that there is not: no such file for this printer, or so costly that one like it must do.
+
+Files are good, hard or foreign: a print of a cube, one that the motors cannot follow, and one that
+is no G-code. Where a command reads recordings, a form or a configuration, they are one that is
+right, one that is cut off or impossible, and one of another format.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.matrix.cells import Cell
+
+PRINTERS = (
+    "example-cartesian", "example-corexy", "example-ender", "example-hbot", "example-voron",
+    "paper", "paper-marlin", "paper-strong",
+    "voron", "bedslinger", "marlin500", "marlin-corexy", "hbot",
+)  # fmt: skip
+
+# name: exit status, and the last line
+OUTCOMES = {
+    "unmeas": (1, r"Error: .* plant\.invented: this plant was not measured on your printer"),
+    "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
+    # of motors whose limits are too low. On marlin500 a good print must come out: see its issue
+    "belts": (1, r"Error: line \d+: belt acceleration \(mm/s²\) would be .*, the printer's limit"),
+    "nomove": (1, r"Error: line 9: there is not a single move in this file"),
+    "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
+    "differ": (1, r"the same up to there: .* moves"),
+    "stiff": (1, r"Error: .* this printer does not rack, so there is nothing to reproduce"),
+    "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
+    "klippr": (1, r"Error: .* firmware\.marlin: the table is missing"),
+    "cut": (1, r"Error: .*(was cut off|not two of each)"),
+    "norec": (1, r"Error: .*not a Klipper accelerometer file"),
+    "waves": (1, r"Error: x, right wall: these waves mean \d+ Hz, but printers ring at"),
+    "noform": (1, r"Error: t\.form\.toml is not a form of 'hframe-post calibrate-print'"),
+    "value": (1, r"Error: .* is not possible"),
+    "nocfg": (1, r"Error: .* is neither a \[section\] nor an option of one: is .* a printer\.cfg"),
+    "wrong": (1, r"\d problems?"),
+}  # fmt: skip
+
+TABLE = Path(__file__).with_name("matrix.txt")
+
+
+@dataclass(frozen=True)
+class Done:
+    """The last line of a command that has done its work, and the files that it writes."""
+
+    last_line: str
+    files: str = ""
+
+
+SUMMARY = r"limited by  .*(in the file|in the profile)"
+NAMES = r"(x|y)-at-[\d_]+"
+DONE = {
+    "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
+    "convert {long} -o out.gcode": Done(SUMMARY, "out.gcode"),
+    "{print}": Done(SUMMARY, "my part.gcode"),
+    "batch {print} -d out": Done("1 converted, 0 skipped, 0 failed", "out/my part.gcode"),
+    "compare {print} good.gcode": Done("same: at most 0 µm apart; "),
+    "simulate {print}": Done(r"1( +[\d.]+){3}"),
+    "simulate": Done(r"0( +[\d.]+){3}"),
+    "simulate --shapers": Done("."),
+    "tune {print}": Done("."),
+    "tune": Done("."),
+    "tune --shaper": Done(r"damping_ratio_y: 0\.|M500 ; saves it"),
+    "verify --gcode v.gcode --motion {print}": Done(
+        "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
+    ),
+    "verify --gcode v.gcode": Done("", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"),
+    "verify {run}": Done("drift  "),
+    "check --gcode c.gcode": Done("", r"c\.check-x\.csv c\.check-y\.csv c\.gcode"),
+    "check": Done("uncertainty  ±"),
+    "check {run}": Done("uncertainty  ±"),
+    "identify {recordings} -o mine.toml": Done(".", "mine.toml"),
+    "calibrate-print -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
+    "calibrate-print --form {form} -o n.toml": Done(
+        "Next: hframe-post calibrate-print -p n.toml --compare", "n.toml"
+    ),
+    "calibrate-print --compare 6% -o t.gcode": Done("Print t.gcode.", "t.gcode"),
+    "calibrate-print --pick 6% 0 -o n.toml": Done("Next: compare once more", "n.toml"),
+    "setup {config} -o new": Done(
+        r"  .*hframe-post (identify|calibrate-print)",
+        r"config/hframe-post/config\.toml( new/hframe\.cfg)? new/printer\.toml",
+    ),
+    "doctor": Done("no problems found"),
+    "use": Done("setting     /"),
+    "printers": Done("paper  "),
+    "printers show paper": Done(""),
+    "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
+    "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
+    "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),
+    "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
+    "octoprint-plugin --folder {folder}": Done(
+        "Restart OctoPrint.", "there/plugins/hframe_post.py"
+    ),
+    "paper": Done(""),
+    "paper --prism {print}": Done(""),
+}
+
+
+def rows() -> list[tuple[str, str, list[str]]]:
+    """Return the words of each row's command, its kind of file, and the outcomes by printer."""
+    found, words = [], ""
+    for line in TABLE.read_text("utf-8").splitlines():
+        if not line or line.startswith("#"):
+            continue
+        if not line.startswith(" "):
+            words = line
+        else:
+            kind, *outcomes = line.replace("|", " ").split()
+            found.append((words, kind, outcomes))
+    return found
+
+
+def cells(fast: bool) -> list[tuple[Cell, str]]:
+    """Return the cells of the fast or of the slow suite, each with the name of its outcome."""
+    return [
+        (Cell(words, kind, printer), outcome.lower())
+        for words, kind, outcomes in rows()
+        for printer, outcome in zip(PRINTERS, outcomes, strict=True)
+        if outcome != "." and outcome[0].isupper() == fast
+    ]
+
+
+def expected(cell: Cell, outcome: str) -> tuple[int, re.Pattern[str], re.Pattern[str]]:
+    """Return status, last line and the names of written files, as a cell's outcome says."""
+    if outcome == "done":
+        row = DONE[cell.words]
+        return 0, re.compile(row.last_line), re.compile(row.files)
+    status, last_line = OUTCOMES[outcome]
+    return status, re.compile(last_line), re.compile("")

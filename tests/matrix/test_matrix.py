@@ -1,0 +1,76 @@
+"""Every command of --help, as owners run it: with default options, on many printers and files."""
+
+from __future__ import annotations
+
+import fcntl
+from pathlib import Path
+
+import click
+import pytest
+
+from hframe_post.cli.main import main
+from hframe_post.printer.profile import shipped
+from tests.matrix.cells import Cell, answer
+from tests.matrix.owners import OWNERS, settle
+from tests.matrix.table import PRINTERS, cells, expected, rows
+
+
+@pytest.fixture(scope="session")
+def homes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the owners' folders, which the processes of a session share."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if base.name.startswith("popen-") else base
+    homes = shared / "owners"
+    homes.mkdir(exist_ok=True)
+    return homes
+
+
+def home_of(printer: str, homes: Path, measured: bool) -> Path:
+    """Return the folder of an owner, made by the first who asks; the Voron's for others.
+
+    measured: by `identify`; otherwise the profile has the printer's true plant.
+    """
+    owner = OWNERS.get(printer, OWNERS["voron"])
+    home = homes / ("measured" if measured else "known") / owner.name
+    with (homes / f"{home.parent.name}-{owner.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not home.exists():
+            settle(owner, home, measured)
+    return home
+
+
+def check(cell: Cell, outcome: str, folder: Path, home: Path) -> None:
+    """Check status, last line and files of a cell's answer, and that it is no bug's."""
+    found = answer(cell, folder, home)
+    status, last_line, files = expected(cell, outcome)
+    shown = f"{cell}: status {found.status}, {found.last_line!r}\n{found.output[-2000:]}"
+    assert "Traceback" not in found.output, shown
+    assert "this is a bug" not in found.output, shown
+    assert found.status == status, shown
+    assert last_line.match(found.last_line), shown
+    assert files.fullmatch(" ".join(found.changed)), f"{cell}: files {found.changed} changed"
+
+
+@pytest.mark.parametrize(("cell", "outcome"), cells(fast=True), ids=str)
+def test_an_owner_gets_an_answer(cell: Cell, outcome: str, tmp_path: Path, homes: Path) -> None:
+    check(cell, outcome, tmp_path / "here", home_of(cell.printer, homes, measured=False))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell", "outcome"), cells(fast=False), ids=str)
+def test_every_owner_gets_one(cell: Cell, outcome: str, tmp_path: Path, homes: Path) -> None:
+    check(cell, outcome, tmp_path / "here", home_of(cell.printer, homes, measured=True))
+
+
+def test_every_command_and_printer_has_its_cells() -> None:
+    context = click.Context(main)
+    shown = {
+        name
+        for name in main.list_commands(context)
+        if (command := main.get_command(context, name)) is not None and not command.hidden
+    }
+    driven = {words.split()[0] for words, _, _ in rows()} - {"{print}"}
+    assert driven == shown
+    assert {*PRINTERS} == {*shipped(), *OWNERS}
+    for k, printer in enumerate(PRINTERS):
+        assert any(outcomes[k] != "." for _, _, outcomes in rows()), printer
