@@ -46,10 +46,8 @@ class Owner:
         return self.configuration[0].endswith(".cfg")
 
 
-def _machine(
-    kinematics: str, x: Sequence[Mode], y: Sequence[Mode], racking: float = 0.0
-) -> Machine:
-    return Machine(Axis(tuple(x)), Axis(tuple(y)), racking, kinematics=kinematics)
+def _machine(kinematics: str, x: Mode, y: Mode, racking: float = 0.0) -> Machine:
+    return Machine(Axis((x,)), Axis((y,)), racking, kinematics=kinematics)
 
 
 SENSOR = replace(SENSORS["adxl345"], turned=(90.0, 3.0, 0.0), drift=0.004)
