@@ -155,9 +155,10 @@ class _Source(Protocol):
 
 class _Klipper:
     def __init__(self, files: Sequence[Path], bed: tuple[float, float] | None) -> None:
+        # first, since a file that is neither firmware's would make the next message wrong
+        self.path, self._config = files[0], KlipperConfig(files[0])
         if len(files) > 1 or bed is not None:
             raise click.UsageError("for Klipper give printer.cfg alone: it names all that it needs")
-        self.path, self._config = files[0], KlipperConfig(files[0])
         self.possible, self.decided = kinematics_in(self._config), "kinematics of [printer]"
         self.warnings = [self._config.unsaved] if self._config.unsaved else []
         self.warnings += klipper_check.warnings(self._config)

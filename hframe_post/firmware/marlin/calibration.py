@@ -50,6 +50,12 @@ class Calibration:
 
 def calibration(printer: Printer) -> Calibration:
     """Return the calibration for a printer. Raises PrinterError if its profile lacks Marlin."""
+    if printer.firmware.marlin is None and printer.firmware.dialect != "marlin":
+        raise PrinterError(
+            f"this profile is for {printer.firmware.dialect}; only boards that run Marlin need "
+            "this calibration",
+            "firmware.dialect", printer.name,
+        )  # fmt: skip
     marlin = Marlin.from_printer(printer)
     parts = _steady(printer, marlin), _uneven(printer, marlin)
     durations = {

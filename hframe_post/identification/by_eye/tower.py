@@ -18,14 +18,14 @@ import numpy as np
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.firmware.player import plain
 from hframe_post.firmware.registry import player
 from hframe_post.gcode.commands import OFF, STAMP
 from hframe_post.identification.by_eye.racking import BLOCK, Comb
 from hframe_post.identification.by_eye.waves import Band
 from hframe_post.model.plant import Plant
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import ModalState
 from hframe_post.version import __version__
 
@@ -218,17 +218,29 @@ def _middle(printer: Printer) -> tuple[float, float]:
 # ---------------------------------------------------------------------- three squares
 
 
-def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> Iterator[bytes]:
-    """Yield the G-code of squares from left to right, each compensated for another plant.
+def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> list[bytes]:
+    """Return the G-code of squares from left to right, each compensated for another plant.
 
-    Their corners are as hard as the tower's, so that what is left of the waves shows. Raises
-    HframeError.
+    Their corners are as hard as the tower's, so that what is left of the waves shows, or as hard as
+    the motors allow. Raises HframeError.
     """
+    limits, corner = printer.limits, _corners(printer)[0]
+    hardest = replace(limits, square_corner_velocity=corner, jerk=HARDEST_JERK)
+    for hard in (hardest, replace(limits, square_corner_velocity=corner)):
+        try:
+            return list(_squares(printer, plants, heat, hard))
+        except LimitError:
+            pass  # the motors cannot do that, not even with less compensation
+    return list(_squares(printer, plants, heat, limits))
+
+
+def _squares(
+    printer: Printer, plants: Sequence[Plant], heat: Heat, limits: Limits
+) -> Iterator[bytes]:
     n, (x, y) = len(plants), _middle(printer)
     side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
     if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
         raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
-    hard = replace(printer.limits, square_corner_velocity=_corners(printer)[0], jerk=HARDEST_JERK)
     speed = bands(printer)[-1].speed
     head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *heat.lines()]
     yield "\n".join([*head, ""]).encode()
@@ -237,7 +249,7 @@ def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> Iterator[b
         lines = [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
         lines += _walls(printer, at, side, speed, range(LOW))
         lines += [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
-        own = replace(printer, plant=plant, limits=hard)
+        own = replace(printer, plant=plant, limits=limits)
         text = (line.encode() + b"\n" for line in ["G90", "M83", *lines])
         for piece in GcodeConversion(text, own, Options("racking", clamp=True)):
             if isinstance(piece, bytes) and not piece.startswith(STAMP):

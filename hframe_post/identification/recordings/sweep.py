@@ -198,13 +198,8 @@ def _seconds(planned: list[Run]) -> float:
 # ---------------------------------------------------------------------- output
 
 
-def gcode(
-    printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
-) -> Iterator[Output]:
-    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm.
-
-    Raises PrinterError if the printer's firmware is not Klipper.
-    """
+def check_records(printer: Printer) -> None:
+    """Raise PrinterError if the printer's firmware records no accelerometers."""
     if (dialect := printer.firmware.dialect) != "klipper":
         raise PrinterError(
             f"{dialect} records no accelerometers, which this run needs. To find out what drifted, "
@@ -212,6 +207,16 @@ def gcode(
             "print a part with and without it (-c none)",
             "firmware.dialect", printer.name,
         )  # fmt: skip
+
+
+def gcode(
+    printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
+) -> Iterator[Output]:
+    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm.
+
+    Raises PrinterError if the printer's firmware is not Klipper.
+    """
+    check_records(printer)
     stamp = f"{__version__}, printer {printer.name}, settings {printer.digest}"
     yield b"%s %s\n" % (STAMP, stamp.encode())
     height = plain(z, 3)

@@ -7,14 +7,20 @@ is the motion, and its corners, are found again from the command itself.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.identification.recordings.excitation import alignment_mark
-from hframe_post.identification.recordings.sweep import Run, room, within_limits
+from hframe_post.identification.recordings.sweep import (
+    Run,
+    check_records,
+    room,
+    within_limits,
+)
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples, frozen
 
@@ -23,6 +29,7 @@ LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it i
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
 SHORTEST_STOP, STANDS = 20, 1e-9  # samples and mm per sample of a standstill
+GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
 QUIET = 1000  # samples of rest before, between and after the parts
 
 
@@ -48,18 +55,41 @@ def path(printer: Printer) -> list[bytes]:
 def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     """Return the plain and the compensated run: of the test motion, or of a print's beginning.
 
-    lines: the print's G-code. Nothing is extruded, and z does not move. Raises HframeError.
+    lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
+    where the motors cannot follow it at the printer's limits. Raises HframeError.
     """
+    check_records(printer)
+    if lines is not None:
+        return _runs(printer, lines, part_of_print=True)
+    for share in GENTLER:
+        try:
+            return _runs(_gentler(printer, share), path(printer), part_of_print=False)
+        except LimitError as error:
+            found = error
+    raise HframeError(
+        f"even with {GENTLER[-1]:g} of limits.acceleration the {found.quantity} of the compensated "
+        f"test motion would be {found.value:.6g}, the printer's limit is {found.bound:.6g}. Raise "
+        "the limits under [motors] if the motors can do it, or lower those under [limits]"
+    )
+
+
+def _gentler(printer: Printer, share: float) -> Printer:
+    """Return the printer with a share of the path's acceleration and jerk."""
+    limits = printer.limits
+    lower = {name: share * getattr(limits, name) for name in ("acceleration", "jerk")}
+    return replace(printer, limits=replace(limits, **lower))
+
+
+def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[Run]:
     options = Options("racking", limits="printer")
-    source = Commands(path(printer) if lines is None else lines, printer, options, NAMES)
-    chunks = list(_until(source.computed(), LOOKED_AT))
+    chunks = list(_until(Commands(lines, printer, options, NAMES).computed(), LOOKED_AT))
     if not chunks:
         raise HframeError("the print does not move in x and y")
     commands = {
         name: np.concatenate([c.commands[name] for c in chunks])[:LOOKED_AT] for name in NAMES
     }
     part = slice(None)
-    if lines is not None:
+    if part_of_print:
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
         part = _between_stops(commands["racking"], ends)
     made = []
