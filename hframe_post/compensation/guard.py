@@ -158,7 +158,8 @@ class Guard:
             for chunk in stretch:
                 command = chunk.commands[strategy]
                 _check_order(chunk, end)
-                end = chunk.end
+                leaps = chunk.ends_stretch  # samples may be left out after it
+                end = None if leaps else chunk.end
                 if len(chunk) and not self._safe(chunk, command, differences):
                     _check_finite(chunk, command)
                     _check_travel(chunk, command, self._travel)

@@ -102,8 +102,9 @@ class SpanWriter:
         printer, options, compensator = self.made_of
         start = span.beginning
         stages = Stages(
-            printer, options, compensator, at_stops=self._at_stops, printing=replace(start.printing)
-        )
+            printer, options, compensator, at_stops=self._at_stops,
+            printing=replace(start.printing), leaps=options.tolerance is not None,
+        )  # fmt: skip
         firmware = player(printer, options.tolerance, options.retract == "moving")
         writer = GcodeWriter(options.strategy, firmware, place=start.place, offset=start.offset)
         result = WrittenSpan(())

@@ -109,11 +109,16 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
     return plan(parsed(lines, printer, options), printer.limits)
 
 
-def sampled(items: Iterable[Planned], printer: Printer, options: Options) -> Iterator[Samples]:
-    """Sample planned motion, with the standstill that the strategy needs at stops."""
+def sampled(
+    items: Iterable[Planned], printer: Printer, options: Options, leaps: bool = False
+) -> Iterator[Samples]:
+    """Sample planned motion, with the standstill that the strategy needs at stops.
+
+    leaps: leave out samples of slow motion, as ``sample`` does.
+    """
     lifts = player(printer, options.tolerance, options.retract == "moving").rests
     waits = rests(printer.compensation.stops, options.strategy, lifts)
-    return sample(items, printer.limits, waits)
+    return sample(items, printer.limits, waits, leaps=leaps)
 
 
 class Stages:
@@ -121,14 +126,15 @@ class Stages:
 
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
-    feature at the beginning.
+    feature at the beginning. leaps: see ``sampled``.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
-        printing: Place | None = None,
+        printing: Place | None = None, leaps: bool = False,
     ) -> None:  # fmt: skip
+        self._leaps = leaps
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
@@ -144,7 +150,8 @@ class Stages:
 
         Raises HframeError.
         """
-        samples = self.times.timed("sample", sampled(items, self._printer, self._options))
+        samples = sampled(items, self._printer, self._options, self._leaps)
+        samples = self.times.timed("sample", samples)
         return self.checked(self.compensated(samples))
 
     def whole(self, spans: Spans) -> Iterator[Samples]:

@@ -13,12 +13,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from enum import Enum, auto
+from itertools import pairwise
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.native import kernel
 from hframe_post.planner.profiles import (
+    Phases,
     Profile,
     Profiler,
     StandingProfile,
@@ -29,6 +31,7 @@ from hframe_post.planner.profiles import (
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,
+    Glide,
     Halt,
     Handling,
     Mark,
@@ -45,18 +48,23 @@ from hframe_post.stream.types import (
 
 SAMPLES_PER_CHUNK = 1 << 15
 RUNS_AT_ONCE = 1000  # runs whose profiles are found together
+SLOW = 2.0  # mm/s at which a motion excites nothing, so that its samples can be left out
+FEWEST = 10_000  # samples that are left out at once
+KEPT = 1000  # samples at either end of a slow move that are not left out
 SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 
 
 def sample(
-    planned: Iterable[Planned], limits: Limits, rests: Rests, size: int | None = None
-) -> Iterator[Samples]:
+    planned: Iterable[Planned], limits: Limits, rests: Rests, size: int | None = None,
+    leaps: bool = False,
+) -> Iterator[Samples]:  # fmt: skip
     """Yield the samples of the whole stream, in chunks of about ``size`` if it is given.
 
-    A chunk may hold several plans, and ends where the machine is released.
+    A chunk may hold several plans, and ends where the machine is released. leaps: leave out the
+    samples of long pauses and of slow straights, so that these take no longer than short ones.
     """
     size = size or SAMPLES_PER_CHUNK
-    sampler = _Sampler(limits, rests, size)
+    sampler = _Sampler(limits, rests, size, leaps)
     for item, motion in _with_motion_after(sampler.profiled(planned), rests.needs_rest):
         if isinstance(item, Plan):
             yield from sampler.run(item)
@@ -144,6 +152,13 @@ class _Output:
             if first + n < samples:
                 yield from self.flush()
 
+    def leap(self, where: Array, samples: int) -> Iterator[Samples]:
+        """End the stretch; leave out all of these samples but the last, which is ``where``."""
+        yield from self.flush(ends_stretch=True)
+        self.index += samples - 1
+        self._first = self.index
+        self.add(np.array([where]), np.array([self.line]))
+
     def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
         if not self._pieces and not self.events:
             return
@@ -157,8 +172,8 @@ class _Output:
 class _Sampler:
     """The machine's state on the clock of samples, and what it yields."""
 
-    def __init__(self, limits: Limits, rests: Rests, size: int) -> None:
-        self._limits, self._rests = limits, rests
+    def __init__(self, limits: Limits, rests: Rests, size: int, leaps: bool) -> None:
+        self._limits, self._rests, self._leaps = limits, rests, leaps
         self._profiler = Profiler(limits.jerk, limits.deceleration)
         self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = _Output(size)
@@ -196,8 +211,13 @@ class _Sampler:
         if stops:
             self._waiting_lines = [mark.text for mark in marks if mark.index == end]
             marks = [mark for mark in marks if mark.index < end]
-        for first in range(self.output.index, last + 1, self.output.size):
+        slow = self._slow_parts(plan, motion, last)
+        while (first := self.output.index) <= last:
             n = min(self.output.size, last + 1 - first)
+            if slow and first == slow[0][0]:
+                yield from self._glide(plan, motion, *slow.popleft())
+                continue
+            n = min(n, slow[0][0] - first) if slow else n
             arrives = stops and first + n > last
             s = motion.path(first - self._section, n, float(plan.s[-1]))
             if arrives:
@@ -218,6 +238,34 @@ class _Sampler:
             self.output.events.append(Mark(self.output.index, mark.text))
             self._filament_at_mark = float(plan.points[mark.index, E])
         self._state = _State.STOPPED if stops else _State.MOVING
+
+    def _slow_parts(self, plan: Plan, motion: Phases, last: int) -> deque[tuple[int, int]]:
+        """Return the samples, first and last, that can be left out of slow straights."""
+        parts = deque[tuple[int, int]]()
+        time, duration, s, v, a, j = motion.table
+        steady = (v <= SLOW) & (a == 0.0) & (j == 0.0)
+        phases = np.flatnonzero(steady & (duration > (FEWEST + 2 * KEPT) * TS))
+        if not self._leaps or self._retraction is not None or not len(phases):
+            return parts
+        for k in phases.tolist():
+            end = s[k] + v[k] * duration[k]
+            inside = plan.s[(plan.s > s[k]) & (plan.s < end)]
+            passed = time[k] + (np.concatenate([[s[k]], inside, [end]]) - s[k]) / v[k]
+            for begin, until in pairwise((passed / TS).tolist()):
+                first = self._section + math.ceil(begin) + KEPT
+                final = min(self._section + math.floor(until), last) - KEPT
+                if first >= self.output.index and final - first >= FEWEST:
+                    parts.append((first, final))
+        return parts
+
+    def _glide(self, plan: Plan, motion: Phases, first: int, last: int) -> Iterator[Samples]:
+        """Leave out samples first … last, which go straight; end the stretch before them."""
+        path = [motion.path(k - self._section, 1, float(plan.s[-1])) for k in (last, last + 1)]
+        (before, after), (_, move) = (_follow(plan, s)[0][0] for s in path), _follow(plan, path[1])
+        x, y, z, e = before.tolist()
+        self.output.line = int(plan.line[move[0]])
+        self.output.events.append(Glide(first, last - first + 1, (x, y, z, e)))
+        yield from self.output.leap(after, last - first + 2)
 
     def _set_out(self, plan: Plan) -> Iterator[Samples]:
         self.output.line = int(plan.line[0])
@@ -270,7 +318,10 @@ class _Sampler:
             out.events.append(Pause(out.index, 0, action))
         else:
             out.events.append(Pause(out.index, n, action, action.seconds))
-            yield from out.stand(out.last, n)
+            if self._leaps and n >= FEWEST:
+                yield from out.leap(out.last, n)
+            else:
+                yield from out.stand(out.last, n)
         if released:
             yield from out.flush(ends_stretch=True)
             out.last = None
@@ -300,6 +351,10 @@ class _Sampler:
         yield from self.come_to_rest(long, needed=entry == 0.0)
         out.line = move.line
         out.events.append(Pause(out.index, profile.samples, move, exact, entry, leaving))
+        if self._leaps and profile.samples >= FEWEST and not (entry or leaving):
+            yield from out.leap(profile.places(move, profile.samples, 1)[0], profile.samples)
+            self._state = _State.ASIDE
+            return
         for first in range(0, profile.samples, out.size):
             n = min(profile.samples - first, out.size)
             out.add(profile.places(move, first + 1, n), np.full(n, move.line))

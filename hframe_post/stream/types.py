@@ -187,7 +187,19 @@ class Pause:
     leaving: float = 0.0
 
 
-Event = Mark | Rest | Pause
+@dataclass(frozen=True, slots=True)
+class Glide:
+    """``samples`` from ``index`` on that are left out, in which all moves straight and slowly.
+
+    The stretch ends at ``index``. end: x, y, z, e at the last of them.
+    """
+
+    index: int
+    samples: int
+    end: Position
+
+
+Event = Mark | Rest | Pause | Glide
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +209,8 @@ class Samples:
     xyze (n, 4): the desired path. line (n,): source line of each. events: in order of their
     index, which is in [first, first + n] (first + n: after the last sample). commands:
     strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
-    ends_stretch: the machine may move on its own after these samples.
+    ends_stretch: the machine may move on its own after these samples. The next ones may be later
+    by those that a ``Glide`` or a long ``Pause`` leaves out.
     """
 
     first: int

@@ -12,7 +12,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.player import Player
 from hframe_post.gcode.lexer import Line, command
-from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples, Standing
+from hframe_post.stream.types import Glide, Handling, Mark, Passthrough, Pause, Samples, Standing
 from hframe_post.writers.stream.print_time import Output, passed_on
 from hframe_post.writers.stream.segments import (
     SAMPLES_AT_ONCE,
@@ -95,6 +95,7 @@ class Machine:
         self._inside = at is not None  # the stream's limits and modes hold
         self._buffer = SampleBuffer()
         self._skip = 0  # samples of a pause in the next chunks
+        self._end = 0  # of the last chunk
         self._still = 0  # samples of standstill since the last segment
         self.ledger = Ledger(at[E] if at is not None else 0)
 
@@ -107,6 +108,8 @@ class Machine:
         yield from self._stop()
 
     def _chunk(self, chunk: Samples) -> Iterator[Command]:
+        self._skip = max(self._skip - (chunk.first - self._end), 0)  # those left out
+        self._end = chunk.end
         done = min(self._skip, len(chunk))
         self._skip -= done
         for event in chunk.events:
@@ -123,7 +126,28 @@ class Machine:
                 yield from self._pause(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
+            elif isinstance(event, Glide):
+                yield from self._take(chunk, done, at)
+                done = max(at, done)
+                yield from self._glide(event)
         yield from self._take(chunk, done, len(chunk))
+
+    def _glide(self, glide: Glide) -> Iterator[Command]:
+        """Yield a straight whose samples are left out, as one segment."""
+        if batch := self._buffer.batch(last=False):
+            yield from self._motion(batch)
+        assert self._at is not None
+        start, end = self._at, self._units.place(glide.end)
+        self._buffer.leap(glide.end)
+        self._still += glide.samples
+        if end == start:
+            return
+        yield from self._enter()
+        self.ledger.moved([glide.index + glide.samples - 1], end[E] - start[E])
+        self._at = end
+        at, T = np.array([start, end]), np.array([self._still * TS])
+        self._still = 0
+        yield Motion(at, T, np.zeros(1, np.int64), (), False, math.inf)
 
     def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[Command]:
         if start >= stop:

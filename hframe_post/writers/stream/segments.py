@@ -134,6 +134,10 @@ class SampleBuffer:
         """Add a line that passes before its sample, which may follow later."""
         self._marks.append(mark)
 
+    def leap(self, place: Position) -> None:
+        """Go on from a place, mm, at the next sample; the buffer is empty."""
+        self._before = np.array(place)
+
     def batch(self, last: bool) -> Batch | None:
         """Remove and return the samples; None if there are none. last: motion ends there."""
         if not self._count:

@@ -1,0 +1,109 @@
+"""Slow motion and long pauses: left out of the samples, and played as if they were not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hframe_post as hp
+from hframe_post.arrays import Array
+from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.pipeline import Options, Stages, parsed, prepared
+from hframe_post.planner import sampling
+from hframe_post.planner.lookahead import plan
+from hframe_post.printer import profile
+from hframe_post.writers.stream.print_time import DeferredLine
+
+from .host import Playback, play
+
+PRINT = b"""G28
+G1 Z0.3 F600
+G0 X100 Y100 F9000
+M83
+;LAYER:0
+;TYPE:WALL-OUTER
+G1 X130 Y100 E1.2 F6000
+G1 X136 Y103 E0.27 F20
+M117 between
+G1 X136 Y110 E0.4
+G1 X130 Y130 E0.9 F6000
+G1 E-0.4 F1
+G1 Z1.1 F2
+G0 X100 Y130 F9000
+G1 Z0.3 F1200
+G1 E0.4 F1
+G1 X100 Y110 E0.8 F3000
+G4 P45000
+;LAYER:1
+G1 X101 Y100 E0.4 F3000
+G4 P30000
+G1 X90 Y90 E0.5 F80
+M400
+G1 X95 Y90 E0.3 F6000
+""".splitlines(keepends=True)
+
+
+def converted(strategy: str) -> bytes:
+    output = GcodeConversion(iter(PRINT), profile.load("paper"), Options(strategy))
+    return b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
+
+
+def both(strategy: str, monkeypatch: pytest.MonkeyPatch) -> tuple[bytes, bytes]:
+    """Return the stream as it is written, and from samples of all motion."""
+    short = converted(strategy)
+    monkeypatch.setattr(sampling, "FEWEST", 1 << 60)
+    return short, converted(strategy)
+
+
+def motion(run: Playback, seconds: float) -> Array:
+    """Return x, y, z, e (n, 4) every millisecond from the end of the first lift on."""
+    t = float(run.moves["print_time"][1]) + np.arange(0.0, seconds, 1e-3)
+    return np.column_stack([run.position(t), run.extruded(t)])
+
+
+@pytest.mark.parametrize("strategy", ["racking", "none"])
+def test_slow_motion_is_written_as_if_every_sample_of_it_had_been_computed(
+    strategy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within 10 ms: at 20 mm/min the last digit of a place is 3 ms."""
+    short, computed = both(strategy, monkeypatch)
+    hp.testing.assert_same_motion(short, computed, tolerance=0.02, slack=0.01)
+    assert short != computed
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+def test_slow_motion_is_played_as_if_every_sample_of_it_had_been_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = list[Playback]()
+    for k, text in enumerate(both("racking", monkeypatch)):
+        file = tmp_path / f"{k}.gcode"
+        file.write_bytes(text)
+        runs.append(play(file, workdir=tmp_path / str(k)))
+    short, computed = runs
+    assert short.duration == pytest.approx(computed.duration, abs=0.02), "s"
+    now, then = (motion(run, computed.duration - 1.0)[:, :2] for run in runs)
+    early, late = -10, 10  # ms
+    off = np.full(len(now) + early - late, np.inf)
+    for shift in range(early, late + 1):
+        there = then[shift - early : len(then) + shift - late]
+        off = np.minimum(off, np.abs(now[-early : len(now) - late] - there).max(axis=1))
+    assert off.max() < 0.1, "mm: half a millisecond at 150 mm/s, and 0.02"
+    assert short.extruded([short.end]) == pytest.approx(4.77, abs=1e-4), "mm of filament"
+
+
+@pytest.mark.parametrize("feed", [1, 10, 100])
+def test_samples_do_not_grow_with_the_time_that_slow_lines_take(feed: int) -> None:
+    lines = [b"G28\n", b"G0 X50 Y50 Z0.3 F6000\n", b"M83\n", b"G1 X60 F6000\n"]
+    lines += [b"G1 X%d E1 F%d\n" % (100 - 40 * (k % 2), feed) for k in range(10)]
+    lines += [b"G4 P%d\n" % (1_000_000 / feed), b"G1 E-9 F%d\n" % feed, b"G1 Z9.3 F%d\n" % feed]
+    printer, options = profile.load("paper"), Options("racking")
+    stages = Stages(printer, options, prepared(printer), leaps=True)
+    planned = plan(parsed(lines, printer, options), printer.limits)
+    chunks = list(stages.predicted(stages.commands(planned), threads=False))
+    seconds = (10 * 40 + 9 + 9) * 60 / feed + 1000 / feed
+    assert stages.summary.time.after == pytest.approx(seconds, abs=2.0), "s"
+    assert sum(map(len, chunks)) < 60_000
