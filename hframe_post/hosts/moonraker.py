@@ -320,7 +320,10 @@ def converted(upload: Upload, command: list[str], interface: Interface) -> str:
             env={**os.environ, "HFRAME_POST_CHILD": "1"},  # ends when its standard input closes
         )  # fmt: skip
     except OSError as error:
-        raise FailureError(f"{command[0]} cannot be run: {error.strerror}") from None
+        raise FailureError(
+            f"{command[0]} cannot be run: {error.strerror}. Mend command in [{NAME}] of "
+            "moonraker.conf"
+        ) from None
     shown = []
     with process:
         assert process.stderr is not None
@@ -389,7 +392,7 @@ def main(path: str, gcodes: str, address: str, *command: str) -> int:
                     settle(upload.path)
                     continue
                 if fate == "failed":
-                    reason = f"not converted: {str(error).removeprefix('Error: ')}"
+                    reason = f"not converted: {cause(error)}"
                     interface.report(reason, failed=True)
                     refuse(upload, reason)
                 else:
@@ -397,6 +400,16 @@ def main(path: str, gcodes: str, address: str, *command: str) -> int:
                 return 1
             interface.report(summary)
             return 0
+
+
+def cause(error: Exception) -> str:
+    """Return what is wrong, where, and what to do."""
+    if isinstance(error, OSError) and error.strerror:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        where = Path(error.filename).parent if full and error.filename else error.filename
+        advice = ". Make room there, then upload the file again" if full else ""
+        return ": ".join(str(part) for part in (where, error.strerror) if part) + advice
+    return str(error).removeprefix("Error: ")
 
 
 def refuse(upload: Upload, reason: str) -> None:

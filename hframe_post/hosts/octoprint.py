@@ -34,7 +34,12 @@ class Converted:
     def save(self, path: str, permissions: int | None = None) -> None:
         """Store the converted file. Raises UnprocessableEntity, with which the upload fails."""
         util = import_module("octoprint.filemanager.util")
-        util.DiskFileWrapper(self.filename, self._converted()).save(path, permissions)
+        converted = self._converted()
+        try:
+            util.DiskFileWrapper(self.filename, converted).save(path, permissions)
+        finally:
+            if os.path.exists(converted):  # it could not be moved
+                os.unlink(converted)
 
     def stream(self) -> IO[bytes]:
         """Return the converted file, opened. Raises UnprocessableEntity."""
@@ -44,8 +49,14 @@ class Converted:
         return file
 
     def _converted(self) -> str:
-        handle, path = tempfile.mkstemp(suffix=".gcode")
-        os.close(handle)
+        if shutil.which(COMMAND[0]) is None:
+            advice = "run 'hframe-post octoprint-plugin' again"
+            raise refused(self.filename, f"{COMMAND[0]} cannot be run: {advice}")
+        try:
+            handle, path = tempfile.mkstemp(suffix=".gcode")
+            os.close(handle)
+        except OSError as error:
+            raise refused(self.filename, f"{tempfile.gettempdir()}: {error.strerror}") from None
         try:
             self._source.save(path)
             done = subprocess.run(
@@ -54,7 +65,7 @@ class Converted:
             )  # fmt: skip
         except OSError as error:
             os.unlink(path)
-            raise refused(self.filename, f"{COMMAND[0]} cannot be run: {error.strerror}") from None
+            raise refused(self.filename, f"{os.path.dirname(path)}: {error.strerror}") from None
         said = done.stderr.replace(f"{path}: ", "").replace(path, self.filename).splitlines()
         if done.returncode != 0:
             os.unlink(path)

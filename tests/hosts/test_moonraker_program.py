@@ -17,7 +17,15 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts import moonraker
-from hframe_post.hosts.moonraker import CONVERTING, FOLDER, REFUSAL, FailureError, Upload, refuse
+from hframe_post.hosts.moonraker import (
+    CONVERTING,
+    FOLDER,
+    REFUSAL,
+    FailureError,
+    Upload,
+    cause,
+    refuse,
+)
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.hosts.moonraker import WAIT, until
@@ -124,7 +132,9 @@ def test_a_linked_file_is_converted_in_its_place_alone(part: Path) -> None:
 
 def test_a_command_that_cannot_run_is_a_reason(part: Path) -> None:
     assert processed(part, "/nowhere/hframe-post") == 1
-    assert b"/nowhere/hframe-post cannot be run: No such file" in part.read_bytes().split(b"\n")[0]
+    reason = part.read_text().split("\n")[0]
+    assert "/nowhere/hframe-post cannot be run: No such file" in reason
+    assert "Mend command in [hframe_post] of moonraker.conf" in reason
 
 
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
@@ -255,6 +265,14 @@ def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
 
 def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_errors_of_the_disk_say_where_and_what_to_do() -> None:
+    full_disk = OSError(errno.ENOSPC, "No space left on device", "/gcodes/.hframe_post/0f.new")
+    advice = "Make room there, then upload the file again"
+    assert cause(full_disk) == f"/gcodes/.hframe_post: No space left on device. {advice}"
+    locked = PermissionError(errno.EACCES, "Permission denied", "/gcodes/part.gcode")
+    assert cause(locked) == "/gcodes/part.gcode: Permission denied"
 
 
 def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:

@@ -127,6 +127,9 @@ def test_what_a_print_must_not_suffer_from_and_its_owner_must_know(
             gate.unlink()
         uploading.result()
     assert any("% of the extrusion is not compensated" in line for line in logged(tmp_path))
+    profile.unlink()
+    with pytest.raises(AssertionError, match=r"printer\.toml: no such profile or file"):
+        octoprint.upload("part.gcode", PART, "/api/files/local")
     profile.write_text(PROFILE.read_text() + "\n[motors]\nbelt_acceleration = 4000.0\n")
     cause = r"did not convert this file: line \d+: belt acceleration .* limit is 4000; "
     with pytest.raises(AssertionError, match=cause):
