@@ -22,6 +22,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.pipeline import Options
 from hframe_post.gcode.state import Extrusion, LimitSource
+from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
@@ -53,8 +54,8 @@ from hframe_post.writers.files import Outputs
 @click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.")
 @click.option(
     "--shapers", is_flag=True,
-    help="Compare with input shapers: with the best frequency and damping for this printer, and as "
-    "Klipper's calibration would set them.",
+    help="Compare with input shapers: with the best frequency and damping for the profile's model, "
+    "and as Klipper's calibration would set them for it.",
 )  # fmt: skip
 @old_option(
     "--against", "use --shapers", new="shapers", value=True, type=click.Choice(["shapers"])
@@ -108,7 +109,7 @@ def simulate(
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
             options = Options("racking", (), limits, True, extrusion=extrusion)
-            found = _simulate_shapers(source, profile, options)
+            found = _simulate_shapers(source, profile, options, simulated.plant)
             text += "\n" + comparison_as_text(found)
             summary["against"] = comparison_as_json(found)
         write_json(summary)
@@ -117,7 +118,7 @@ def simulate(
 
 
 def _simulate_shapers(
-    source: Path | None, profile: Printer, options: Options
+    source: Path | None, profile: Printer, options: Options, plant: Plant
 ) -> list[ShaperComparison]:
     def lines() -> Iterator[bytes]:
         if source is None:
@@ -126,4 +127,4 @@ def _simulate_shapers(
             with source.open("rb") as file:
                 yield from file
 
-    return compare_shapers(lines, profile, options)
+    return compare_shapers(lines, profile, options, plant)

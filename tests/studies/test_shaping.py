@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import configparser
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +13,17 @@ import pytest
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.model.shapers import AxisShaping, Shaping, shaper
+from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers.guess import Paths, quadratic_form
+from hframe_post.studies.shapers.guess import Paths, guess, quadratic_form
 from hframe_post.studies.shapers.search import (
     KLIPPER,
     PIECES,
     best,
-    calibrated,
+    calibrated_with,
     error,
     good,
     paths,
@@ -62,7 +65,7 @@ def test_nothing_extruded_is_an_error(paper: Printer) -> None:
 def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms
-    usual = error(paper.plant, calibrated(paper.plant), corner).rms
+    usual = error(paper.plant, calibrated_with(paper.plant, "mzv"), corner).rms
     found = best(paper.plant, corner, "mzv", quadratic_form(paper.plant, corner))
     assert found.rms < 0.65 * usual < 0.65 * bare
     assert found.rms == error(paper.plant, found, corner).rms
@@ -80,6 +83,74 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
         got = np.concatenate([chunk.commands["ei"] for chunk in done])
         whole = np.column_stack([shaper("ei", 30.0, 0.2).run(column) for column in path[:, :2].T])
         np.testing.assert_allclose(got, whole, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ei", "2hump_ei", "3hump_ei"])
+def test_no_setting_has_more_damping_than_klipper_takes(
+    paper: Printer, corner: Paths, name: str
+) -> None:
+    """Since October 2025 Klipper refuses to start with more."""
+    found = guess(quadratic_form(paper.plant, corner), name)
+    section = configparser.ConfigParser()
+    section.read_string(found.config("klipper"))
+    for axis in "xy":
+        assert section.getfloat("input_shaper", f"damping_ratio_{axis}") <= most_damping(name)
+
+
+CALIBRATED = {  # what Klipper of August 2026 chooses, given the same data
+    "paper": (("zv", 21.0), ("3hump_ei", 75.6)),
+    "example-corexy": (("mzv", 60.0), ("mzv", 46.0)),
+    "example-ender": (("mzv", 45.2), ("mzv", 30.8)),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "among"),
+    [
+        ("example-corexy", ("mzv",)),
+        *(pytest.param(name, KLIPPER, marks=pytest.mark.slow) for name in CALIBRATED),
+    ],
+)
+def test_the_calibrated_shaper_is_that_of_todays_klipper(name: str, among: tuple[str, ...]) -> None:
+    found = calibrated_with(load(name).plant, *among)
+    chosen = [(axis.name, round(axis.hz, 6)) for axis in (found.x, found.y)]
+    assert chosen == list(CALIBRATED[name]), "Hz"
+
+
+def test_a_shaper_that_needs_a_newer_klipper_is_a_comment() -> None:
+    known, newer = (
+        Shaping(each, each, rms)
+        for each, rms in (
+            (AxisShaping("mzv", 40.0, 0.1), 0.05),
+            (AxisShaping("mzv(n=5,t=1.1)", 40.0, 0.1), 0.04),
+        )
+    )
+    text = shapings_as_text([newer, known], known, "klipper")
+    section = configparser.ConfigParser(comment_prefixes="#")
+    section.read_string(text[text.index("[input_shaper]") :])
+    assert section["input_shaper"]["shaper_type_x"] == "mzv"
+    assert "# 40.0 µm, on Klipper of 27 April 2026 or newer only:" in text
+    assert "# shaper_type_x: mzv(n=5,t=1.1)" in text
+    assert "newer" not in shapings_as_text([replace(known, rms=0.041), newer], known, "klipper")
+
+
+@pytest.mark.slow
+def test_shapers_are_judged_on_the_plant_that_is_simulated(tmp_path: Path, corner: Paths) -> None:
+    out = tmp_path / "s.json"
+    done = run("simulate", "--shapers", "-p", "paper", "--plant", "example-corexy", "--json", out)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(out.read_text())
+    found = {each["name"]: each for each in summary["against"]}
+    rms = {name: each["contour_error_um"]["rms"] for name, each in found.items()}
+    for name in ("none", "fbs", "racking"):
+        assert rms[name] == pytest.approx(summary["contour_error_um"][name]["rms"], rel=1e-6), "µm"
+    for name in ("mzv", "zv as calibrated"):
+        x, y = (
+            AxisShaping(axis["type"], axis["hz"], axis["damping"])
+            for axis in (found[name]["x"], found[name]["y"])
+        )
+        judged = error(load("example-corexy").plant, Shaping(x, y), corner)
+        assert rms[name] == pytest.approx(1e3 * judged.rms, rel=0.03), "µm"
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from hframe_post.arrays import TS
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
@@ -47,17 +48,18 @@ class ShaperComparison:
 
 @one_blas_thread()
 def compare_shapers(
-    lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options
+    lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options, plant: Plant
 ) -> list[ShaperComparison]:
     """Return the predicted print with each strategy and shaper, the most accurate first.
 
-    lines: opens the file and yields its lines, at each call again. Raises HframeError.
+    lines: opens the file and yields its lines, at each call again. plant: on which all are judged;
+    they are made for the printer's. Raises HframeError.
     """
     searched = search(printer.plant, paths(lines(), printer, options))
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
     source = Commands(lines(), printer, options, tuple(STRATEGIES))
-    meter = ErrorMeter(printer.plant)
+    meter = ErrorMeter(plant)
     for _ in meter.samples(shape(source, shapings)):
         pass
     time = source.report().time

@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.shapers import AxisShaping, Shaper, Shaping
+from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
 Candidates = tuple[list[AxisShaping], Array]
@@ -57,7 +57,9 @@ def guess(Q: Array, name: str) -> Shaping:
 
     A grid search is refined around its result; ``rms`` is an estimate, mm.
     """
-    grid = [AxisShaping(name, hz, damping) for hz in HZ.tolist() for damping in DAMPING.tolist()]
+    most = most_damping(name)
+    damping = DAMPING[most >= DAMPING].tolist()
+    grid = [AxisShaping(name, hz, each) for hz in HZ.tolist() for each in damping]
     known = _usable(grid)
     found = _least(Q, known, known)
     for factor, step in REFINED:
@@ -67,7 +69,8 @@ def guess(Q: Array, name: str) -> Shaping:
 
 
 def _around(axis: AxisShaping, factor: float, step: float) -> list[AxisShaping]:
-    damping = np.clip(axis.damping + step * np.array([-1.0, 0.0, 1.0]), 0.0, MOST_DAMPING)
+    most = min(MOST_DAMPING, most_damping(axis.name))
+    damping = np.clip(axis.damping + step * np.array([-1.0, 0.0, 1.0]), 0.0, most)
     hz = axis.hz * factor ** np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     return [AxisShaping(axis.name, f, d) for f in hz.tolist() for d in np.unique(damping).tolist()]
 

@@ -7,7 +7,7 @@ so a comparison with it is fair. Its section for printer.cfg is an alternative t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
@@ -17,7 +17,15 @@ from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant, Response
-from hframe_post.model.shapers import SHAPERS, AxisShaping, Shaper, Shaping, shaper
+from hframe_post.model.shapers import (
+    SHAPERS,
+    WITH_PARAMETERS,
+    AxisShaping,
+    Shaper,
+    Shaping,
+    most_damping,
+    shaper,
+)
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
 from hframe_post.prediction.predict import contour_error
@@ -28,15 +36,19 @@ from hframe_post.studies.inputs import excerpt
 from hframe_post.studies.shapers.guess import HZ, MOST_DAMPING, Paths, guess, quadratic_form
 
 PIECES = 5  # of a print, of some seconds each, on which settings are compared
+WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klipper is shown
 BY_ERROR = attrgetter("rms")
 
-# Klipper's calibration (klippy/extras/shaper_calibrate.py)
+# Klipper's calibration, as of November 2025 (klippy/extras/shaper_calibrate.py)
 KLIPPER = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
-FIRMWARE = {"klipper": KLIPPER, "marlin": ("zv",)}  # shapers by dialect
-KLIPPER_HZ = np.arange(5.0, 200.0, 0.2)
-KLIPPER_DAMPING = 0.1
+FIRMWARE = {"klipper": KLIPPER, "marlin": ("zv",)}  # shapers that every version has, by dialect
+KLIPPER_HZ = np.arange(5.0, 135.0, 0.5)  # that its test shakes with
+KLIPPER_LOW = 10.0  # Hz, below which its data count less
+KLIPPER_DAMPING = 0.1  # that a shaper is made for
+KLIPPER_DAMPINGS = (0.075, 0.1, 0.15)  # that the printer may have
 KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, of the smoothing
 KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_ei": 48.0}  # Hz
+KLIPPER_MOST, KLIPPER_STEP = 150.0, 0.2  # Hz
 
 
 def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
@@ -74,9 +86,11 @@ def best(plant: Plant, paths: Paths, name: str, Q: Array) -> Shaping:
     """
     from scipy.optimize import minimize
 
+    most = min(MOST_DAMPING, most_damping(name))
+
     def tried_at(v: Array) -> Shaping:
         hz = np.exp(np.clip(v[:2], np.log(HZ[0] / 2.0), np.log(2.0 * HZ[-1]))).tolist()
-        damping = np.clip(v[2:], 0.0, MOST_DAMPING).tolist()
+        damping = np.clip(v[2:], 0.0, most).tolist()
         x, y = (AxisShaping(name, hz[axis], damping[axis]) for axis in (X, Y))
         return error(plant, Shaping(x, y), paths)
 
@@ -118,43 +132,78 @@ def search(plant: Plant, paths: Paths) -> list[Shaping]:
 def calibrated(plant: Plant) -> Shaping:
     """Return the shaping that Klipper's calibration would choose for this plant.
 
-    It excites each axis with an acceleration proportional to the frequency, scores each shaper by
-    residual vibration and smoothing, and takes the lowest score.
+    It excites each axis with an acceleration proportional to the frequency, and judges each shaper
+    by the vibration that it leaves at the worst of three damping ratios, and by its smoothing.
     """
-    return Shaping(_calibrated(plant.Gxx), _calibrated(plant.Gyy))
+    return calibrated_with(plant, *KLIPPER)
 
 
-def calibrated_with(plant: Plant, name: str) -> Shaping:
-    """Return the frequencies that Klipper's calibration would choose for a given shaper."""
-    x, y = (_best_frequency(G, name)[1] for G in (plant.Gxx, plant.Gyy))
-    return Shaping(AxisShaping(name, x, KLIPPER_DAMPING), AxisShaping(name, y, KLIPPER_DAMPING))
+def calibrated_with(plant: Plant, *names: str) -> Shaping:
+    """Return the shaping that Klipper's calibration would choose among these shapers."""
+    return Shaping(_calibrated(plant.Gxx, names), _calibrated(plant.Gyy, names))
 
 
-def _calibrated(G: TransferFunction) -> AxisShaping:
-    best_score, best_axis = np.inf, AxisShaping("mzv", 40.0, KLIPPER_DAMPING)
-    for name in KLIPPER:
-        score, hz = _best_frequency(G, name)
-        if score < best_score / 1.2:  # a longer shaper must be clearly better
-            best_score, best_axis = score, AxisShaping(name, hz, KLIPPER_DAMPING)
-    return best_axis
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A shaper as Klipper judges it. vibration: share that it leaves; smoothing: mm."""
+
+    name: str
+    hz: float
+    vibration: float
+    smoothing: float
+
+    @property
+    def score(self) -> float:
+        return self.smoothing * float(self.vibration**1.5 + 0.2 * self.vibration + 0.01)
 
 
-def _best_frequency(G: TransferFunction, name: str) -> tuple[float, float]:
-    """Return the lowest score of a shaper on an axis, and its frequency (Hz)."""
-    hz = KLIPPER_HZ[KLIPPER_HZ < 200.0]
-    measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS))) * hz
+def _calibrated(G: TransferFunction, names: Iterable[str]) -> AxisShaping:
+    best, chosen = None, list[_Fit]()
+    for name in names:
+        fits = _fits(G, name)
+        fit = _chosen(fits)
+        if best is None or _is_clearly_better(fit, best):
+            best = fit
+        for other in reversed(fits):  # better in both
+            if other.vibration < best.vibration and other.smoothing < best.smoothing:
+                best = fit = other
+        chosen.append(fit)
+    assert best is not None
+    if best.name == "zv":  # unless another leaves clearly less
+        least = best.vibration / 1.1
+        best = next((fit for fit in chosen if fit.name != "zv" and fit.vibration < least), best)
+    return AxisShaping(best.name, best.hz, KLIPPER_DAMPING)
+
+
+def _is_clearly_better(fit: _Fit, best: _Fit) -> bool:
+    """Return whether the score is better by 20 %, or by 5 % with a tenth less smoothing."""
+    return 1.2 * fit.score < best.score or (
+        1.05 * fit.score < best.score and 1.1 * fit.smoothing < best.smoothing
+    )
+
+
+def _chosen(fits: list[_Fit]) -> _Fit:
+    """Return the fit with the best score of those that leave about the least vibration."""
+    quietest = min(fits, key=lambda fit: fit.vibration)
+    near = [fit for fit in fits if fit.vibration < 1.1 * quietest.vibration + 0.0005]
+    return min((quietest, *reversed(near)), key=lambda fit: fit.score)
+
+
+def _fits(G: TransferFunction, name: str) -> list[_Fit]:
+    """Return a shaper at each frequency that Klipper tries, the highest first."""
+    hz = KLIPPER_HZ
+    measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS)) * hz) / (hz + 0.1)
+    low = hz < KLIPPER_LOW
+    measured[low] *= np.exp(1.0 - np.square(KLIPPER_LOW / (hz[low] + 0.1)))
     floor = measured.max() / 20.0  # noise of the accelerometer
     loud = np.maximum(measured - floor, 0.0).sum()
-    scored = []
-    for f in np.arange(150.0, KLIPPER_LEAST[name], -0.5).tolist():
+    fits = []
+    for f in np.arange(KLIPPER_LEAST[name], KLIPPER_MOST, KLIPPER_STEP)[::-1].tolist():
         tried = shaper(name, f, KLIPPER_DAMPING)
-        left = tried.residual(hz, KLIPPER_DAMPING)
-        vibration = float(np.maximum(left * measured - floor, 0.0).sum() / loud)
-        score = _smoothing(tried) * (vibration**1.5 + 0.2 * vibration + 0.01)
-        scored.append((score, vibration, f))
-    quietest = min(vibration for _, vibration, _ in scored)
-    score, _, f = min(row for row in scored if row[1] <= 1.1 * quietest)
-    return score, f
+        left = (tried.residual(hz, damping) * measured for damping in KLIPPER_DAMPINGS)
+        vibration = max(float(np.maximum(each - floor, 0.0).sum() / loud) for each in left)
+        fits.append(_Fit(name, f, vibration, _smoothing(tried)))
+    return fits
 
 
 def _smoothing(tried: Shaper) -> float:
@@ -179,14 +228,19 @@ def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
 
 def shapings_as_text(found: list[Shaping], usual: Shaping, dialect: str) -> str:
     """Return a table, and the settings of the best shaper that the firmware has."""
-    lines = [f"{'shaper':12s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
+    lines = [f"{'shaper':16s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
     lines += [_row(s.x.name, s) for s in found]
     names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
     lines += [_row(f"Klipper's calibration: {names}", usual)]
     best = next(s for s in found if s.x.name in FIRMWARE[dialect])
-    return "\n".join([*lines, "", best.config(dialect)])
+    newer = next((s for s in found if s.x.name in WITH_PARAMETERS), best)
+    lines += ["", best.config(dialect)]
+    if dialect == "klipper" and newer.rms < WORTH * best.rms:
+        lines += ["", f"# {newer.rms * 1e3:.1f} µm, on Klipper of 27 April 2026 or newer only:"]
+        lines += [f"# {line}" for line in newer.config(dialect).splitlines()]
+    return "\n".join(lines)
 
 
 def _row(name: str, s: Shaping) -> str:
-    (x, y), wrapped = s.as_text(), f"{name}\n{'':12s}" if len(name) > 12 else f"{name:12s}"
+    (x, y), wrapped = s.as_text(), f"{name}\n{'':16s}" if len(name) > 16 else f"{name:16s}"
     return f"{wrapped}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"
