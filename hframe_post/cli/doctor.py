@@ -23,6 +23,7 @@ from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file
 from hframe_post.printer.edit import changed_by_hand
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.klipper_check import Finding, check
+from hframe_post.printer.klipper_version import check_version, log_of
 from hframe_post.printer.profile import load, shipped, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.slicers import presets
@@ -68,13 +69,22 @@ class _Findings:
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="FILE", help="Check Klipper's printer.cfg, its includes and macros, and this profile.",
 )  # fmt: skip
+@click.option(
+    "--klippy-log", "log", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
+    "printer.cfg, or in the folder logs next to that of printer.cfg.",
+)  # fmt: skip
 @old_option(
     "--folder", "run doctor in that folder instead", default=".",
     type=click.Path(path_type=Path, file_okay=False),
 )  # fmt: skip
 @click.pass_context
 def doctor(
-    context: click.Context, requested: str | None, config: Path | None, folder: Path
+    context: click.Context,
+    requested: str | None,
+    config: Path | None,
+    log: Path | None,
+    folder: Path,
 ) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
@@ -92,7 +102,7 @@ def doctor(
     except HframeError as error:
         (findings.note if config is None else findings.problem)(str(error))
     else:
-        _check_profile(findings, choice, config)
+        _check_profile(findings, choice, config, log)
     n = findings.problems
     unchecked = f", but {findings.unchecked} was not checked" if findings.unchecked else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
@@ -131,7 +141,9 @@ def _check_folders(findings: _Findings, folder: Path) -> None:
             findings.problem(f"files cannot be written in {place}: {error.strerror or error}")
 
 
-def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> None:
+def _check_profile(
+    findings: _Findings, choice: Choice, config: Path | None, log: Path | None
+) -> None:
     printer = choice.profile
     try:
         profile = load(printer)
@@ -175,6 +187,8 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
     try:
         read = KlipperConfig(config)
         differences = list(_differences(read, profile, printer))
+        if klipper:
+            differences += check_version(read, log or log_of(config))
     except HframeError as error:
         findings.problem(str(error))
         return

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import main
+from hframe_post.printer.klipper_version import is_deaf
 from tests.command_line import run
 from tests.printers import REAL
 
@@ -110,6 +112,64 @@ def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, fo
     chosen = "as you chose" in found or "replaces the [" in found
     assert lines[0].startswith("note" if chosen else "PROBLEM")
     assert status == (1 if "PROBLEM" in printed else 0)
+
+
+LOGGED = "Git version: 'v0.13.0-99-g0123456ab'\n===== Config file =====\n"
+
+
+@pytest.mark.parametrize(
+    ("version", "deaf"),
+    [
+        ("v0.13.0-630-ge4c4a5b94", False),  # the last before
+        ("v0.13.0-631-gdb10e92e9", True),
+        ("v0.13.0-641-g2239041df", True),
+        ("v0.13.0-642-g77d5d942e", False),
+        ("v0.12.0-635-g0123456ab", False),
+        ("460ee783", True),  # of a shallow copy, which knows no release
+        ("460ee783-dirty", True),
+        ("77d5d942e", False),
+        ("v2026.01.00-635-g0123456ab", False),  # of Kalico
+        ("?", False),
+    ],
+)
+def test_which_klipper_does_not_turn_shaping_off(version: str, deaf: bool) -> None:
+    assert is_deaf(version) == deaf
+
+
+@pytest.mark.parametrize(
+    ("version", "deaf"), [("v0.13.0-635-g352bc8b2e-dirty", True), ("v0.13.0-642-g77d5d942e", False)]
+)
+def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
+    machine: Path, tmp_path: Path, version: str, deaf: bool
+) -> None:
+    config = tmp_path / "printer_data" / "config"
+    shutil.copytree(machine, config)
+    cfg = config / "printer.cfg"
+    cfg.write_text(cfg.read_text().replace("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"))
+    own, home = config / "printer.toml", str(config / "config")
+    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
+    doctor = partial(run, "doctor", "-p", own, "--printer-cfg", cfg, HFRAME_PRINTER=str(own))
+    unknown = doctor()
+    assert unknown.returncode == 0, unknown.stdout
+    assert b"note     Klipper's version is not known: show its log with --klippy" in unknown.stdout
+    log = config.parent / "logs" / "klippy.log"
+    log.parent.mkdir()
+    log.write_text(f"{LOGGED}Start\nGit version: '{version}'\nBranch: master\n\xff")
+    done = doctor()
+    assert done.returncode == deaf, done.stdout
+    text = f"PROBLEM  {log}: Klipper {version} ignores SET_INPUT_SHAPER SHAPER_FREQ_X=0"
+    assert (text in done.stdout.decode()) == deaf
+    assert b"--klippy-log" not in done.stdout
+    log.rename(tmp_path / "other.log")
+    assert doctor("--klippy-log", tmp_path / "other.log").returncode == deaf
+    (tmp_path / "other.log").write_text("no version")
+    assert (
+        b"does not show Klipper's version" in doctor("--klippy-log", tmp_path / "other.log").stdout
+    )
+    cfg.write_text((machine / "printer.cfg").read_text())  # no frequency: nothing to turn off
+    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
+    log.write_text(f"Git version: '{version}'\n")
+    assert doctor().returncode == 0
 
 
 def test_doctor_notes_an_old_model(machine: Path, tmp_path: Path) -> None:
