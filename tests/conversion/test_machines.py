@@ -45,10 +45,9 @@ def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slice_", ["cube.gcode", "prism.gcode"])
-def test_slices_are_equal(slice_: str, tmp_path: Path) -> None:
+def test_slices_are_equal(tmp_path: Path) -> None:
     digests = set()
     for name, environment in MACHINES.items():
-        convert(SAMPLES / slice_, tmp_path / f"{name}.gcode", environment)
+        convert(SAMPLES / "prism.gcode", tmp_path / f"{name}.gcode", environment)
         digests.add(hashlib.sha256((tmp_path / f"{name}.gcode").read_bytes()).hexdigest())
     assert len(digests) == 1

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -58,7 +57,7 @@ def test_neither_processes_nor_hashes_nor_compiled_loops_show(
 def test_every_process_writes_the_same(without_loops: Path, name: str) -> None:
     source = SAMPLES / name
     plain = converted(source, ROOT)
-    for jobs, seed in product((1, 2, 4), (0, 1, 4294967295)):
+    for jobs, seed in ((1, 4294967295), (2, 1), (4, 0)):
         assert converted(source, ROOT, jobs, seed) == plain, (jobs, seed)
     assert converted(source, without_loops) == plain
     for blas in KERNELS:

@@ -68,8 +68,9 @@ def test_a_linear_printer_becomes_better() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [seed for seed in range(100) if seed != LINEAR])
-def test_a_hundred_printers_become_better(seed: int) -> None:
+@pytest.mark.parametrize("seed", [seed for seed in range(60) if seed != LINEAR])
+def test_sixty_printers_become_better(seed: int) -> None:
+    """Thirty are linear, and each fault comes six times; ``make random-printers`` draws more."""
     check(seed)
 
 
