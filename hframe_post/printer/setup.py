@@ -233,10 +233,12 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
 
 
 def _shaper(config: KlipperConfig) -> dict[str, Known]:
-    if config.missing and not config.has("input_shaper"):
-        return {}  # it may be in a file that was not found
-    keys = [f"shaper_freq_{axis}" for axis in "xyz"]
-    return {key: _or(config, "input_shaper", key, 0.0) for key in keys}
+    return {
+        key: _or(config, "input_shaper", key, 0.0)
+        for key in (f"shaper_freq_{axis}" for axis in "xyz")
+        # a file that was not found may set it
+        if not config.missing or config.text("input_shaper", key)
+    }
 
 
 def text_from_klipper(config: KlipperConfig) -> str:

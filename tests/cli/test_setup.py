@@ -173,16 +173,19 @@ def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     assert "no changes" in set_up(config)
 
 
-@pytest.mark.parametrize("pattern", ["conf/*.cfg", "conf/shaper.cfg"])
+@pytest.mark.parametrize(
+    ("pattern", "here"),
+    [("conf/*.cfg", ""), ("conf/shaper.cfg", ""), ("conf/*", "[input_shaper]\nshaper_type: ei\n")],
+)
 def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
-    config: Path, pattern: str, tmp_path: Path
+    config: Path, pattern: str, here: str, tmp_path: Path
 ) -> None:
     """They may hold [input_shaper], so what was known of it stays."""
     shaper = config.parent / "conf" / "shaper.cfg"
     shaper.parent.mkdir()
     shaper.write_text("[input_shaper]\nshaper_freq_x: 51.5\n")
     text = config.read_text().replace("[input_shaper]\n", "")
-    config.write_text(f"[include {pattern}]\n{text}\n[include hframe.cfg]\n")
+    config.write_text(f"[include {pattern}]\n{text}\n{here}[include hframe.cfg]\n")
     assert "WARNING" not in set_up(config)
     shaper.unlink()
     missing = f"{config}:1: [include {pattern}] finds no file, so what it sets is not known here"
@@ -197,6 +200,130 @@ def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
     (tmp_path / "recordings").mkdir()
     done = run("identify", tmp_path / "recordings", "--printer-cfg", config)
     assert f"WARNING      {missing}" in done.stderr.decode()
+
+
+OWNERS = {
+    "a Voron 2.4 with parts and Mainsail": {
+        "printer.cfg": """\
+# Voron 2.4
+[include mainsail.cfg]
+[include conf/*.cfg]
+#[include old.cfg]
+[printer]
+kinematics: corexy
+max_velocity: 300
+max_accel: 3000             #Max 4000
+max_z_velocity: 15
+[stepper_x]
+dir_pin: !PF12 ; inverted
+rotation_distance: 40
+microsteps: 32
+full_steps_per_rotation:200
+position_max: 350
+[stepper_y]
+rotation_distance: 40
+microsteps: 32
+position_max: 350
+[stepper_z]
+rotation_distance: 40
+gear_ratio: 80:16
+microsteps: 32
+position_max: 340
+[quad_gantry_level]
+points:
+   50,25
+   50,275
+[include hframe.cfg]
+
+#*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
+#*#
+#*# [input_shaper]
+#*# #shaper_freq_x = 40
+#*# shaper_freq_x = 62.4
+#*# [bed_mesh default]
+#*# points =
+#*# 	  -0.02, 0.01
+""",
+        "conf/extruder.cfg": """\
+[extruder]
+rotation_distance: 22.6789511
+gear_ratio: 50:17
+microsteps: 16
+[adxl345]
+cs_pin: EBBCan:PB12
+#*# an owner's own comment
+""",
+        "mainsail.cfg": """\
+[pause_resume]
+[gcode_macro CANCEL_PRINT]
+rename_existing: CANCEL_PRINT_BASE
+gcode:
+  {% set park = printer['gcode_macro _CLIENT_VARIABLE'].park|default(false)|lower == 'true' %}
+  CANCEL_PRINT_BASE
+""",
+    },
+    "a bed-slinger with two sensors and a block that is commented out": {
+        "printer.cfg": """\
+[printer]
+kinematics: cartesian
+max_velocity = 300
+max_accel = 5000
+[stepper_x]
+microsteps: 16
+rotation_distance: 40
+position_max: 235
+[stepper_y]
+microsteps: 16
+rotation_distance: 40
+position_min: -6
+position_max: 235
+[stepper_z]
+microsteps: 16
+rotation_distance: 8
+position_max: 250
+[extruder]
+microsteps: 16
+rotation_distance: 34.406
+[adxl345 hotend]
+cs_pin: rpi:None
+axes_map: -x, -y, z
+[adxl345 bed]
+cs_pin: bed:gpio1
+[input_shaper]
+#shaper_freq_x: 60
+[include hframe.cfg]
+# #*# <---------------------- SAVE_CONFIG ---------------------->
+# #*# [input_shaper]
+# #*# shaper_freq_x = 40
+""",
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("owner", "kind", "sensors", "hz"),
+    [(owner, *row) for owner, row in zip(
+        OWNERS, (("corexy", "adxl345", 62.4), ("cartesian", "hotend, bed", 0.0)), strict=True)],
+)  # fmt: skip
+def test_setup_and_doctor_read_owners_files(
+    tmp_path: Path, owner: str, kind: str, sensors: str, hz: float
+) -> None:
+    for name, text in OWNERS[owner].items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    config, own = tmp_path / "printer.cfg", tmp_path / "printer.toml"
+    printed = set_up(config)
+    assert "WARNING" not in printed
+    assert f"accelerometer    {sensors}\n" in printed
+    assert "no changes" in set_up(config)
+    profile = load(str(own))
+    assert profile.kinematics.type == kind
+    assert profile.steps is not None
+    assert profile.firmware.klipper is not None
+    assert profile.firmware.klipper.shaper_freq_x == hz, "Hz"
+    checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
+    assert (checked.returncode, b"PROBLEM" in checked.stdout) == (0, False), checked.stdout
 
 
 def test_setup_works_where_the_users_folder_cannot_be_written(config: Path) -> None:
