@@ -380,7 +380,7 @@ def main(path: str, gcodes: str, address: str, *command: str) -> int:
     os.nice(10)  # Klipper may be printing
     interface = Interface(address, os.fsencode(Path(path).name).decode(errors="replace"))
     with alone(Path(gcodes) / FOLDER):
-        while True:
+        while stamp(Path(path)):  # otherwise it was deleted while it waited
             upload = Upload(Path(path), Path(gcodes))
             try:
                 upload.take()
@@ -400,6 +400,7 @@ def main(path: str, gcodes: str, address: str, *command: str) -> int:
                 return 1
             interface.report(summary)
             return 0
+    return 1
 
 
 def cause(error: Exception) -> str:

@@ -165,7 +165,9 @@ class Printer(Server):
         for name in list(self._processes):
             self.kill(name)
         # Moonraker's reader of metadata has a session of its own and outlives it
-        subprocess.run(["pkill", "-KILL", "-f", str(self.components)], check=False)
+        for left in processes(str(self.components)):
+            with suppress(ProcessLookupError):
+                os.kill(left, signal.SIGKILL)
 
     # ------------------------------------------------------------------ requests
 

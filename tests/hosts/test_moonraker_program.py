@@ -23,6 +23,7 @@ from hframe_post.hosts.moonraker import (
     REFUSAL,
     FailureError,
     Upload,
+    alone,
     cause,
     refuse,
 )
@@ -248,6 +249,17 @@ def test_a_conversion_ends_when_its_file_is_gone(
     if fate == "renamed":
         assert processed(renamed) == 0
         assert renamed.read_bytes().startswith(b"; processed by hframe-post")
+    assert kept(part) == []
+
+
+def test_a_file_that_is_deleted_while_it_waits_is_no_failure(
+    part: Path, reports: list[Any]
+) -> None:
+    with alone(part.parents[1] / FOLDER):
+        program = started(part)
+        part.unlink()
+    assert program.wait(timeout=WAIT) == 1
+    assert reports == []
     assert kept(part) == []
 
 
