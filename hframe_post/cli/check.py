@@ -15,7 +15,6 @@ from hframe_post.cli.sweep import (
     axes_option,
     chips_option,
     next_steps,
-    recorded_on,
     recordings_argument,
     write_motion,
 )
@@ -83,6 +82,7 @@ def _update(
 ) -> None:  # fmt: skip
     from hframe_post.identification.checking.drift import drifts
     from hframe_post.identification.checking.report import CheckReport
+    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.recordings.folder import files_in
 
     files = files_in(recordings)
@@ -94,7 +94,7 @@ def _update(
             gathered = _gathered(recordings, profile, axes)
             runs = list({run.axis: run for run in gathered.runs}.values())  # the last of each axis
             labels = {label: path for path, label in files.items()}
-            day = recorded_on([labels[run.name] for run in runs])
+            day = max(recorded_on(labels[run.name]) for run in runs)
             if profile.measured is not None and day < profile.measured:
                 raise IdentificationError(
                     f"the recordings are of {day}, older than the model, of {profile.measured}: "

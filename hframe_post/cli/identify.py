@@ -20,7 +20,7 @@ from hframe_post.cli.options import (
     page_option,
     position,
 )
-from hframe_post.cli.sweep import FILE, recorded_on
+from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
@@ -160,6 +160,7 @@ def identify(
     )
     from hframe_post.identification.pages import identification_page
     from hframe_post.identification.recordings import accelerometer
+    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.recordings.folder import files_in
     from hframe_post.identification.report import conclude
 
@@ -198,7 +199,7 @@ def identify(
             raise IdentificationError(report.identified.refusal or NO_WINDOW)
         if file is not None:
             windows, error = report.compensation.windows, round(report.identified.model_error, 4)
-            day = recorded_on([*files_in(recordings), *pairs])
+            day = max(recorded_on(one.path) for one in gathered.used)
             written = with_plant(source, report.plant, windows, report.origin(), error, text, day)
             file.write(written.encode())
             if report.plant.Gxtheta is not None and profile.kinematics.type == "corexy":

@@ -7,8 +7,6 @@ help is there at once.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,11 +104,6 @@ def next_steps(command: str, target: Path, printer: str, planned: list[Run]) -> 
             f"  hframe-post {command} -p {quoted(printer)} {' '.join(both)} -o {quoted(profile)}",
         ]
     )
-
-
-def recorded_on(files: Iterable[Path]) -> date:
-    """Return the day on which the latest of the recordings was written."""
-    return datetime.fromtimestamp(max(path.stat().st_mtime for path in files), UTC).date()
 
 
 @click.command()

@@ -23,7 +23,6 @@ from hframe_post.cli.sweep import (
     chips_option,
     height_option,
     next_steps,
-    recorded_on,
     recordings_argument,
     write_motion,
 )
@@ -126,6 +125,7 @@ def _judge(
     axes: str | None, report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     from hframe_post.identification.pages import verification_page
+    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.verification.drifted import as_text, drifted
     from hframe_post.identification.verification.pairing import along_printer, sorted_out
     from hframe_post.identification.verification.verdict import judge
@@ -155,5 +155,5 @@ def _judge(
             raise IdentificationError(f"the profile is not verified: {verdict.fault}")
         click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
-            day = recorded_on(recorded).isoformat()
+            day = max(map(recorded_on, recorded)).isoformat()
             file.write(with_verification(printer, day, verdict.reduction).encode())

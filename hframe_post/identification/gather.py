@@ -48,6 +48,7 @@ class Used:
     label: str
     motion: str
     digest: str
+    path: Path
     session: int = 1
     notes: tuple[str, ...] = ()
 
@@ -151,7 +152,7 @@ def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tupl
     nozzle = one.recording if calibrated else _in_sensor_axes(one, config)
     run = Run(one.label, motion, nozzle, calibrated=calibrated, rough_clock=rough)
     notes = tuple(accelerometer.diagnose(one.recording, QUIET))
-    return run, Used(one.label, shown, one.digest, one.session, notes)
+    return run, Used(one.label, shown, one.digest, one.path, one.session, notes)
 
 
 def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerometer.Recording:
@@ -238,6 +239,7 @@ def from_pair(
             path.name,
             f"sweep {command.name}",
             digest_of(path),
+            path,
             notes=tuple(accelerometer.diagnose(recording, QUIET)),
         )
         for path, recording in zip(files, recordings, strict=True)

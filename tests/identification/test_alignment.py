@@ -14,6 +14,7 @@ from hframe_post.identification.recordings.alignment import acceleration, aligne
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.recordings import THIRTEEN_BITS, Sensor, bridge_end, nozzle, spline, sweep
+from tests.resonance_recordings import MOTIONS, klipper
 
 X, Y, Z = 0, 1, 2
 PPM = 1e-6
@@ -49,6 +50,18 @@ def test_command_is_the_true_acceleration_of_a_sine(hz: float) -> None:
     omega = 2.0 * np.pi * hz
     a = acceleration(110.0 + np.sin(omega * t) / omega**2)
     np.testing.assert_allclose(a[50:-50], -np.sin(omega * t)[50:-50], atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_motion_that_stops_between_samples_has_no_jump(kind: str) -> None:
+    """A jump, which no printer plays, hides what the answers to the slow part are."""
+    test = klipper(**MOTIONS[kind])
+    a = np.abs(acceleration(test.command()[:, X]))
+    most = test.accel_per_hz * test.max_freq + test.sweeping_accel
+    ends = max(float(a[:10].max()), float(a[-10:].max()))
+    assert ends < 1.3 * most, f"{ends:.0f} mm/s² at the ends of a motion of {most:.0f} mm/s²"
+    first = test.accel_per_hz * test.min_freq
+    assert a[:10].max() < 1.3 * first, f"{a[:10].max():.0f} mm/s² at the start, not {first:.0f}"
 
 
 @pytest.mark.parametrize("rate", [1000.0, 1344.0, 3200.0, 26667.0])

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import lzma
+import struct
+import tracemalloc
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +22,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import GRAVITY, read
 from hframe_post.identification.recordings.excitation import command_csv, read_command
 from hframe_post.identification.recordings.formats import read_tables
-from hframe_post.identification.recordings.packed import unpacked
+from hframe_post.identification.recordings.packed import MAX_SIZE, unpacked
 
 HEAD = b"#time,accel_x,accel_y,accel_z\n"
 
@@ -137,3 +142,69 @@ def test_columns_that_say_what_they_are_need_no_option(
     found = read(path)
     np.testing.assert_allclose(found.a, rows[:, 1:], atol=1e-6 * scale)
     assert not found.started
+
+
+# ---------------------------------------------------------------------- files that unpack to more
+
+ZEROS = bytes(1 << 24)  # 16 MB
+TIMES = 17  # 272 MB, more than MAX_SIZE
+COLUMNS = ("t", "ax", "ay", "az")
+
+
+def npz() -> bytes:
+    array = io.BytesIO()
+    np.lib.format.write_array(array, np.frombuffer(ZEROS), version=(1, 0))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name in (*COLUMNS, *range(TIMES - len(COLUMNS))):
+            archive.writestr(f"{name}.npy", array.getvalue())
+    return packed.getvalue()
+
+
+def mat() -> bytes:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
+    element = zlib.compress(ZEROS, 1)
+    return head + TIMES * (struct.pack("<II", 15, len(element)) + element)
+
+
+def stdata_of_rows() -> bytes:
+    rows = b"[]," * (5 << 20)
+    line = b'{"name": "axis_X", "samples": [' + rows[:-1] + b"]}\n"
+    return zstandard.ZstdCompressor(level=1).compress(line)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("x.csv.gz", lambda: TIMES * gzip.compress(ZEROS, 1), "too large"),
+        ("x.csv.xz", lambda: TIMES * lzma.compress(ZEROS, preset=0), "too large"),
+        ("x.csv.zst", lambda: TIMES * zstandard.ZstdCompressor().compress(ZEROS), "too large"),
+        ("x.npz", npz, "too large"),
+        ("x.mat", mat, "too large"),
+        ("x.stdata", stdata_of_rows, "too many"),
+    ],
+)
+def test_no_file_unpacks_to_more_than_the_limit(
+    tmp_path: Path, name: str, content: Callable[[], bytes], words: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content())
+    assert path.stat().st_size < 3 << 20
+    tracemalloc.start()
+    try:
+        with pytest.raises(IdentificationError, match=rf"x\..*{words}"):
+            read(path, COLUMNS if name[-3:] in ("npz", "mat") else None)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.2 * MAX_SIZE, f"{peak >> 20} MB of memory"
+
+
+def test_arrays_in_archives_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("t.npy", b"few")
+    path = tmp_path / "x.npz"
+    path.write_bytes(packed.getvalue())
+    with pytest.raises(IdentificationError, match="not compressed as NumPy does"):
+        read(path, COLUMNS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
+from hframe_post.identification.fitting.discrete import delayed
 from hframe_post.identification.fitting.modal import Data, Modal, Structure, fit, structures
 from tests.identification.modal_tools import BAND, HZ, TWO, continuous
 
@@ -39,6 +40,15 @@ def test_the_discrete_model_responds_like_the_simulator() -> None:
     true = TWO.exact().Gxx.response(2.0 * np.pi * hz * TS)
     off = np.linalg.norm(G.response(2.0 * np.pi * hz * TS) - true) / np.linalg.norm(true)
     assert off < 2e-3
+
+
+@pytest.mark.parametrize("samples", [1.0, 5.0 + 2e-8, 5.0 - 3e-5, 0.99, 3.4])
+def test_no_delay_needs_a_zero_that_a_profile_cannot_have(samples: float) -> None:
+    G = delayed(TWO.exact().Gxx, samples)
+    assert np.abs(G.zeros).max() < 1e5
+    omega = 2.0 * np.pi * TS * np.linspace(1.0, 100.0, 50)
+    late = -np.angle(G.response(omega) / TWO.exact().Gxx.response(omega)) / omega
+    assert np.abs(np.mod(late - samples + np.pi, 2.0 * np.pi / omega) - np.pi).max() < 0.01
 
 
 @pytest.mark.parametrize("zeros", [1, 2])

@@ -83,6 +83,21 @@ def test_poles_that_cancel_one_another_do_not_explain_a_hardening_belt() -> None
     assert found.residual < 0.02
 
 
+@pytest.mark.parametrize(("gain", "found_gain"), [(1.005, 1.0044), (1.002, 1.0)])
+def test_a_sensor_is_exact_unless_the_recordings_clearly_deny_it(
+    gain: float, found_gain: float
+) -> None:
+    """They deny it by 8 standard deviations, and by 2.6."""
+    rng, one, noise = np.random.default_rng(7), np.ones(len(HZ)), 0.02
+    runs = []
+    for _ in range(2):
+        real, imaginary = rng.normal(size=(2, len(HZ))) / np.sqrt(2.0)
+        noisy = gain * measured(PEAK_HZ, 0.06) * (1.0 + noise * (real + 1j * imaginary))
+        runs.append(FrequencyResponse(HZ, noisy, one / (1.0 + noise**2), one))
+    found = fit(runs, average(runs), False, BAND)
+    assert found.gain == pytest.approx(found_gain, abs=5e-4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("k", range(12))
 def test_noisy_responses_of_known_plants_are_recovered(k: int) -> None:

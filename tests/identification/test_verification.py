@@ -56,6 +56,20 @@ def test_the_reduction_is_measured(changed: dict[str, float]) -> None:
     assert found.reduction == pytest.approx(true, rel=0.2)
 
 
+@pytest.mark.parametrize(
+    ("left", "good"), [(30.0, True), (50.0, True), (54.0, False), (60.0, False), (85.0, False)]
+)
+def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: bool) -> None:
+    """Of 100 µm, 80 are to go: less than 48 that go are a failure."""
+    none = np.zeros(0)
+    found = Verdict(
+        (100.0, left), (100.0, 20.0), (1.0, 1.0), 0.1, None, None, none, (none, none), (none, none)
+    )
+    assert (found.fault is None) == good, f"{100.0 - left:g} of 80 µm removed: {found.fault}"
+    if not good:
+        assert f"removes {100.0 - left:.0f} % of the error, not the 80 %" in str(found.fault)
+
+
 def test_a_delay_of_both_axes_does_no_harm() -> None:
     """A profile from TEST_RESONANCES has none, since nothing tells when its motion began."""
     x, y = (replace(axis, delay=0.0) for axis in (STRANGER.x, STRANGER.y))

@@ -17,6 +17,7 @@ from hframe_post.model.transfer_function import TransferFunction
 
 Term = tuple[Array, Array, Array]  # F (d, d), g (d,), C (d,)
 REAL = 1e-12  # imaginary part below which a root is real
+WHOLE = 1e-4  # coefficient of an all-pass below which its delay is a whole sample
 
 
 def discretize(terms: list[Term], zeros_at_rest: int) -> TransferFunction:
@@ -56,7 +57,7 @@ def delayed(G: TransferFunction, samples: float) -> TransferFunction:
     rest = samples - whole
     a = float((1.0 - rest) / (1.0 + rest))
     poles = np.append(G.poles, np.zeros(whole))
-    if abs(a) < REAL:
+    if abs(a) < WHOLE:  # its zero, -1/a, would be of any size
         return TransferFunction(G.zeros, np.append(poles, 0.0), G.gain)
     return TransferFunction(np.append(G.zeros, -1.0 / a), np.append(poles, -a), G.gain * a)
 

@@ -190,13 +190,12 @@ def _candidates(case: Case, mode_range_hz: tuple[float, float], simple: bool) ->
 def _simplest(case: Case, candidates: list[Candidate]) -> Candidate | None:
     """Return the candidate with the fewest unknowns among those about as good as the best, refined.
 
-    Racking is measured with some per cent of noise, so more counts as good. What refining makes
-    impossible leaves its place to the next.
+    What refining makes impossible leaves its place to the next.
     """
     if not candidates:
         return None
     least = min(candidate.score for candidate in candidates)
-    enough = max((1.1 if case.racking else 1.02) * least, least + 0.01)
+    enough = max(1.02 * least, least + 0.01)
     if case.distortion is not None:
         enough = max(enough, EXPLAINED)
     ordered = sorted(

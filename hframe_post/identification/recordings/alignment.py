@@ -28,6 +28,7 @@ from hframe_post.identification.recordings.clock_sync import (
 )
 
 ONSET = 0.01  # s, uncertainty of the onset: −8 to 9 ms for the paper's plants and 40 others
+RESTING = 16  # samples before and after a motion; a spline feels none farther away
 SEGMENT = 1024  # samples over which an answer's spectrum is computed
 HEADING_HZ = (2.0, 8.0)
 LEAST_LOW = 1e-4  # share of the command's energy that must be slow to show an axis
@@ -53,14 +54,17 @@ def acceleration(position: Array) -> Array:
     """Return the second derivative (m,), mm/s², of positions (m,) in mm every 1 ms.
 
     It is that of a spline, with a gain within 1e-5 up to 100 Hz; the second difference would be
-    2 % low at 80 Hz. Raises IdentificationError for fewer samples than a spline needs.
+    2 % low at 80 Hz. Before and after, the position rests where it begins and ends: at the ends of
+    its samples alone a spline is free to turn as steeply as it likes. Raises IdentificationError
+    for fewer samples than a spline needs.
     """
     degree = 7
     if len(position) <= degree:
         raise IdentificationError(f"a command of {len(position)} ms is too short to be a motion")
-    k = np.arange(len(position), dtype=np.float64)
-    spline = make_interp_spline(k, position - position[0], degree)
-    return np.asarray(spline.derivative(2)(k) / TS**2)
+    resting = np.pad(position - position[0], RESTING, mode="edge")
+    k = np.arange(len(resting), dtype=np.float64)
+    spline = make_interp_spline(k, resting, degree)
+    return np.asarray(spline.derivative(2)(k[RESTING:-RESTING]) / TS**2)
 
 
 def aligned(command: Array, recording: Recording, channel: int) -> Aligned:

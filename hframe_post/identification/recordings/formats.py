@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,12 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.packed import (
+    TooLargeError,
+    check_zip,
+    too_large,
+    unpacked_matlab,
+)
 
 COMMAND = ("t", "x", "y")  # as sweep and verify write it
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
@@ -28,6 +35,8 @@ ACCELERATIONS = (
 UNIT = re.compile(r"[ _]*(?:\((?P<a>[^)]*)\)|\[(?P<b>[^\]]*)\]|_(?P<c>g|mm/s2|m/s2|s))$")
 UNIT_NAMES = {"g": "g", "m/s2": "m/s2", "m/s^2": "m/s2", "m/s²": "m/s2",
               "mm/s2": "mm/s2", "mm/s^2": "mm/s2", "mm/s²": "mm/s2"}  # fmt: skip
+MOST_SAMPLES = 1 << 22  # of a recording: 20 minutes of an ADXL345
+NUMERIC = ("double", "single", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show it
 
 
@@ -62,7 +71,8 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     Raises IdentificationError.
     """
     if path.suffix in (".npz", ".mat"):
-        return [Table(_named_arrays(path, _arrays(path, content), columns))]
+        return [Table(_named_arrays(path, content, columns))]
+    _check_count(path, content.count(b"\n"))
     if columns is not None:
         return [_text(path, content, columns)]
     if content.startswith(b"{"):
@@ -83,6 +93,7 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
 
 def _measurement(path: Path, number: int, line: bytes) -> Table:
     """Read one line of a .stdata file of Shake&Tune: a JSON object with a name and samples."""
+    _check_count(path, max(line.count(b"["), line.count(b",") // 4))  # as read they take 20 times
     try:
         read = json.loads(line)
     except (ValueError, RecursionError):
@@ -212,39 +223,71 @@ def _bad_line(
 # ---------------------------------------------------------------------- files of arrays
 
 
-def _arrays(path: Path, content: bytes) -> dict[str, Any]:
+def _named_arrays(path: Path, content: bytes, columns: Sequence[str] | None) -> Array:
+    read = _npz if path.suffix == ".npz" else _mat
     try:
-        if path.suffix == ".npz":
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                return dict(file)
-        from scipy.io import loadmat
-
-        arrays = loadmat(io.BytesIO(content))
-        return {name: value for name, value in arrays.items() if not name.startswith("__")}
+        chosen = read(path, content, columns)
+    except IdentificationError:
+        raise
+    except TooLargeError:
+        raise too_large(path) from None
     except Exception as error:  # a broken file fails in many ways
         cause = f" cannot be read as {path.suffix}: {str(error)[:200]}"
         if path.suffix == ".mat" and isinstance(error, NotImplementedError):
             cause = ": MATLAB 7.3 files cannot be read. Save the file with -v7"
         raise IdentificationError(f"{path}{cause}") from None
+    if len({len(array) for array in chosen}) > 1:
+        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns or (), chosen, strict=True))
+        raise IdentificationError(f"{path}: the arrays differ in length ({sizes})")
+    return np.column_stack(chosen)
 
 
-def _named_arrays(path: Path, arrays: Mapping[str, Any], columns: Sequence[str] | None) -> Array:
+def _npz(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Array]:
+    check_zip(content)
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return _chosen(path, columns, file.files, file.__getitem__)
+
+
+def _mat(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Array]:
+    from scipy.io import loadmat, whosmat
+
+    content = unpacked_matlab(content)
+    sizes = {
+        name: math.prod(shape) if kind in NUMERIC else 0
+        for name, shape, kind in whosmat(io.BytesIO(content))
+    }
+    for name in columns or ():
+        _check_count(path, sizes.get(name, 0))
+    wanted = [name for name in columns or () if sizes.get(name)]  # others might be of any size
+    arrays = loadmat(io.BytesIO(content), variable_names=wanted)
+    return _chosen(path, columns, list(sizes), lambda name: arrays.get(name, "of another kind"))
+
+
+def _chosen(
+    path: Path, columns: Sequence[str] | None, names: list[str], read: Callable[[str], Any]
+) -> list[Array]:
+    """Return the arrays of the user's names, (n,) each."""
     if columns is None:
         raise IdentificationError(
-            f"{path}: name the arrays of time and x, y, z: --columns time,x,y,z; "
-            f"{_listed(list(arrays))}"
+            f"{path}: name the arrays of time and x, y, z: --columns time,x,y,z; {_listed(names)}"
         )
     chosen = []
     for name in columns:
-        _column(path, list(arrays), name)
-        array = np.squeeze(np.asarray(arrays[name]))
+        _column(path, names, name)
+        array = np.squeeze(np.asarray(read(name)))
         if array.ndim != 1 or array.dtype.kind not in "fiu":
             raise IdentificationError(f"{path}: {name} is not a list of real numbers")
+        _check_count(path, len(array))
         chosen.append(array.astype(np.float64))
-    if len({len(array) for array in chosen}) > 1:
-        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns, chosen, strict=True))
-        raise IdentificationError(f"{path}: the arrays differ in length ({sizes})")
-    return np.column_stack(chosen)
+    return chosen
+
+
+def _check_count(path: Path, samples: int) -> None:
+    if samples > MOST_SAMPLES + 10:  # with heads
+        raise IdentificationError(
+            f"{path}: {samples} samples are too many for the recording of a test; at most "
+            f"{MOST_SAMPLES} are read"
+        )
 
 
 def _column(path: Path, names: list[str], name: str) -> int:

@@ -14,8 +14,10 @@ Any other name may contain x or y as a word, such as ``sv08_x_1.csv``.
 
 from __future__ import annotations
 
+import datetime
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 NUMBER = r"-?\d+(?:\.\d+)?"
@@ -91,6 +93,15 @@ def parsed(name: str) -> RecordingName:
     return RecordingName(
         axis, _place(name), _chip(name), date, shaketune and axis is not None, other
     )
+
+
+def days_in(text: str) -> list[datetime.date]:
+    """Return the days that a name or a line names, the last first."""
+    found = []
+    for year, month, day, *_ in DATE.findall(text):
+        with suppress(ValueError):  # no such day
+            found.append(datetime.date(int(year), int(month), int(day)))
+    return found[::-1]
 
 
 def _direction(text: str) -> tuple[float, float, float] | None:

@@ -22,6 +22,7 @@ from hframe_post.writers.stream.machine import (
 from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
+REVERSED = -0.999  # cosine between ways from which every firmware stands between them
 LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
@@ -130,6 +131,8 @@ class Pace:
         rest (k + 1,): whether the machine stands at each end, noted here for the first; after:
         greatest speed at the last.
         """
+        if self._turns_back(at):
+            self._stand()
         rest[0] |= self._before == 0.0
         planned, T = T, self._player.possible_times(at, T, self._before)
         if self._lift is not None:
@@ -156,6 +159,26 @@ class Pace:
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
         """Return F by which segments are to last T (k,), and how long they then take."""
         return self._player.feeds(at, T, rest, self._before, after, self._per_feed)
+
+    def _turns_back(self, at: Array) -> bool:
+        """Return whether a batch goes back along the last segment of the one before it."""
+        if self._ending is None or self._before == 0.0:
+            return False
+        last, ways = self._ending[0], np.empty((2, E))
+        ways[:] = last[1, :E] - last[0, :E], at[1, :E] - at[0, :E]
+        sizes = lengths(ways)
+        return bool(ways[0] @ ways[1] < REVERSED * sizes[0] * sizes[1])
+
+    def _stand(self) -> None:
+        """Add what the last segment of a batch takes longer to come to rest at its end."""
+        assert self._ending is not None
+        last, v_last, from_rest, entry = self._ending
+        segment = last, v_last, np.array([from_rest, False]), entry
+        seconds, planned = (
+            float(self._player.durations(*segment, end)[0]) for end in (0.0, self._before)
+        )
+        self.lag += seconds - planned
+        self._before = 0.0
 
     def _join(self, at: Array, feeds: Integers, rest: Flags) -> None:
         """Add what the last segment of a batch takes longer to slow down for this batch."""
