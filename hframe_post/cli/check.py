@@ -52,10 +52,11 @@ def check(
 ) -> None:  # fmt: skip
     """Measure in 20 s what drifted, before a print or once a week: first --gcode, then the files.
 
-    The run shakes each axis for 5 s, in the middle of the bed. Its file is written once. The
-    recordings then move the frequencies, damping ratios and contributions of the profile's modes.
-    A recording of another printer is refused with status 1. Without recordings, the age of the
-    model raises its uncertainty.
+    The run shakes each axis for 5 s, in the middle of the bed. Its file is written once; where the
+    bed moves and one sensor records both axes, there are two, and the sensor is moved in between.
+    The recordings then move the frequencies, damping ratios and contributions of the profile's
+    modes. A recording of another printer is refused with status 1. Without recordings, the age of
+    the model raises its uncertainty.
 
     \b
     Example:
@@ -63,13 +64,17 @@ def check(
       hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
     """
     from hframe_post.identification.checking.motion import runs
+    from hframe_post.identification.recordings.sweep import moves_sensor
 
     profile = load(printer)
     check_identified(profile)
     if gcode is not None:
         planned = runs(profile, [X, Y] if axis is None else ["xy".index(axis)])
-        write_motion(gcode, printer, profile, planned, chips, None)
-        say(next_steps("check", gcode, printer, planned))
+        jobs = {}
+        if moves_sensor(profile, planned, chips):
+            jobs = {gcode.with_name(f"{gcode.stem}.{run.name}.gcode"): [run] for run in planned}
+        write_motion(gcode, printer, profile, planned, chips, None, jobs)
+        say(next_steps("check", gcode, printer, planned, list(jobs)))
     elif recordings:
         _update(printer, profile, recordings, axes, json_file, output)
     else:
@@ -114,7 +119,9 @@ def _gathered(recordings: tuple[Path, ...], profile: Printer, axes: str | None) 
     """Return the runs, sorted by date, with recordings along the printer's axes."""
     from hframe_post.identification.gather import along_printer, from_folders
 
-    found = from_folders(recordings, None, profile.travel)
+    sweep = profile.sweep
+    chips = {axis: chip.lower() for axis, chip in (("x", sweep.chip_x), ("y", sweep.chip_y))}
+    found = from_folders(recordings, None, profile.travel, chips=chips)
     found = replace(found, runs=[run for run in found.runs if run.calibrated])
     if not found.runs:
         raise IdentificationError(

@@ -6,7 +6,7 @@ help is there at once.
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ import click
 from hframe_post.arrays import X, Y
 from hframe_post.cli.options import files_read, old_option, position, printer_option, quoted, say
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import write_output
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from hframe_post.identification.recordings.sweep import Run
     from hframe_post.printer.settings import Printer
 
-CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 
 
@@ -44,8 +44,9 @@ axes_option = click.option(
     "the recordings show.",
 )  # fmt: skip
 chips_option = click.option(
-    "--chip", "chips", type=_chip, multiple=True, default=("adxl345",), show_default=True,
-    metavar="NAME", help="Accelerometer to record, by its name in Klipper; may be repeated.",
+    "--chip", "chips", type=_chip, multiple=True, metavar="NAME",
+    help="Accelerometer to record, by its name in Klipper; may be repeated. Default: sweep.chip_x "
+    "and chip_y of the profile, which setup finds in printer.cfg, or else adxl345.",
 )  # fmt: skip
 
 height_option = old_option(
@@ -56,19 +57,23 @@ height_option = old_option(
 
 def write_motion(
     target: Path, printer: str, profile: Printer, planned: list[Run], chips: tuple[str, ...],
-    z: float | None,
+    z: float | None, jobs: Mapping[Path, list[Run]] | None = None,
 ) -> None:  # fmt: skip
-    """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv."""
+    """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv.
+
+    jobs: the runs of each file of G-code, if they are not all in ``target``.
+    """
     from hframe_post.identification.recordings.excitation import command_csv
     from hframe_post.identification.recordings.sweep import gcode
 
     with Outputs(files_read(printer)) as outputs:
-        motion = outputs.open(target)
+        motions = [(outputs.open(path), runs) for path, runs in (jobs or {target: planned}).items()]
         commands = [
             outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
         ]
-        lines = gcode(profile, planned, tuple(dict.fromkeys(chips)), 10.0 if z is None else z)
-        write_output(motion, lines, lambda: 0.0)
+        for motion, runs in motions:
+            lines = gcode(profile, runs, chips, 10.0 if z is None else z)
+            write_output(motion, lines, lambda: 0.0)
         for file, run in zip(commands, planned, strict=True):
             file.writelines(command_csv(run.command))
 
@@ -89,8 +94,20 @@ def write_for_marlin(
     return [run for run, _ in done]
 
 
-def next_steps(command: str, target: Path, printer: str, planned: list[Run]) -> str:
-    """Return what to do with a file of runs: print it, fetch what was recorded, and judge that."""
+def next_steps(
+    command: str, target: Path, printer: str, planned: list[Run], jobs: Sequence[Path] = ()
+) -> str:
+    """Return what to do with a file of runs: print it, fetch what was recorded, and judge that.
+
+    jobs: the two files of a printer whose sensor is moved to the bed between them.
+    """
+    print_it = f"print {target.name}, and"
+    if jobs:
+        on_head, on_bed = (path.name for path in jobs)
+        print_it = (
+            f"print {on_head} with the sensor on the head,\n"
+            f"move the sensor to the bed, print {on_bed}, and"
+        )
     folder = target.parent
     beside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
     both = (f"{beside}*{run.name}.csv" for run in planned)  # the command and the recording
@@ -98,7 +115,7 @@ def next_steps(command: str, target: Path, printer: str, planned: list[Run]) -> 
     return "\n".join(
         [
             *(f"{run.name}: {run.seconds:.1f} s" for run in planned),
-            f"Next, home the printer, print {target.name}, and fetch what Klipper recorded:",
+            f"Next, home the printer, {print_it} fetch what Klipper recorded:",
             f'  scp "pi@printer.local:/tmp/*-{command}-*.csv" {quoted(folder)}',
             "Then type",
             f"  hframe-post {command} -p {quoted(printer)} {' '.join(both)} -o {quoted(profile)}",

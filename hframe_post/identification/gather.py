@@ -8,9 +8,10 @@ The motion of a sweep is in its command's file. That of a test of resonances fol
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -94,15 +95,15 @@ class Gathered:
 
 def from_folders(
     paths: Sequence[Path], config: KlipperConfig | None, travel: Travel,
-    columns: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None, chips: Mapping[str, str] = MappingProxyType({}),
 ) -> Gathered:  # fmt: skip
     """Return the runs in files and folders, with recordings in the sensors' axes.
 
     config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
-    columns: names of time, x, y, z in files that do not say it. Raises OSError, and
-    IdentificationError if no recording can be used.
+    columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensors
+    where no config names them. Raises OSError, and IdentificationError if no recording can be used.
     """
-    held = contents(paths, columns, _chips(config))
+    held = contents(paths, columns, _chips(config) or chips)
     made, aside = [], list(held.aside)
     aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:

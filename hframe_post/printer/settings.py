@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, replace
 from datetime import date
 
@@ -23,6 +24,7 @@ LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and c
 HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
 SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper records at most 1000 s
 QUIET = 0.1  # s; a shorter rest does not separate the parts of a sweep
+CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
 # share by which printers differ from their model a day after it was measured, and the exponent of
 # its growth with the days: the figures are in docs/identify.md
 DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
@@ -164,6 +166,7 @@ class Sweep:
 
     amplitude: mm/s²; stroke: limit of the amplitude at low frequencies, ± mm; sway: amplitude of
     the slow motion below the sweep, ± mm; quiet: s of rest before, after and between the parts.
+    chip_x, chip_y: names of the accelerometers that record the axes, empty where unknown.
     """
 
     start_hz: float = positive(2.0)
@@ -173,8 +176,16 @@ class Sweep:
     stroke: float = positive(5.0)
     sway: float = not_negative(2.0)
     quiet: float = positive(1.0)
+    chip_x: str = ""
+    chip_y: str = ""
 
     def __post_init__(self) -> None:
+        for chip in (self.chip_x, self.chip_y):
+            if chip and not CHIP_NAME.fullmatch(chip):
+                raise ArgumentError(
+                    f"{chip!r} is not a chip's name: for [adxl345 hotend] in printer.cfg write "
+                    "hotend"
+                )
         values = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
         if not all(0.0 < value < math.inf for value in values):
             raise ArgumentError("frequencies, rate, amplitude and stroke must be above 0")

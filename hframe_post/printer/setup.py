@@ -15,6 +15,7 @@ from hframe_post.errors import HframeError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import END_MACRO
 from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.settings import CHIP_NAME
 
 KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexy": ("corexy", "hbot"),
@@ -100,7 +101,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "steps": _steps(config),
         "retraction": _retraction(config),
         "speed": {"acceleration": acceleration},
-        "sweep": sweep(acceleration),
+        "sweep": {**sweep(acceleration), **_chips(config)},
         "firmware.klipper": {
             "velocity": velocity,
             "acceleration": acceleration,
@@ -149,6 +150,21 @@ def sweep(acceleration: Known) -> dict[str, Known]:
     if as_float(acceleration) < SWEEP_AMPLITUDE:
         return {"amplitude": acceleration}
     return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; the acceleration above allows it")}
+
+
+def _chips(config: KlipperConfig) -> dict[str, Known]:
+    """Return the accelerometers of x and y, as Klipper's commands name them, if it is decided."""
+    section, found = "resonance_tester", dict[str, Known]()
+    for axis in "xy":
+        keys = [key for key in (f"accel_chip_{axis}", "accel_chip") if config.text(section, key)]
+        if keys:
+            chip, origin = config.text(section, keys[0]), f"{keys[0]} of [{section}]"
+        else:
+            chip, origin = " ".join(config.accelerometers()), "the only accelerometer"
+        words = chip.split()
+        if words and CHIP_NAME.fullmatch(words[-1]) and (keys or len(words) == 1):
+            found[f"chip_{axis}"] = Known(words[-1], origin)
+    return found
 
 
 def _needed(config: KlipperConfig, section: str, key: str) -> Known:

@@ -14,11 +14,13 @@ from click.testing import CliRunner, Result
 
 from hframe_post.arrays import X
 from hframe_post.cli.main import main
-from hframe_post.errors import IdentificationError
+from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.identification.checking.motion import runs
 from hframe_post.printer.edit import with_plant, with_verification
+from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.printer.setup import text_from_klipper
 from tests.identification.drifting import STEP, checked, drifted, moved
 from tests.random_printers import drawn, judged, printer
 from tests.recordings import write_klipper
@@ -236,3 +238,88 @@ def test_a_plant_that_was_not_measured_is_refused(tmp_path: Path) -> None:
     done = invoked("-p", "example-corexy", "--gcode", tmp_path / "check.gcode")
     assert done.exit_code == 1
     assert not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------------- which sensor records
+
+MOVING_BED = """
+[printer]
+kinematics: cartesian
+max_velocity: 200
+max_accel: 3000
+[stepper_x]
+position_max: 220
+[stepper_y]
+position_max: 220
+"""
+TWO_SENSORS = """
+[adxl345 hotend]
+[adxl345 bed]
+[resonance_tester]
+accel_chip_x: adxl345 hotend
+accel_chip_y: adxl345 bed
+"""
+
+
+def with_moving_bed(folder: Path, sensors: str, *more: str) -> tuple[dict[str, list[str]], str]:
+    """Return the calls of each file that check writes for a printer.cfg, and what it says."""
+    (folder / "printer.cfg").write_text(MOVING_BED + sensors)
+    text = text_from_klipper(KlipperConfig(folder / "printer.cfg"))
+    windows = load("paper").compensation.windows
+    mine = folder / "mine.toml"
+    mine.write_text(with_plant("mine", MACHINE.exact(), windows, [], text=text))
+    done = invoked("-p", mine, "--gcode", folder / "check.gcode", *more)
+    assert done.exit_code == 0, done.output
+    written = {path.name: path.read_text().splitlines() for path in folder.glob("*.gcode")}
+    calls = {
+        name: [line for line in lines if line.startswith("ACCELEROMETER_MEASURE")]
+        for name, lines in written.items()
+    }
+    return calls, done.output
+
+
+def test_each_axis_is_recorded_by_the_sensor_of_printer_cfg(tmp_path: Path) -> None:
+    calls, said = with_moving_bed(tmp_path, TWO_SENSORS)
+    assert calls == {
+        "check.gcode": [
+            "ACCELEROMETER_MEASURE CHIP=hotend",
+            "ACCELEROMETER_MEASURE CHIP=hotend NAME=check-x",
+            "ACCELEROMETER_MEASURE CHIP=bed",
+            "ACCELEROMETER_MEASURE CHIP=bed NAME=check-y",
+        ]
+    }
+    assert "move the sensor" not in said
+
+
+@pytest.mark.parametrize(
+    ("sensors", "more", "chip"),
+    [
+        ("", (), "adxl345"),
+        ("[adxl345]", (), "adxl345"),
+        ("[lis2dw head]", (), "head"),
+        ("[resonance_tester]\naccel_chip: mpu9250 both\n", (), "both"),
+        (TWO_SENSORS, ("--chip", "bed"), "bed"),
+    ],
+)
+def test_one_sensor_is_moved_to_the_bed_between_two_jobs(
+    tmp_path: Path, sensors: str, more: tuple[str, ...], chip: str
+) -> None:
+    calls, said = with_moving_bed(tmp_path, sensors, *more)
+    assert calls == {
+        f"check.check-{axis}.gcode": [
+            f"ACCELEROMETER_MEASURE CHIP={chip}",
+            f"ACCELEROMETER_MEASURE CHIP={chip} NAME=check-{axis}",
+        ]
+        for axis in "xy"
+    }
+    assert "move the sensor to the bed, print check.check-y.gcode" in said
+    assert {path.name for path in tmp_path.glob("*.csv")} == {
+        "check.check-x.csv", "check.check-y.csv"
+    }  # fmt: skip
+
+
+def test_a_chip_is_one_word(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('extends = "paper"\n[sweep]\nchip_x = "hot end"\n')
+    with pytest.raises(PrinterError, match="'hot end' is not a chip's name"):
+        load(str(mine))

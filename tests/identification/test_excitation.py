@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -126,6 +128,6 @@ def test_swaying_across_steps_keeps_their_rounding_out_of_the_gain() -> None:
         ({"amplitude": float("nan")}, "above 0"),
     ],
 )
-def test_impossible_sweeps_are_refused(changed: dict[str, float], cause: str) -> None:
+def test_impossible_sweeps_are_refused(changed: dict[str, Any], cause: str) -> None:
     with pytest.raises(ValueError, match=cause):
         Sweep(**changed)

@@ -19,12 +19,12 @@ multiple of the sweep's acceleration while a run lasts. A cancelled file leaves 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers, X
+from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.klipper.ramps import StreamLimits
@@ -55,6 +55,7 @@ APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of standstill before a recording, in which the sensors are set up
 STATE = "hframe_post_sweep"
+USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
 HEAD = """\
 ; accelerometer runs for printer {printer}, {version}: {runs}, {total}
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature
@@ -175,12 +176,19 @@ def summary(printer: Printer, planned: list[Run]) -> str:
             f"A resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
             "exceeds the range of a 16 g sensor: lower sweep.amplitude if the recording clips"
         )
-    if printer.kinematics.type == "cartesian" and axes == ["x", "y"]:
+    if moves_sensor(printer, planned, ()):
         lines.append(
             "If the bed moves in y, write one file with --axis x and one with --axis y, and put "
             "the sensor on the bed for y"
         )
     return "\n".join(lines)
+
+
+def moves_sensor(printer: Printer, planned: Sequence[Run], chips: Sequence[str]) -> bool:
+    """Return whether one sensor must be moved from head to bed between runs of x and of y."""
+    both = {run.axis for run in planned} == {X, Y}
+    sensors = {chip for run in planned for chip in recording_chips(printer, run, chips)}
+    return printer.kinematics.bed_moves and both and len(sensors) == 1
 
 
 def _peaks(run: Run) -> str:
@@ -212,8 +220,9 @@ def check_records(printer: Printer) -> None:
 def gcode(
     printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
-    """Yield the G-code of all runs. chips: Klipper's names of the accelerometers; z: mm.
+    """Yield the G-code of all runs. z: mm.
 
+    chips: Klipper's names of the accelerometers; empty: those of the profile for each axis.
     Raises PrinterError if the printer's firmware is not Klipper.
     """
     check_records(printer)
@@ -229,8 +238,22 @@ def gcode(
     # time over 200 segments: a motion that is late at one frequency would look like the printer's
     # own delay. Over 16 s it would be late by 0.2 ms.
     writer = GcodeWriter("none", _player(printer, planned), 2, steady=200)
-    yield from writer.write(_samples(planned, chips, z))
+    sensors = [recording_chips(printer, run, chips) for run in planned]
+    yield from writer.write(_samples(planned, sensors, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
+
+
+def recording_chips(printer: Printer, run: Run, chips: Sequence[str]) -> tuple[str, ...]:
+    """Return Klipper's names of the accelerometers that record a run.
+
+    chips: those that were asked for; else each axis that moves is recorded by its own.
+    """
+    if chips:
+        return tuple(dict.fromkeys(chips))
+    known = printer.sweep.chip_x, printer.sweep.chip_y
+    moved = np.ptp(run.command, axis=0) > 0.0
+    found = [chip for chip, moves in zip(known, moved, strict=True) if chip and moves]
+    return tuple(dict.fromkeys(found)) or (USUAL_CHIP,)
 
 
 def _player(printer: Printer, planned: list[Run]) -> Klipper:
@@ -250,9 +273,9 @@ def _player(printer: Printer, planned: list[Run]) -> Klipper:
     return replace(player, limits=limits, table=replace(player.table, begin_macro=""))
 
 
-def _samples(planned: list[Run], chips: tuple[str, ...], z: float) -> Iterator[Samples]:
+def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -> Iterator[Samples]:
     first = 0
-    for run in planned:
+    for run, chips in zip(planned, sensors, strict=True):
         x, y = (plain(p, 3) for p in run.position)
         approach = f"G90\nG0 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}"
         here = (*run.position, z, 0.0)
