@@ -97,6 +97,31 @@ def test_another_printer_is_refused(other: int) -> None:
         checked(machine, chip, PROFILE, other)
 
 
+@pytest.mark.parametrize(
+    "invented",
+    [
+        (Mode(108.0, 0.03, 0.15),),
+        (Mode(92.0, 0.006, 0.12), Mode(115.0, 0.01, -0.1)),
+        (Mode(52.0, 0.15, 0.2),),
+    ],
+    ids=["above", "two at the bound of damping", "between"],
+)
+@pytest.mark.parametrize("fault", [{}, {"friction": 200.0}])
+def test_the_printer_itself_is_never_refused(
+    invented: tuple[Mode, ...], fault: dict[str, float]
+) -> None:
+    """Not even where a fit of real recordings made modes up that the printer does not have."""
+    share = 1.0 - sum(mode.share for mode in invented)
+    true = tuple(replace(mode, share=share * mode.share) for mode in MACHINE.x.modes)
+    model = replace(MACHINE, x=replace(MACHINE.x, modes=(*true, *invented)))
+    profile = replace(PROFILE, plant=model.exact())
+    machine = replace(MACHINE, x=replace(MACHINE.x, **fault))
+    found = checked(machine, CHIP, profile, 9, axes=[X])["Gxx"]
+    main = min(found.modes, key=lambda mode: abs(mode.hz[0] - 32.0))
+    between = any(mode.hz < 70.0 for mode in invented)  # which the main one makes up for
+    assert main.hz[1] == pytest.approx(32.0, rel=0.1 if between else 0.03)
+
+
 def test_uncertainty_grows_with_age() -> None:
     profile = replace(PROFILE, uncertainty=0.02, measured=MEASURED)
     grown = [profile.uncertainty_on(MEASURED + timedelta(days)) for days in (0, 1, 70, 10_000)]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS, Array, Flags
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.fit import RINGS
 from hframe_post.identification.fitting.modal import Data, Modal, Parameters, Structure, refine
@@ -19,6 +19,7 @@ DELAY = 0.4  # a real pole below is part of a delay
 # standard deviations of a printer's change: of frequency and damping ratio, relative, and of a
 # mode's contribution, as a share of the largest
 CHANGE_HZ, CHANGE_DAMPING, CHANGE_SHARE = 0.05, 0.3, 0.05
+HELD = 0.01  # share of these by which a mode may change that no recording can move
 
 
 def known_modes(G: TransferFunction) -> list[float]:
@@ -58,19 +59,25 @@ def as_modes(G: TransferFunction) -> Modal:
 class Known:
     """The model of an earlier day, from which modes move no farther than printers change.
 
-    The sensor's gain is not part of it.
+    The sensor's gain is not part of it. held (modes,): whether a mode stays where it is.
     """
 
     model: Modal
+    held: Flags
 
     def rows(self, structure: Structure, parameters: Parameters) -> tuple[Array, Array]:
         """Return rows (r, coefficients) and what they give (r,) for an unchanged printer."""
         old, before = self.model.coefficients, self.model.parameters
         along = np.outer(old, old) / (old @ old)
-        shares = (np.eye(len(old)) - along) / (CHANGE_SHARE * np.abs(old).max())
+        often = np.ones(len(old))
+        n, by_mode = structure.modes, np.where(self.held, 1.0 / HELD, 1.0)
+        often[:n] = by_mode
+        if structure.speed:
+            often[n : 2 * n] = by_mode
+        shares = (np.eye(len(old)) - along) * often[:, None] / (CHANGE_SHARE * np.abs(old).max())
         moved = np.concatenate([
-            np.log(parameters.omega / before.omega) / CHANGE_HZ,
-            np.log(parameters.zeta / before.zeta) / CHANGE_DAMPING,
+            np.log(parameters.omega / before.omega) / CHANGE_HZ * by_mode,
+            np.log(parameters.zeta / before.zeta) / CHANGE_DAMPING * by_mode,
             np.log(parameters.corner / before.corner) / CHANGE_HZ,
         ])  # fmt: skip
         rows = np.vstack([shares, np.zeros((len(moved), len(old)))])
