@@ -115,7 +115,7 @@ def test_the_printer_itself_is_never_refused(
     true = tuple(replace(mode, share=share * mode.share) for mode in MACHINE.x.modes)
     model = replace(MACHINE, x=replace(MACHINE.x, modes=(*true, *invented)))
     profile = replace(PROFILE, plant=model.exact())
-    machine = replace(MACHINE, x=replace(MACHINE.x, **fault))
+    machine = replace(MACHINE, x=replace(MACHINE.x, **fault))  # type: ignore[arg-type]
     found = checked(machine, CHIP, profile, 9, axes=[X])["Gxx"]
     main = min(found.modes, key=lambda mode: abs(mode.hz[0] - 32.0))
     between = any(mode.hz < 70.0 for mode in invented)  # which the main one makes up for
