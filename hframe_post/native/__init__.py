@@ -1,9 +1,9 @@
 """Access to the compiled loops of modules that also have them in numpy.
 
 ``kernel("name")`` is None if the loops were not built. Then the module's numpy version is used,
-which gives the same bits and takes longer. A loop takes numbers and contiguous arrays as they are;
-one of the wrong type, layout or length raises TypeError. Loops run without the global interpreter
-lock.
+which gives the same bits and takes longer. A loop takes numbers and contiguous arrays as they are.
+The wrong type or layout raises TypeError; a length, a count or an index that does not fit the
+others raises ValueError. Loops run without the global interpreter lock.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 /* How Python calls a loop. A row below its C function names the arguments in order:
  *
- *     LOOP(smooth, FLOATS(0, WHOLE(1) + 2), WHOLE(1), REAL(2), OUT_FLOATS(3, WHOLE(1)))
+ *     LOOP(smooth, FLOATS(0, COUNT(1) + 2), COUNT(1), REAL(2), OUT_FLOATS(3, COUNT(1)))
  *
- * Argument 0 is an array of float64 with at least n + 2 items, where n is argument 1, an integer;
- * argument 2 is a number, and argument 3 an array with n items to write to. The loop runs without
- * the global interpreter lock. module.c lists the names of all loops. */
+ * Argument 0 is an array of float64 with at least n + 2 items, where n is argument 1, an integer from
+ * 0 on; argument 2 is a number, and argument 3 an array with n items to write to. All that a loop
+ * needs in order to stay within its arrays, and to end, is in its row; the loop itself checks nothing.
+ * It runs without the global interpreter lock. module.c lists the names of all loops. */
 
 #ifndef HFRAME_ARGUMENTS_H
 #define HFRAME_ARGUMENTS_H
@@ -15,16 +16,29 @@ struct call; /* the arguments of one call */
 
 /* Each returns argument k. If it is wrong, it notes why and returns 0; then the loop is not run. */
 double real_argument(struct call *call, int k);
-int64_t whole_argument(struct call *call, int k);
+int64_t whole_argument(struct call *call, int k, int64_t least, int64_t most);
 const char *text_argument(struct call *call, int k); /* bytes, followed by a 0 */
 void *array_argument(struct call *call, int k, int64_t items, const char *formats, int written);
+const int64_t *indices_argument(struct call *call, int k, int64_t items, int64_t least, int64_t end);
+const int64_t *parts_argument(struct call *call, int k, int64_t items, int64_t whole);
+int64_t items_of(const struct call *call, int k);
+
+#define MOST_ITEMS ((int64_t)1 << 31) /* the product of two does not overflow, nor of three FEW */
+#define MOST_FEW ((int64_t)1 << 20)
+#define MOST_WHOLE ((int64_t)1 << 53)
 
 #define REAL(k) real_argument(call, k)
-#define WHOLE(k) whole_argument(call, k)
+#define WHOLE(k) whole_argument(call, k, -MOST_WHOLE, MOST_WHOLE)
+#define COUNT(k) whole_argument(call, k, 0, MOST_ITEMS)
+#define FEW(k) whole_argument(call, k, 0, MOST_FEW)
+#define WITHIN(k, least, most) whole_argument(call, k, least, most)
 #define TEXT(k) text_argument(call, k)
 #define FLOATS(k, n) ((const double *)array_argument(call, k, n, "d", 0))
 #define SINGLES(k, n) ((const float *)array_argument(call, k, n, "f", 0))
 #define INTEGERS(k, n) ((const int64_t *)array_argument(call, k, n, "lq", 0))
+#define INDICES(k, n, least, end) indices_argument(call, k, n, least, end) /* from least, below end */
+#define PARTS(k, n, whole) parts_argument(call, k, n, whole) /* from 0, with a sum of at most whole */
+#define ITEMS(k) items_of(call, k) /* how many the array or the bytes have */
 #define BYTES(k, n) ((const uint8_t *)array_argument(call, k, n, "B?", 0))
 #define OUT_FLOATS(k, n) ((double *)array_argument(call, k, n, "d", 1))
 #define OUT_INTEGERS(k, n) ((int64_t *)array_argument(call, k, n, "lq", 1))

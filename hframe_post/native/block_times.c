@@ -99,9 +99,9 @@ WIDE static int64_t marlin_block_times(int64_t k, const double *n, const double 
     return k;
 }
 
-LOOP(marlin_block_times, WHOLE(0), FLOATS(1, WHOLE(0)), FLOATS(2, WHOLE(0)), FLOATS(3, WHOLE(0)),
-     FLOATS(4, WHOLE(0)), FLOATS(5, WHOLE(0)), (const struct stepper *)FLOATS(6, STEPPER),
-     OUT_FLOATS(7, WHOLE(0)))
+LOOP(marlin_block_times, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
+     FLOATS(4, COUNT(0)), FLOATS(5, COUNT(0)), (const struct stepper *)FLOATS(6, STEPPER),
+     OUT_FLOATS(7, COUNT(0)))
 
 /* Return the speed between the blocks i - 1 and i, of which one runs at v_s and the other at v. */
 INSIDE double joint(const struct blocks *b, int64_t i, double v_s, double v, int free_entry,
@@ -138,9 +138,9 @@ static int64_t marlin_times(int64_t k, const double *n, const double *d, const d
     return k;
 }
 
-LOOP(marlin_times, WHOLE(0), FLOATS(1, WHOLE(0)), FLOATS(2, WHOLE(0)), FLOATS(3, WHOLE(0)),
-     FLOATS(4, WHOLE(0) + 1), FLOATS(5, WHOLE(0)), FLOATS(6, WHOLE(0)), REAL(7), WHOLE(8),
-     (const struct stepper *)FLOATS(9, STEPPER), OUT_FLOATS(10, WHOLE(0)))
+LOOP(marlin_times, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
+     FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), FLOATS(6, COUNT(0)), REAL(7), WHOLE(8),
+     (const struct stepper *)FLOATS(9, STEPPER), OUT_FLOATS(10, COUNT(0)))
 
 /* Return a whole rate of whole ticks for the block i. */
 INSIDE double dithered(double rate, int64_t i, const struct stepper *s)
@@ -197,6 +197,6 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
     return k;
 }
 
-LOOP(marlin_feed_rates, WHOLE(0), FLOATS(1, WHOLE(0)), FLOATS(2, WHOLE(0)), FLOATS(3, WHOLE(0)),
-     FLOATS(4, WHOLE(0) + 1), FLOATS(5, WHOLE(0)), REAL(6), WHOLE(7),
-     (const struct stepper *)FLOATS(8, STEPPER), OUT_FLOATS(9, 3 * WHOLE(0)), OUT_FLOATS(10, WHOLE(0)))
+LOOP(marlin_feed_rates, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
+     FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), REAL(6), WHOLE(7),
+     (const struct stepper *)FLOATS(8, STEPPER), OUT_FLOATS(9, 3 * COUNT(0)), OUT_FLOATS(10, COUNT(0)))

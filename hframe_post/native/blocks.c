@@ -71,6 +71,6 @@ WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limi
     return k;
 }
 
-LOOP(marlin_blocks, FLOATS(0, COLUMNS * (WHOLE(1) + 1)), WHOLE(1),
-     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), OUT_FLOATS(5, WHOLE(1)),
-     OUT_FLOATS(6, WHOLE(1)), OUT_FLOATS(7, WHOLE(1)), OUT_FLOATS(8, WHOLE(1) + 1))
+LOOP(marlin_blocks, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
+     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), OUT_FLOATS(5, COUNT(1)),
+     OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)), OUT_FLOATS(8, COUNT(1) + 1))

@@ -74,8 +74,8 @@ static int64_t count_turns(const double *places, int64_t columns, int64_t n, dou
     return n;
 }
 
-LOOP(count_turns, FLOATS(0, WHOLE(1) * WHOLE(2)), WHOLE(1), WHOLE(2), REAL(3),
-     OUT_INTEGERS(4, WHOLE(2) + 1))
+LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), REAL(3),
+     OUT_INTEGERS(4, COUNT(2) + 1))
 
 /* nozzle (m, width): x and y first, at samples first, first + 1, … of the path; at (count): which of
  * these to judge; off (count): the way to the nozzle from the path. */
@@ -101,9 +101,10 @@ static int64_t deviation(const double *places, int64_t columns, int64_t n, const
     return count;
 }
 
-LOOP(deviation, FLOATS(0, WHOLE(1) * WHOLE(2)), WHOLE(1), WHOLE(2), INTEGERS(3, WHOLE(2) + 1),
-     FLOATS(4, WHOLE(5) * WHOLE(6)), WHOLE(5), WHOLE(6), WHOLE(7), INTEGERS(8, WHOLE(9)), WHOLE(9),
-     WHOLE(10), WHOLE(11), (struct vector *)OUT_FLOATS(12, 2 * WHOLE(9)))
+LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
+     INTEGERS(3, COUNT(2) + 1), FLOATS(4, COUNT(5) * COUNT(6)), WITHIN(5, 2, MOST_FEW),
+     WITHIN(6, COUNT(9) > 0, MOST_ITEMS), WHOLE(7), INDICES(8, COUNT(9), 0, COUNT(2)), COUNT(9),
+     FEW(10), WITHIN(11, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(12, 2 * COUNT(9)))
 
 /* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
  * extrudes there; return their number. at, extruding (n): room. */
@@ -121,5 +122,5 @@ static int64_t moving(const double *xyze, int64_t n, int64_t first, int64_t ever
     return count;
 }
 
-LOOP(moving, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), WHOLE(2), WHOLE(3),
-     OUT_INTEGERS(4, WHOLE(1)), OUT_BYTES(5, WHOLE(1)))
+LOOP(moving, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), COUNT(2),
+     WITHIN(3, 1, MOST_ITEMS), OUT_INTEGERS(4, COUNT(1)), OUT_BYTES(5, COUNT(1)))

@@ -155,8 +155,9 @@ WIDE static int64_t breakpoints(const double *points, const uint8_t *forced, int
     return k;
 }
 
-LOOP(breakpoints, FLOATS(0, COLUMNS * WHOLE(2)), BYTES(1, WHOLE(2)), WHOLE(2), REAL(3), REAL(4),
-     REAL(5), REAL(6), OUT_INTEGERS(7, WHOLE(2)), OUT_FLOATS(8, 6 * WHOLE(2)))
+LOOP(breakpoints, FLOATS(0, COLUMNS * COUNT(2)), BYTES(1, COUNT(2)),
+     WITHIN(2, 1, (int64_t)1 << PLACES), REAL(3), REAL(4), REAL(5), REAL(6),
+     OUT_INTEGERS(7, COUNT(2)), OUT_FLOATS(8, 6 * COUNT(2)))
 
 /* Take one step of Jacobi's method from x (k) to next (k); the last vertex stays. */
 INSIDE void relax(const double *wanted, const double *both, const double *diagonal, int64_t k,
@@ -222,8 +223,8 @@ WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends,
     return k;
 }
 
-LOOP(fitted, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), INTEGERS(2, WHOLE(3)), WHOLE(3), WHOLE(4),
-     OUT_FLOATS(5, COLUMNS * WHOLE(3)), OUT_FLOATS(6, 6 * WHOLE(3)))
+LOOP(fitted, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)),
+     WITHIN(3, 1, MOST_ITEMS), FEW(4), OUT_FLOATS(5, COLUMNS * COUNT(3)), OUT_FLOATS(6, 6 * COUNT(3)))
 
 /* Find segments that end at ``ends`` (k) of points (n, 4) and are too thick: see too_thick. Returns
  * how many; which (k): their numbers; most (1): mm of filament of a piece. room (2 k). */
@@ -254,5 +255,5 @@ static int64_t too_thick(const double *points, int64_t n, const int64_t *ends, i
     return count;
 }
 
-LOOP(too_thick, FLOATS(0, COLUMNS * WHOLE(1)), WHOLE(1), INTEGERS(2, WHOLE(3)), WHOLE(3), REAL(4),
-     REAL(5), REAL(6), OUT_INTEGERS(7, WHOLE(3)), OUT_FLOATS(8, 1), OUT_FLOATS(9, 2 * WHOLE(3)))
+LOOP(too_thick, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)), COUNT(3),
+     REAL(4), REAL(5), REAL(6), OUT_INTEGERS(7, COUNT(3)), OUT_FLOATS(8, 1), OUT_FLOATS(9, 2 * COUNT(3)))

@@ -2,7 +2,7 @@
 
 #include "kernels.h"
 
-enum { WORDS = 5, LINE = 80 }; /* bytes of a line, at most: a number below 2^32 has 10 digits */
+enum { WORDS = 5, LINE = 80, MOST_DIGITS = 10 }; /* bytes of a line, at most; digits of a number below 2^32 */
 
 /* Write ``value`` units of 10^-decimals, below 2^32, at c, without trailing zeros; return its end. */
 static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
@@ -51,6 +51,6 @@ static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, 
     return c - text;
 }
 
-LOOP(motion_lines, INTEGERS(0, COLUMNS * (WHOLE(2) + 1)), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3),
-     INTEGERS(4, WORDS), INTEGERS(5, WORDS), OUT_BYTES(6, LINE * WHOLE(2)),
-     OUT_INTEGERS(7, WHOLE(2)))
+LOOP(motion_lines, INTEGERS(0, COLUMNS * (COUNT(2) + 1)), INTEGERS(1, COUNT(2)), COUNT(2), WHOLE(3),
+     INDICES(4, WORDS, 0, MOST_DIGITS), INDICES(5, WORDS, 0, ((int64_t)1 << 32) + 1),
+     OUT_BYTES(6, LINE * COUNT(2)), OUT_INTEGERS(7, COUNT(2)))

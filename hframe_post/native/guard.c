@@ -50,8 +50,9 @@ static int64_t safe(const double *xyze, const struct vector *command, int64_t n,
     return 1;
 }
 
-LOOP(safe, FLOATS(0, COLUMNS * WHOLE(2)), (const struct vector *)FLOATS(1, 2 * WHOLE(2)), WHOLE(2),
-     (struct vector *)OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4), REAL(6), OUT_FLOATS(7, 4))
+LOOP(safe, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)),
+     WITHIN(2, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
+     REAL(6), OUT_FLOATS(7, 4))
 
 /* Return the sample whose command (n) is farthest from the path xyze (n, 4), or one without a number. */
 static int64_t farthest(const double *xyze, const struct vector *command, int64_t n)
@@ -69,4 +70,4 @@ static int64_t farthest(const double *xyze, const struct vector *command, int64_
     return found;
 }
 
-LOOP(farthest, FLOATS(0, COLUMNS * WHOLE(2)), (const struct vector *)FLOATS(1, 2 * WHOLE(2)), WHOLE(2))
+LOOP(farthest, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2))

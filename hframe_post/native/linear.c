@@ -29,8 +29,8 @@ WIDE static int64_t product(const double *a, int64_t step, const double *b, int6
     return m;
 }
 
-LOOP(product, FLOATS(0, (WHOLE(3) - 1) * WHOLE(1) + WHOLE(4)), WHOLE(1), FLOATS(2, WHOLE(4) * WHOLE(5)),
-     WHOLE(3), WHOLE(4), WHOLE(5), OUT_FLOATS(6, WHOLE(3) * WHOLE(5)))
+LOOP(product, FLOATS(0, (COUNT(3) - 1) * COUNT(1) + COUNT(4)), COUNT(1), FLOATS(2, COUNT(4) * COUNT(5)),
+     COUNT(3), COUNT(4), COUNT(5), OUT_FLOATS(6, COUNT(3) * COUNT(5)))
 
 /* s[k + 1] = s[k] M + w[k], for M (d, d), w (n, d), and s (n + 1, d) with the first row given. */
 WIDE static int64_t recursion(const double *M, const double *w, int64_t n, int64_t d, double *s)
@@ -45,5 +45,5 @@ WIDE static int64_t recursion(const double *M, const double *w, int64_t n, int64
     return n;
 }
 
-LOOP(recursion, FLOATS(0, WHOLE(3) * WHOLE(3)), FLOATS(1, WHOLE(2) * WHOLE(3)), WHOLE(2), WHOLE(3),
-     OUT_FLOATS(4, (WHOLE(2) + 1) * WHOLE(3)))
+LOOP(recursion, FLOATS(0, COUNT(3) * COUNT(3)), FLOATS(1, COUNT(2) * COUNT(3)), COUNT(2), COUNT(3),
+     OUT_FLOATS(4, (COUNT(2) + 1) * COUNT(3)))

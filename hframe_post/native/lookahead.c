@@ -44,9 +44,9 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
     return n;
 }
 
-LOOP(limit_moves, FLOATS(0, COLUMNS * (WHOLE(4) + 1)), FLOATS(1, WHOLE(4)), FLOATS(2, WHOLE(4)),
-     FLOATS(3, WHOLE(4)), WHOLE(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
-     (struct limited *)OUT_FLOATS(6, OF_MOVE * WHOLE(4)))
+LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOATS(2, COUNT(4)),
+     FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
+     (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
 /* Return the greatest speed between two moves, as model/constant_acceleration.py finds it. */
 static double junction_speed(const double *one, const double *other, struct limited a,
@@ -89,9 +89,9 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
     return n;
 }
 
-LOOP(junctions, FLOATS(0, COLUMNS * (WHOLE(2) + 1)),
-     (const struct limited *)FLOATS(1, OF_MOVE * WHOLE(2)), WHOLE(2), REAL(3), REAL(4), REAL(5),
-     REAL(6), OUT_FLOATS(7, WHOLE(2) + 1))
+LOOP(junctions, FLOATS(0, COLUMNS * (COUNT(2) + 1)),
+     (const struct limited *)FLOATS(1, OF_MOVE * COUNT(2)), COUNT(2), REAL(3), REAL(4), REAL(5),
+     REAL(6), OUT_FLOATS(7, COUNT(2) + 1))
 
 /* Return the greatest speed reached from v0 within a length. */
 static double reachable(double v0, double length, double a, double jerk)
@@ -198,6 +198,6 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
     return r - 1;
 }
 
-LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * WHOLE(2)), FLOATS(1, WHOLE(2) + 1), WHOLE(2),
-     REAL(3), REAL(4), REAL(5), REAL(6), WHOLE(7), OUT_FLOATS(8, 8 * (WHOLE(2) + 1)),
-     OUT_FLOATS(9, WHOLE(2) + 1), OUT_INTEGERS(10, WHOLE(2) + 1), OUT_FLOATS(11, WHOLE(2) + 1))
+LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * COUNT(2)), FLOATS(1, COUNT(2) + 1), COUNT(2),
+     REAL(3), REAL(4), REAL(5), REAL(6), WITHIN(7, 1, MOST_ITEMS), OUT_FLOATS(8, 8 * (COUNT(2) + 1)),
+     OUT_FLOATS(9, COUNT(2) + 1), OUT_INTEGERS(10, COUNT(2) + 1), OUT_FLOATS(11, COUNT(2) + 1))

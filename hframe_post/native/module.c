@@ -1,5 +1,6 @@
 /* The loops as functions of the Python module _kernels, through the limited API. Numbers and arrays
- * are passed without conversion; an argument of the wrong type, layout or length is a TypeError. */
+ * are passed without conversion. An argument of the wrong type or layout is a TypeError, one of the
+ * wrong length or range a ValueError. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -49,8 +50,10 @@ enum { MOST_ARGUMENTS = 32 };
 
 struct call {
     Py_ssize_t count, used;
-    int wrong;         /* the first wrong argument, or -1 */
-    const char *cause; /* what it should be */
+    int checked;       /* whether all arguments were */
+    int wrong;         /* the first wrong argument found, or -1 */
+    const char *cause; /* what it should be; NULL: between these */
+    int64_t least, most;
     struct {
         enum { REAL_NUMBER, WHOLE_NUMBER, ARRAY, BYTES_OBJECT } kind;
         double real;
@@ -79,10 +82,26 @@ double real_argument(struct call *call, int k)
                ? call->of[k].real : 0.0;
 }
 
-int64_t whole_argument(struct call *call, int k)
+static int note_range(struct call *call, int k, int right, int64_t least, int64_t most)
 {
-    return given(call, k) && note(call, k, call->of[k].kind == WHOLE_NUMBER, "an integer")
-               ? call->of[k].whole : 0;
+    if (!right && call->wrong < 0)
+        call->least = least, call->most = most;
+    return note(call, k, right, NULL);
+}
+
+int64_t whole_argument(struct call *call, int k, int64_t least, int64_t most)
+{
+    if (!given(call, k) || !note(call, k, call->of[k].kind == WHOLE_NUMBER, "an integer"))
+        return 0;
+    int64_t value = call->of[k].whole;
+    return note_range(call, k, value >= least && value <= most, least, most) ? value : 0;
+}
+
+int64_t items_of(const struct call *call, int k)
+{
+    if (k >= call->count || call->of[k].kind < ARRAY || call->of[k].view.itemsize <= 0)
+        return 0;
+    return call->of[k].view.len / call->of[k].view.itemsize;
 }
 
 const char *text_argument(struct call *call, int k)
@@ -97,10 +116,35 @@ void *array_argument(struct call *call, int k, int64_t items, const char *format
         return NULL;
     const Py_buffer *view = &call->of[k].view;
     const char *format = view->format ? view->format : "B";
-    note(call, k, strlen(format) == 1 && strchr(formats, *format), "an array of the right type");
-    note(call, k, view->len / view->itemsize >= items, "an array that is long enough");
-    note(call, k, !written || !view->readonly, "an array that can be written to");
-    return view->buf;
+    int right = note(call, k, strlen(format) == 1 && strchr(formats, *format), "an array of the right type")
+        && note(call, k, (uintptr_t)view->buf % (size_t)view->itemsize == 0, "an aligned array")
+        && note(call, k, !written || !view->readonly, "an array that can be written to")
+        && note_range(call, k, items_of(call, k) >= items, items, INT64_MAX);
+    return right ? view->buf : NULL;
+}
+
+const int64_t *indices_argument(struct call *call, int k, int64_t items, int64_t least, int64_t end)
+{
+    const int64_t *index = array_argument(call, k, items, "lq", 0);
+    int outside = 0;
+    if (call->checked || index == NULL)
+        return index;
+    for (int64_t i = 0; i < items; i++)
+        outside |= (index[i] < least) | (index[i] >= end);
+    note_range(call, k, !outside, least, end - 1);
+    return index;
+}
+
+const int64_t *parts_argument(struct call *call, int k, int64_t items, int64_t whole)
+{
+    const int64_t *part = array_argument(call, k, items, "lq", 0);
+    int64_t left = whole;
+    if (call->checked || part == NULL)
+        return part;
+    for (int64_t i = 0; i < items && left >= 0; i++)
+        left = part[i] < 0 || part[i] > left ? -1 : left - part[i];
+    note_range(call, k, left >= 0, 0, whole);
+    return part;
 }
 
 /* Take one argument; return whether it is a number or a contiguous array. */
@@ -111,8 +155,11 @@ static int taken(PyObject *value, struct call *call, int k)
         call->of[k].real = PyFloat_AsDouble(value);
     } else if (PyLong_Check(value)) {
         call->of[k].kind = WHOLE_NUMBER;
-        call->of[k].whole = PyLong_AsLongLong(value);
-        call->of[k].real = (double)call->of[k].whole;
+        int overflow;
+        call->of[k].whole = PyLong_AsLongLongAndOverflow(value, &overflow);
+        if (overflow) /* beyond every range */
+            call->of[k].whole = overflow > 0 ? INT64_MAX : INT64_MIN;
+        call->of[k].real = PyLong_AsDouble(value);
         return !PyErr_Occurred();
     } else {
         call->of[k].kind = PyBytes_Check(value) ? BYTES_OBJECT : ARRAY;
@@ -126,7 +173,7 @@ static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
 {
     struct call call;
     int64_t result = 0;
-    call.used = 0, call.wrong = -1, call.cause = "a number or a contiguous array";
+    call.used = 0, call.checked = 0, call.wrong = -1, call.cause = "a number or a contiguous array";
     for (call.count = 0; call.count < given_count; call.count++)
         if (call.count == MOST_ARGUMENTS || !taken(arguments[call.count], &call, (int)call.count)) {
             call.wrong = (int)call.count;
@@ -137,6 +184,7 @@ static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
         note(&call, (int)call.used, call.used == call.count, "left out");
     }
     if (call.wrong < 0) {
+        call.checked = 1;
         Py_BEGIN_ALLOW_THREADS
         result = loop(&call, 1);
         Py_END_ALLOW_THREADS
@@ -147,7 +195,13 @@ static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
     if (call.wrong < 0)
         return PyLong_FromLongLong(result);
     PyErr_Clear();
-    return PyErr_Format(PyExc_TypeError, "argument %d of %s must be %s", call.wrong, name, call.cause);
+    if (call.cause)
+        return PyErr_Format(PyExc_TypeError, "argument %d of %s must be %s", call.wrong, name, call.cause);
+    if (call.most == INT64_MAX)
+        return PyErr_Format(PyExc_ValueError, "argument %d of %s must have %lld items or more", call.wrong,
+                            name, (long long)call.least);
+    return PyErr_Format(PyExc_ValueError, "argument %d of %s must be from %lld to %lld", call.wrong, name,
+                        (long long)call.least, (long long)call.most);
 }
 
 #define FUNCTION(name)                                                                        \

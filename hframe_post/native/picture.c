@@ -73,5 +73,5 @@ static int64_t joined_pieces(const float *values, int64_t rows, int64_t n, int64
     return count;
 }
 
-LOOP(joined_pieces, SINGLES(0, WHOLE(1) * WHOLE(2)), WHOLE(1), WHOLE(2), WHOLE(3), WHOLE(4), REAL(5),
-     REAL(6), REAL(7), WHOLE(8), OUT_INTEGERS(9, WHOLE(2)))
+LOOP(joined_pieces, SINGLES(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), COUNT(3),
+     WITHIN(4, 1, COUNT(1)), REAL(5), REAL(6), REAL(7), WHOLE(8), OUT_INTEGERS(9, COUNT(2)))

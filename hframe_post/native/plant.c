@@ -42,8 +42,8 @@ static int64_t filtered(const double *sections, int64_t count, double *state, co
     return n;
 }
 
-LOOP(filtered, FLOATS(0, COEFFICIENTS * WHOLE(1)), WHOLE(1), OUT_FLOATS(2, STATES * WHOLE(1)),
-     FLOATS(3, WHOLE(4)), WHOLE(4), OUT_FLOATS(5, WHOLE(4)))
+LOOP(filtered, FLOATS(0, COEFFICIENTS * COUNT(1)), COUNT(1), OUT_FLOATS(2, STATES * COUNT(1)),
+     FLOATS(3, COUNT(4)), COUNT(4), OUT_FLOATS(5, COUNT(4)))
 
 struct couplings { /* in memory one after the other; axes (count, 3): of the answer, of the command,
                       and of the lever arm or -1 */
@@ -104,14 +104,14 @@ static int64_t response(const double *sections, int64_t total, double *state, co
     return n;
 }
 
-#define FILTERS                                                                               \
-    FLOATS(0, COEFFICIENTS * WHOLE(1)), WHOLE(1), OUT_FLOATS(2, STATES * WHOLE(1)),           \
-        INTEGERS(3, WHOLE(4)), WHOLE(4), INTEGERS(5, 3 * WHOLE(7)), FLOATS(6, WHOLE(7)),      \
-        WHOLE(7), FLOATS(8, 2)
-LOOP(coupled, FILTERS, FLOATS(9, 2 * WHOLE(12)), FLOATS(10, WHOLE(12)), FLOATS(11, WHOLE(12)), WHOLE(12),
-     OUT_FLOATS(13, WHOLE(12)))
-LOOP(response, FILTERS, FLOATS(9, 2 * WHOLE(10)), WHOLE(10), OUT_FLOATS(11, WHOLE(12) * WHOLE(10)),
-     WHOLE(12))
+#define FILTERS(others) /* than those of the couplings */                                     \
+    FLOATS(0, COEFFICIENTS * COUNT(1)), COUNT(1), OUT_FLOATS(2, STATES * COUNT(1)),           \
+        PARTS(3, COUNT(4), COUNT(1)), WITHIN(4, (others) + FEW(7), MOST_FEW),             \
+        INTEGERS(5, 3 * FEW(7)), FLOATS(6, FEW(7)), FEW(7), FLOATS(8, 2)
+LOOP(coupled, FILTERS(0), FLOATS(9, 2 * COUNT(12)), FLOATS(10, COUNT(12)), FLOATS(11, COUNT(12)), COUNT(12),
+     OUT_FLOATS(13, COUNT(12)))
+LOOP(response, FILTERS(2), FLOATS(9, 2 * COUNT(10)), COUNT(10), OUT_FLOATS(11, COUNT(12) * COUNT(10)),
+     WITHIN(12, 2, MOST_FEW))
 
 enum { LANES = 4 }; /* that are computed together */
 
@@ -206,9 +206,9 @@ WIDE static int64_t responses(const four *sections, int64_t total, four *state,
     return n;
 }
 
-#define FOURS(count) (LANES * (count) * ((WHOLE(13) + LANES - 1) / LANES))
-LOOP(responses, (const four *)FLOATS(0, COEFFICIENTS * FOURS(WHOLE(1))), WHOLE(1),
-     (four *)OUT_FLOATS(2, STATES * FOURS(WHOLE(1))), INTEGERS(3, WHOLE(4)), WHOLE(4),
-     INTEGERS(5, 3 * WHOLE(7)), (const four *)FLOATS(6, FOURS(WHOLE(7))), WHOLE(7), FLOATS(8, 2),
-     FLOATS(9, 2 * WHOLE(10) * WHOLE(12)), WHOLE(10), INTEGERS(11, WHOLE(13)), WHOLE(12), WHOLE(13),
-     OUT_FLOATS(14, 2 * WHOLE(13) * WHOLE(12)))
+#define FOURS(count) (LANES * (count) * ((FEW(13) + LANES - 1) / LANES))
+LOOP(responses, (const four *)FLOATS(0, COEFFICIENTS * FOURS(FEW(1))), FEW(1),
+     (four *)OUT_FLOATS(2, STATES * FOURS(FEW(1))), PARTS(3, COUNT(4), FEW(1)),
+     WITHIN(4, 2 + FEW(7), MOST_FEW), INTEGERS(5, 3 * FEW(7)), (const four *)FLOATS(6, FOURS(FEW(7))),
+     FEW(7), FLOATS(8, 2), FLOATS(9, 2 * FEW(10) * COUNT(12)), FEW(10), INDICES(11, FEW(13), 0, FEW(10)),
+     COUNT(12), FEW(13), OUT_FLOATS(14, 2 * FEW(13) * COUNT(12)))

@@ -119,5 +119,5 @@ static int64_t plain_moves(const char *text, int64_t size, int64_t offset, int64
     return count;
 }
 
-LOOP(plain_moves, TEXT(0), WHOLE(1), WHOLE(2), WHOLE(3), WHOLE(4), OUT_FLOATS(5, 10), FLOATS(6, 16),
-     OUT_FLOATS(7, ROW * WHOLE(4)), OUT_INTEGERS(8, 2))
+LOOP(plain_moves, TEXT(0), WITHIN(1, 0, ITEMS(0)), WITHIN(2, 0, WHOLE(1)), WHOLE(3), COUNT(4),
+     OUT_FLOATS(5, 10), FLOATS(6, 16), OUT_FLOATS(7, ROW * COUNT(4)), OUT_INTEGERS(8, 2))

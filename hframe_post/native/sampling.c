@@ -22,8 +22,8 @@ static int64_t ramps(const double *v0, const double *v1, const double *length, i
     return r;
 }
 
-LOOP(ramps, FLOATS(0, WHOLE(3)), FLOATS(1, WHOLE(3)), FLOATS(2, WHOLE(3)), WHOLE(3), REAL(4),
-     OUT_FLOATS(5, PHASES * WHOLE(3)), OUT_FLOATS(6, PHASES * WHOLE(3)), OUT_FLOATS(7, WHOLE(3)))
+LOOP(ramps, FLOATS(0, COUNT(3)), FLOATS(1, COUNT(3)), FLOATS(2, COUNT(3)), COUNT(3), REAL(4),
+     OUT_FLOATS(5, PHASES * COUNT(3)), OUT_FLOATS(6, PHASES * COUNT(3)), OUT_FLOATS(7, COUNT(3)))
 
 /* Acceleration, speed, path length from the start, and time from the start, when a phase begins. */
 struct phase {
@@ -60,8 +60,8 @@ static int64_t misses(const double *t, const double *j, const double *v0, const 
     return count;
 }
 
-LOOP(misses, FLOATS(0, PHASES * WHOLE(4)), FLOATS(1, PHASES * WHOLE(4)), FLOATS(2, WHOLE(4)),
-     FLOATS(3, WHOLE(4)), WHOLE(4), REAL(5), OUT_BYTES(6, WHOLE(4)))
+LOOP(misses, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4)),
+     FLOATS(3, COUNT(4)), COUNT(4), REAL(5), OUT_BYTES(6, COUNT(4)))
 
 /* speed (r + 1) and s (r + 1) at the ends of runs; samples of ``interval`` s. Fill table (6, p) with
  * the phases as below, and end with the time of the end; return p. */
@@ -93,8 +93,8 @@ static int64_t phases(const double *t, const double *j, const double *speed, con
     return p;
 }
 
-LOOP(phases, FLOATS(0, PHASES * WHOLE(4)), FLOATS(1, PHASES * WHOLE(4)), FLOATS(2, WHOLE(4) + 1),
-     FLOATS(3, WHOLE(4) + 1), WHOLE(4), REAL(5), REAL(6), OUT_FLOATS(7, 6 * PHASES * WHOLE(4)),
+LOOP(phases, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4) + 1),
+     FLOATS(3, COUNT(4) + 1), COUNT(4), REAL(5), REAL(6), OUT_FLOATS(7, 6 * PHASES * COUNT(4)),
      OUT_FLOATS(8, 1))
 
 /* phases (6, p): start time, duration, path length, speed, acceleration, jerk. Path lengths s (n)
@@ -116,8 +116,8 @@ static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int6
     return n;
 }
 
-LOOP(path_lengths, FLOATS(0, 6 * WHOLE(1)), WHOLE(1), WHOLE(2), WHOLE(3), REAL(4), REAL(5),
-     OUT_FLOATS(6, WHOLE(3)))
+LOOP(path_lengths, FLOATS(0, 6 * COUNT(1)), WITHIN(1, COUNT(3) > 0, MOST_ITEMS), WHOLE(2), COUNT(3),
+     REAL(4), REAL(5), OUT_FLOATS(6, COUNT(3)))
 
 /* lengths (m + 1): path length at the vertices, points (m + 1, 4). Places xyze (n, 4) at s (n) and
  * the move (n) that each lies on. */
@@ -139,8 +139,9 @@ static int64_t follow(const double *lengths, const double *points, int64_t m, co
     return n;
 }
 
-LOOP(follow, FLOATS(0, WHOLE(2) + 1), FLOATS(1, COLUMNS * (WHOLE(2) + 1)), WHOLE(2), FLOATS(3, WHOLE(4)),
-     WHOLE(4), OUT_FLOATS(5, COLUMNS * WHOLE(4)), OUT_INTEGERS(6, WHOLE(4)))
+LOOP(follow, FLOATS(0, COUNT(2) + 1), FLOATS(1, COLUMNS * (COUNT(2) + 1)),
+     WITHIN(2, COUNT(4) > 0, MOST_ITEMS), FLOATS(3, COUNT(4)), COUNT(4),
+     OUT_FLOATS(5, COLUMNS * COUNT(4)), OUT_INTEGERS(6, COUNT(4)))
 
 /* way: length, speed at the start, acceleration, peak speed, how long it speeds up and slows down, and
  * seconds in all. Places xyze (n, 4) after ``first``, first + 1, … samples of a move between the ends
@@ -161,5 +162,5 @@ static int64_t stand(const double *way, const double *ends, int64_t first, int64
     return n;
 }
 
-LOOP(stand, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), WHOLE(3), WHOLE(4), REAL(5),
-     OUT_FLOATS(6, COLUMNS * WHOLE(3)))
+LOOP(stand, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4), REAL(5),
+     OUT_FLOATS(6, COLUMNS * COUNT(3)))

@@ -488,11 +488,11 @@ static int64_t least_squares(const double *path, const int64_t *index, int64_t r
     return search(&problem, (struct room *)room, (vector *)p);
 }
 
-LOOP(least_squares, FLOATS(0, 2 * PIECES), INTEGERS(1, WHOLE(2)), WHOLE(2), WHOLE(3), WHOLE(4),
-     FLOATS(5, WHOLE(2)), BYTES(6, WHOLE(2)), FLOATS(7, 2 * WHOLE(2)), FLOATS(8, WHOLE(2) * WHOLE(10)),
-     INTEGERS(9, 2 * WHOLE(10)), WHOLE(10), FLOATS(11, (2 + WHOLE(10)) * WHOLE(2) * WHOLE(13)),
-     INTEGERS(12, WHOLE(13)), WHOLE(13), FLOATS(14, 2 * WHOLE(15)), WHOLE(15),
-     FLOATS(16, WHOLE(15) * WHOLE(13)), FLOATS(17, (WHOLE(15) - 2) * WHOLE(13)),
-     INTEGERS(18, 2 * WHOLE(15)), FLOATS(19, WHOLE(15) - 2), FLOATS(20, 11),
+LOOP(least_squares, FLOATS(0, 2 * PIECES), INDICES(1, FEW(2), NEAREST, ITEMS(0) / 2 - NEAREST), FEW(2),
+     WHOLE(3), WHOLE(4), FLOATS(5, FEW(2)), BYTES(6, FEW(2)), FLOATS(7, 2 * FEW(2)),
+     FLOATS(8, FEW(2) * FEW(10)), INDICES(9, 2 * FEW(10), X, Z), FEW(10),
+     FLOATS(11, (2 + FEW(10)) * FEW(2) * FEW(13)), INTEGERS(12, FEW(13)), FEW(13), FLOATS(14, 2 * FEW(15)),
+     FEW(15), FLOATS(16, FEW(15) * FEW(13)), FLOATS(17, (FEW(15) - 2) * FEW(13)),
+     INDICES(18, 2 * FEW(15), 0, FEW(13) + 1), FLOATS(19, FEW(15) - 2), FLOATS(20, 11),
      OUT_FLOATS(21, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
-     OUT_FLOATS(22, 2 * WHOLE(13)))
+     OUT_FLOATS(22, 2 * FEW(13)))

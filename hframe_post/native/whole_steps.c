@@ -148,5 +148,5 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
     return k;
 }
 
-LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * WHOLE(1)), WHOLE(1), WHOLE(2), WHOLE(3), WHOLE(4),
-     WHOLE(5), OUT_INTEGERS(6, 6 * (WHOLE(1) + 1)), OUT_INTEGERS(7, WHOLE(1)))
+LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), COUNT(4),
+     WHOLE(5), OUT_INTEGERS(6, 6 * (COUNT(1) + 1)), OUT_INTEGERS(7, COUNT(1)))

@@ -269,16 +269,18 @@ def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: Modul
     right = [s, points, 2, s[:2], 2, *room]
     frozen = room[0].copy()
     frozen.flags.writeable = False
-    wrong = {
-        0: (s[:2], s[::2], s.astype(np.float32), s.tolist(), 1.0, None, b"0"),
-        2: (2.0, s, 1 << 70),
-        5: (room[0][:1], frozen, room[1]),
+    of_another_kind = {
+        0: (s[::2], s.astype(np.float32), s.tolist(), 1.0, None, b"0"),
+        2: (2.0, s),
+        5: (frozen, room[1]),
     }
+    of_another_length = {0: (s[:2],), 2: (0, -1, 1 << 40, 1 << 70, -(1 << 70)), 5: (room[0][:1],)}
     assert library.follow(*right) == 2
-    for k, values in wrong.items():
-        for value in values:
-            with pytest.raises(TypeError, match=f"argument {k} of follow"):
-                library.follow(*right[:k], value, *right[k + 1 :])
+    for error, wrong in ((TypeError, of_another_kind), (ValueError, of_another_length)):
+        for k, values in wrong.items():
+            for value in values:
+                with pytest.raises(error, match=f"argument {k} of follow"):
+                    library.follow(*right[:k], value, *right[k + 1 :])
     for count in (0, len(right) - 1):
         with pytest.raises(TypeError, match="must be given"):
             library.follow(*right[:count])
