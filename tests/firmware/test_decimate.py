@@ -23,6 +23,7 @@ from hframe_post.firmware.klipper.segments import (
 from hframe_post.model.plant import Response
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
+from tests.quantities import below
 from tests.random_paths import wander
 
 MM = 0.002  # tolerance of most tests
@@ -167,8 +168,8 @@ def test_the_nozzle_is_a_micrometre_off_at_half_the_lines(
         Response(paper.plant, points[0, :2]).run(xy) for xy in (points[:, :2], written)
     )
     off = np.hypot(*(as_written - nozzle).T)
-    assert np.sqrt(np.mean(off**2)) < 1e-3
-    assert len(ends) < 0.12 * n
+    below(np.sqrt(np.mean(off**2)), 1e-3, "RMS distance of the nozzle to that of all samples, mm")
+    below(len(ends), 0.12 * n, "segments")
 
 
 @pytest.mark.parametrize("rate", [20.0, 60.0, 200.0])

@@ -21,6 +21,7 @@ from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 from tests.gcode_tools import converted
+from tests.quantities import below
 
 STREAM = StreamLimits(
     velocity=770.0, acceleration=3.5355e4, z_velocity=20.0, z_acceleration=500.0,
@@ -146,8 +147,8 @@ def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
     rest[0] = True
     late = player.feeds(at, T, rest, 0.0, math.inf, per_feed=6e9)[1] - T
     assert 1e-4 < late[1] < 5e-4
-    assert np.abs(np.cumsum(late)[15:]).max() < 1e-5
-    assert -late[2:].min() < 0.05 * 2e-3
+    below(np.abs(np.cumsum(late)[15:]).max(), 1e-5, "lateness after 15 segments, s")
+    below(-late[2:].min(), 0.05 * 2e-3, "time made up in a segment, s")
 
 
 # ---------------------------------------------------------------------- commands
@@ -353,4 +354,4 @@ def test_no_segment_is_thicker_than_klipper_allows(paper: Printer) -> None:
             thickest = max(thickest, words["E"] / math.dist(place, to))
         place = to
     assert "E" in written
-    assert thickest < 0.266
+    below(thickest, 0.266, "filament by length of the path, mm/mm")

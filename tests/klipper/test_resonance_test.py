@@ -10,6 +10,7 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.klipper_cfg import KlipperConfig
+from tests.quantities import below
 
 from .host import TEMPLATE, Playback, play
 
@@ -65,7 +66,7 @@ def test_every_step_of_the_motion(
     found = largest_difference(host, test, test.seconds - 0.1)
     reversals = 2.0 * test.seconds / test.sweeping_period if test.sweeping_period else 0.0
     speed = 0.3 * test.sweeping_accel * test.sweeping_period + 0.25 * test.accel_per_hz
-    assert found < 1e-8 + SLIP * reversals * speed
+    below(found, 1e-8 + SLIP * reversals * speed, "greatest difference of the motion, mm")
 
 
 def test_motion_before_december_2024(tmp_path: Path) -> None:
@@ -79,4 +80,5 @@ def test_motion_before_december_2024(tmp_path: Path) -> None:
         feed = 60.0 * accel * quarter
         lines += [f"M204 S{accel:.9f}", *(f"G1 X{x:.12f} F{feed:.9f}" for x in (out, 140.0))]
     host = played(tmp_path, "\n".join(lines))
-    assert largest_difference(host, test, test.seconds) < 1e-3  # of 0.5 mm
+    found = largest_difference(host, test, test.seconds)
+    below(found, 1e-3, "greatest difference of a motion of 0.5 mm, mm")

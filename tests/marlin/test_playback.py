@@ -23,6 +23,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from tests.conftest import few
 from tests.gcode_tools import converted, sample
+from tests.quantities import below
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
 
@@ -183,10 +184,10 @@ def test_rectangle_keeps_time_and_place(
     rectangle = played(laps(), with_own(marlin, **own), planner=own["planner"], **how)
     first, late, off = rectangle.track()
     assert rectangle.machine.merged == 0
-    assert abs(drift(first, late)) < 3.0
-    assert np.ptp(late) < 2e-3
-    assert rms(off) < 0.012
-    assert off.max() < 0.06
+    below(abs(drift(first, late)), 3.0, "drift, ms a minute")
+    below(np.ptp(late), 2e-3, "range of the lateness, s")
+    below(rms(off), 0.012, "RMS distance to the command, mm")
+    below(off.max(), 0.06, "greatest distance to the command, mm")
 
 
 @pytest.mark.parametrize("hz", [3e4, 5e4])
@@ -194,8 +195,8 @@ def test_smoothed_steps_keep_time_more_coarsely(marlin: Printer, hz: float) -> N
     """Whole ticks of a part of a step are coarse: unmodelled, it is 200 ms a minute and more."""
     mine = with_own(marlin, adaptive_step_smoothing=hz)
     first, late, off = played(laps(5), mine, smoothing_hz=hz).track()
-    assert abs(drift(first, late)) < 20.0
-    assert rms(off) < 0.018
+    below(abs(drift(first, late)), 20.0, "drift, ms a minute")
+    below(rms(off), 0.018, "RMS distance to the command, mm")
 
 
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev"])
@@ -203,8 +204,8 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     jerk = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
     mine = with_own(marlin, planner=planner, **jerk)
     first, late, off = played(laps(), mine, classic_jerk=True, planner=planner).track()
-    assert abs(drift(first, late)) < 5.0
-    assert rms(off) < 0.012
+    below(abs(drift(first, late)), 5.0, "drift, ms a minute")
+    below(rms(off), 0.012, "RMS distance to the command, mm")
 
 
 def naive(command: Array) -> bytes:
@@ -233,7 +234,7 @@ def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
     assert abs(run.duration - moving) / moving * 60e3 > 200.0
     first, late, _ = ours.track()
     skirt = first < len(command)
-    assert abs(drift(first[skirt], late[skirt])) < 10.0
+    below(abs(drift(first[skirt], late[skirt])), 10.0, "drift, ms a minute")
 
 
 def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
@@ -261,7 +262,7 @@ def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
             b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1.5 F600\n", b"G1 Z1\n", b"G1 E2 F1800\n",
         ]  # fmt: skip
     _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
-    assert np.ptp(late[1:]) < 2e-3  # the start apart
+    below(np.ptp(late[1:]), 2e-3, "range of the lateness after the start, s")
 
 
 def layers_of_cube(last: int) -> list[bytes]:
@@ -281,9 +282,9 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
 ) -> None:
     cube = played(layers_of_cube(2), with_own(marlin, planner=planner), planner=planner)
     _, late, off = cube.track()
-    assert np.ptp(late) < 12e-3
-    assert rms(off) < 0.016
-    assert np.median(off) < 0.012
+    below(np.ptp(late), 12e-3, "range of the lateness, s")
+    below(rms(off), 0.016, "RMS distance to the command, mm")
+    below(np.median(off), 0.012, "median distance to the command, mm")
     assert cube.machine.merged == 0
 
 
@@ -293,8 +294,8 @@ def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
     cube = played(layers_of_cube(9), with_own(marlin, planner=planner), planner=planner)
     first, late, off = replace(cube, command=cube.command[:240_000]).track()
     assert len(first) > 230
-    assert abs(drift(first, late)) < 3.0
-    assert rms(off) < 0.016
+    below(abs(drift(first, late)), 3.0, "drift, ms a minute")
+    below(rms(off), 0.016, "RMS distance to the command, mm")
 
 
 @pytest.mark.slow
@@ -302,8 +303,8 @@ def test_prism_keeps_place(marlin: Printer) -> None:
     lines = sample("prism.gcode")
     prism = played(lines[: lines.index(b";LAYER:8\n")], marlin)
     _, late, off = prism.track()
-    assert np.median(off) < 0.015
-    assert np.median(np.abs(np.diff(late))) < 5e-4
+    below(np.median(off), 0.015, "median distance to the command, mm")
+    below(np.median(np.abs(np.diff(late))), 5e-4, "median change of the lateness, s")
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:
@@ -323,5 +324,6 @@ def test_nozzle_follows_with_marlins_command(
     both = replace(block, commands={**block.commands, "racking": theirs})
     ideal, ours = (contour(b, marlin, "racking") for b in (block, both))
     assert block.xyze[:, :Z].shape == theirs.shape
-    assert ours < ideal + 6.0
-    assert ours < contour(commands("none"), marlin, "none") / 8
+    none = contour(commands("none"), marlin, "none")
+    below(ours, ideal + 6.0, "RMS contour error, µm")
+    below(ours, none / 8, "RMS contour error, µm")
