@@ -89,7 +89,7 @@ class FirmwareChoice(click.Choice[str]):
 @click.option(
     "--tolerance", type=float, show_default=str(TOLERANCE), metavar="MM",
     help="How far G-code for Klipper may differ from the computed motion, at most 0.1 mm; 0 writes "
-    "a line for every millisecond.",
+    "a line for every millisecond, and begins lifts at rest.",
 )  # fmt: skip
 @old_option("--every-sample", "use --tolerance 0", new="tolerance", value=0.0, is_flag=True)
 @click.option(

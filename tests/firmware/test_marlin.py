@@ -98,6 +98,17 @@ def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
     assert (retraction.before, retraction.after) == (b"M205 E5\n", b"M205 E1000\n")
 
 
+@pytest.mark.parametrize("planner", ["2.0", "2.1"])
+def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, planner: str) -> None:
+    """Its jerk in the stream limits nothing; with a junction deviation they begin at rest."""
+    at = np.array([[100.0, 100.0, 1.0, 0.0], [110.0, 100.0, 1.0, 0.5]])
+    jerk = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
+    for own, begins in ((jerk, 80.0), ({}, 0.0)):
+        mine = mode(with_own(marlin, planner=planner, **own))
+        assert mine.entry(at, 80.0, 0.0) == begins, "mm/s"
+        assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
+
+
 RETRACTED = [
     b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"G1 E-2 F1800\n", b"G1 Z2 F600\n",
     b"G1 X140 F6000\n", b"G1 X150 E1\n",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
@@ -29,6 +30,7 @@ from hframe_post.stream.types import (
     frozen,
 )
 from hframe_post.writers.stream.gcode import GcodeWriter
+from hframe_post.writers.stream.machine import Ledger
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.gcode_tools import follow
 
@@ -229,3 +231,23 @@ def test_chunks_join_to_what_they_were() -> None:
     again = join(list(batches([whole], 7)))
     np.testing.assert_array_equal(again.xyze, whole.xyze)
     assert again.events == whole.events
+
+
+@given(st.lists(st.integers(0, 5000), min_size=1, unique=True), st.integers(1, 20))
+def test_busiest_second_is_that_with_the_most_lines(due: list[int], at_once: int) -> None:
+    """However many lines are counted at once, from the first millisecond of it to the last."""
+    due, ledger = sorted(due), Ledger()
+    for first in range(0, len(due), at_once):
+        ledger.moved(due[first : first + at_once], 0)
+    lines = Counter(sample // 1000 for sample in due)
+    assert ledger.busiest == max(lines.values()), "lines in a second"
+
+
+def test_every_sample_of_a_steady_second_is_a_line() -> None:
+    x = 0.05 * np.arange(3500.0)
+    xyze = np.column_stack([100.0 + x, np.full((len(x), 1), 100.0), np.zeros((len(x), 2))])
+    commands = {"racking": xyze[:, :2]}
+    samples = Samples(0, xyze, np.zeros(len(x), np.int64), (), commands)
+    writer = GcodeWriter("racking", player(load("paper"), None))
+    list(writer.write([samples]))
+    assert writer.summary.busiest_second == 1000, "lines in a second"
