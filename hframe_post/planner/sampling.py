@@ -49,8 +49,8 @@ from hframe_post.stream.types import (
 SAMPLES_PER_CHUNK = 1 << 15
 RUNS_AT_ONCE = 1000  # runs whose profiles are found together
 SLOW = 2.0  # mm/s at which a motion excites nothing, so that its samples can be left out
-FEWEST = 10_000  # samples that are left out at once
-KEPT = 1000  # samples at either end of a slow move that are not left out
+FEWEST = 2000  # samples that are left out at once
+KEPT = 500  # samples at either end of a slow move that are not left out
 SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 
 
