@@ -38,6 +38,7 @@ UNUSABLE = ("DELTA", "SCARA", "COREYZ", "COREYX", "MARKFORGED_YX", "POLAR", "MOR
 ANY = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 M115 = "the answer to M115"
 ASSUMED = "2.1"  # planner of a build whose version is not known
+TWO_CARRIAGES = "DUAL_X_CARRIAGE"  # of Configuration_adv.h
 HARMFUL = {  # options of a build, and what they do
     "SLOWDOWN": "it slows down where the queue is short, so starts and ends are off",
     "ADAPTIVE_STEP_SMOOTHING": "it rounds speeds four times as coarsely",
@@ -154,6 +155,11 @@ class MarlinSettings:
             for name, why in HARMFUL.items()
             if self.defined(name)
         ]
+        if self.defined(TWO_CARRIAGES):
+            found.append(
+                f"{TWO_CARRIAGES}: a profile has the model of one carriage: what the other prints, "
+                "after T1, is not compensated"
+            )
         if not self.planner:
             found.append(
                 f'the firmware\'s version is not known, so planner = "{ASSUMED}" is assumed. Add '
@@ -208,6 +214,8 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
         "sweep": sweep(acceleration),
         "firmware.marlin": _table(settings),
     }
+    if settings.defined(TWO_CARRIAGES):
+        tables["firmware"] = {"other_tools": Known(("T1",), f"{TWO_CARRIAGES} prints then")}
     return {name: table for name, table in tables.items() if table}
 
 

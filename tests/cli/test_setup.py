@@ -152,6 +152,17 @@ def test_the_printers_value_comes_back_where_one_was_changed_by_hand(
     assert "kept" not in again
 
 
+def test_a_marlin_with_two_carriages_compensates_the_first(tmp_path: Path) -> None:
+    header = tmp_path / "Configuration_adv.h"
+    header.write_text("#define DUAL_X_CARRIAGE\n")
+    done = run(
+        "setup", M503, header, "--bed", "220,220", "-o", tmp_path, XDG_CONFIG_HOME=str(tmp_path)
+    )
+    assert done.returncode == 0, done.stderr
+    assert b"DUAL_X_CARRIAGE: a profile has the model of one carriage" in done.stdout
+    assert load(str(tmp_path / "printer.toml")).firmware.other_tools == ("T1",)
+
+
 def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     """Input shaping and firmware retraction, which doctor would report for ever."""
     before = config.read_text()
