@@ -10,7 +10,7 @@ import subprocess  # nosec B404  only this tool itself is started
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import TextIO
 
@@ -97,6 +97,44 @@ def _die(number: int, _: FrameType | None) -> None:
                 os.write(sys.stderr.fileno(), SHOW_CURSOR)
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
+
+
+class Interruption:
+    """The first of the signals that would end the process, put off until a command has reported.
+
+    A second signal ends the process at once. event: set by the first one.
+    """
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.number = 0  # of the signal; 0: none yet
+
+    @contextlib.contextmanager
+    def put_off(self, stop: Callable[[], None]) -> Iterator[None]:
+        """Call ``stop`` at the first signal within the block."""
+
+        def first(number: int, frame: FrameType | None) -> None:
+            if self.number:
+                _die(number, frame)
+            self.number = number
+            self.event.set()
+            stop()
+
+        numbers = [getattr(signal, name) for name in FATAL_SIGNALS if hasattr(signal, name)]
+        ours = [number for number in numbers if signal.getsignal(number) is _die]
+        for number in ours:
+            signal.signal(number, first)
+        try:
+            yield
+        finally:
+            for number in ours:
+                signal.signal(number, _die)
+
+    def end(self) -> None:
+        """End the process as the signal would have, if there was one."""
+        if self.number:
+            flush_streams()
+            _die(self.number, None)
 
 
 def open_closed_streams() -> None:

@@ -83,15 +83,24 @@ class Cluster:
         self.files = files or sum(self._client.nthreads().values())
         self._printer, self._options, self._first_line = printer, tuple(options), first_line
         self._profile = Path(printer).read_bytes() if Path(printer).is_file() else None
+        self._running: set[Any] = set()  # futures of the scheduler
+        self._stopped = False
 
     def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done or failed."""
+        """Convert one file; return its job as done, failed or stopped."""
         try:
             task = Task(
                 job.source.name, job.source.read_bytes(), self._printer, self._profile,
                 self._options,
             )  # fmt: skip
-            result: Result = self._client.submit(convert_on_worker, task, pure=False).result()
+            running = self._client.submit(convert_on_worker, task, pure=False)
+            self._running.add(running)
+            if self._stopped:  # in the meantime
+                running.cancel()
+            try:
+                result: Result = running.result()
+            finally:
+                self._running.discard(running)
             job = replace(result.outcome.update(job), worker=result.worker)
             if job.state == "done":
                 left_alone = "left_alone" in job.summary
@@ -100,11 +109,16 @@ class Cluster:
                 with Outputs() as outputs:
                     outputs.open(job.target).write(result.content)
         except Exception as error:  # whatever happened to this file, the others go on
+            if self._stopped:
+                return replace(job, state="stopped")
             return replace(job, state="failed", error=_cause(error))
         return job
 
     def stop(self) -> None:
-        """Do nothing: a conversion that a worker has begun ends there."""
+        """Wait for no result: a conversion that a worker has begun ends there."""
+        self._stopped = True
+        for running in list(self._running):
+            running.cancel()
 
 
 def _connect(scheduler: str) -> Any:

@@ -7,27 +7,31 @@ of a single conversion.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
+from threading import Event
 from typing import Any, Literal, Protocol
 
 from hframe_post.errors import HframeError, install_advice
+from hframe_post.gcode.lines import NAMES, is_gcode_name
 from hframe_post.process import ChildProcess, own_command, processor_count
 
-State = Literal["waiting", "running", "done", "skipped", "failed"]
+State = Literal["waiting", "running", "done", "skipped", "failed", "stopped"]
+INTERRUPTS = ("SIGINT", "SIGHUP", "SIGQUIT")  # that a terminal sends to all processes of a job
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """A file to convert and its state.
 
-    seconds: duration; error: one line; summary: the JSON summary of ``convert``; worker: address
-    of the cluster's worker that converted it.
+    seconds: duration; error: one line; line: the one in the source that it names; summary: the
+    JSON summary of ``convert``; worker: address of the cluster's worker that converted it.
     """
 
     source: Path
@@ -35,6 +39,7 @@ class Job:
     state: State = "waiting"
     seconds: float = 0.0
     error: str = ""
+    line: int | None = None
     summary: dict[str, Any] = field(default_factory=dict)
     worker: str = ""
 
@@ -46,14 +51,23 @@ class Job:
         entries = {
             "source": str(self.source), "target": str(self.target), "state": self.state,
             "seconds": round(self.seconds, 3), "worker": self.worker, "error": self.error,
-            "summary": self.summary,
+            "line": self.line, "summary": self.summary,
         }  # fmt: skip
-        return {name: value for name, value in entries.items() if value not in ("", {})}
+        return {name: value for name, value in entries.items() if value not in ("", None, {})}
+
+    @property
+    def warnings(self) -> list[str]:
+        found: list[str] = self.summary.get("warnings", [])
+        return found
 
     def as_text(self) -> str:
         line = f"{self.state:8s}{self.source}"
+        if self.state == "stopped":
+            return line
         if self.error:
             return f"{line}: {self.error}"
+        if "left_alone" in self.summary:
+            return f"{line} → {self.target}, not converted: {self.summary['left_alone']}"
         return f"{line} → {self.target} ({self.seconds:.1f} s{self._contour_error()})"
 
     def _contour_error(self) -> str:
@@ -66,21 +80,65 @@ class Job:
         return f"; contour error {values[-1]:.1f} µm instead of {values[0]:.0f}, predicted"
 
 
-def jobs_for(sources: Sequence[Path], folder: Path, first_line: bytes) -> list[Job]:
-    """Return one job per file; those converted already are marked as skipped.
+def targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
+    """Return the files to convert, each with its target in ``folder``.
+
+    Of a folder these are the files of G-code in it and its subfolders, whose structure is kept.
+    Raises HframeError for a folder without G-code, and OSError for one that cannot be read.
+    """
+    found: list[tuple[Path, Path]] = []
+    for source in sources:
+        if not source.is_dir():
+            found.append((source, folder / source.name))
+            continue
+        files = _gcode_in(source, folder, _raise)
+        if not files:
+            raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
+        found += [(path, folder / path.relative_to(source)) for path in files]
+    return list(dict.fromkeys(found))
+
+
+def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]) -> list[Path]:
+    """Return the files of G-code in a folder and its subfolders, without hidden ones.
+
+    without: a subfolder that is left out, too: the one of the output.
+    """
+    found, left_out = [], without.resolve()
+    for place, folders, names in os.walk(folder, onerror=on_error):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and Path(place, name).resolve() != left_out
+        )
+        shown = (name for name in sorted(names) if is_gcode_name(name) and name[0] != ".")
+        found += [Path(place, name) for name in shown]
+    return found
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]:
+    """Return one job per file and target; those converted already are marked as skipped.
 
     first_line: the first line of a file converted with the same settings; empty: skip none.
     Raises HframeError where a target would be written twice or replace a source.
     """
-    jobs, taken = [], {path.resolve() for path in sources}
-    for source in dict.fromkeys(sources):
-        target = folder / source.name
-        if target.resolve() in taken:
+    jobs, taken = [], dict[Path, Path]()
+    inputs = {source.resolve(): source for source, _ in files}
+    for source, target in files:
+        place = target.resolve()
+        if place in inputs:
             raise HframeError(
-                f"{target} would be written twice, or replace an input file: rename the input, or "
-                "choose another --directory"
+                f"{target} would replace the input {inputs[place]}: choose another --directory"
             )
-        taken.add(target.resolve())
+        if place in taken:
+            raise HframeError(
+                f"{taken[place]} and {source} would both be written to {target}: rename one, or "
+                "name a folder that holds both, whose subfolders are kept"
+            )
+        taken[place] = source
         done = (
             first_line
             and target.is_file()
@@ -108,7 +166,19 @@ class Outcome:
     def update(self, job: Job) -> Job:
         if self.status == 0:
             return replace(job, state="done", seconds=self.seconds, summary=json.loads(self.output))
-        return replace(job, state="failed", seconds=self.seconds, error=self._cause())
+        try:
+            failure = json.loads(self.output)
+        except ValueError:  # killed before it could say anything
+            failure = {}
+        return replace(
+            job, state="failed", seconds=self.seconds,
+            error=failure.get("error") or self._cause(), line=failure.get("line"),
+        )  # fmt: skip
+
+    @property
+    def interrupted(self) -> bool:
+        """Return whether a signal ended it that a terminal sends to all processes of a batch."""
+        return self.status in [-getattr(signal, name, 0) for name in INTERRUPTS if self.status < 0]
 
     def _cause(self) -> str:
         lines = self.error.decode("utf-8", "replace").strip().splitlines()
@@ -124,7 +194,8 @@ class Conversion(ChildProcess):
 
     def __init__(self, source: str, target: str, options: Sequence[str]) -> None:
         self._start = time.monotonic()
-        command = [*own_command(), "convert", source, "-o", target, "-q", "--json", "-", *options]
+        given = ["-o", target, "-q", "--json", "-", *options]
+        command = [*own_command(), "convert", *given, "--", source]
         super().__init__(command)
 
     def outcome(self) -> Outcome:
@@ -143,13 +214,15 @@ class LocalProcesses:
         self._stopped = False
 
     def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done or failed."""
-        if self._stopped:
-            return replace(job, state="failed", error="stopped")
+        """Convert one file; return its job as done, failed or stopped."""
         conversion = Conversion(str(job.source), str(job.target), self._options)
         self._running.add(conversion)
+        if self._stopped:  # in the meantime
+            conversion.stop()
         outcome = conversion.outcome()
         self._running.discard(conversion)
+        if outcome.interrupted or (self._stopped and outcome.status != 0):
+            return replace(job, state="stopped", seconds=outcome.seconds)
         return outcome.update(job)
 
     def stop(self) -> None:
@@ -165,24 +238,31 @@ class Converter(Protocol):
     def files(self) -> int: ...
 
     def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done or failed. Raise nothing for a bad file."""
+        """Convert one file; return its job as done, failed or stopped.
+
+        A bad file raises nothing.
+        """
 
     def stop(self) -> None:
         """Start no more conversions, and stop those that are running."""
 
 
-def run(jobs: list[Job], converter: Converter) -> Iterator[Job]:
-    """Convert the waiting jobs; replace each in the list, and yield it, when it has ended."""
+def run(jobs: list[Job], converter: Converter, stop: Event) -> Iterator[Job]:
+    """Convert the waiting jobs; replace each in the list, and yield it, when it has ended.
+
+    Once ``stop`` is set no other begins; those that wait become ``stopped`` and are not yielded.
+    """
     waiting = iter([k for k, job in enumerate(jobs) if job.state == "waiting"])
     running: dict[Future[Job], int] = {}
     with ThreadPoolExecutor(converter.files) as pool:
         try:
             while True:
-                for k in islice(waiting, converter.files - len(running)):
+                free = 0 if stop.is_set() else converter.files - len(running)
+                for k in islice(waiting, free):
                     jobs[k] = replace(jobs[k], state="running")
-                    running[pool.submit(converter.convert, jobs[k])] = k
+                    running[pool.submit(_converted, jobs[k], converter)] = k
                 if not running:
-                    return
+                    break
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in finished:
                     k = running.pop(future)
@@ -191,19 +271,30 @@ def run(jobs: list[Job], converter: Converter) -> Iterator[Job]:
         except BaseException:  # the caller gave up, too
             converter.stop()
             raise
+    for k in waiting:
+        jobs[k] = replace(jobs[k], state="stopped")
+
+
+def _converted(job: Job, converter: Converter) -> Job:
+    try:
+        job.target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return replace(job, state="failed", error=f"{job.target.parent}: {error.strerror}")
+    return converter.convert(job)
 
 
 # ---------------------------------------------------------------------- a watched folder
 
-SUFFIXES = (".gcode", ".gco", ".g")
 UPLOAD_PAUSE = 2.0  # s without a change after which an upload counts as complete
 
 
-def watch_folder(watched: Path, folder: Path, first_line: bytes) -> Iterator[list[Job]]:
-    """Yield lists of files to convert, until interrupted.
+def watch_folder(
+    watched: Path, folder: Path, first_line: bytes, stop: Event
+) -> Iterator[list[Job]]:
+    """Yield lists of files to convert from a folder and its subfolders, until ``stop`` is set.
 
-    The caller converts each list in place before it asks for the next: a file that failed is not
-    tried again until it changes. Raises HframeError where the package watchfiles is missing.
+    The caller converts each list in place before it asks for the next: no file is tried again
+    until it changes. Raises HframeError where the package watchfiles is missing.
     """
     try:
         from watchfiles import watch
@@ -212,24 +303,23 @@ def watch_folder(watched: Path, folder: Path, first_line: bytes) -> Iterator[lis
             f"--watch needs watchfiles. Install it with: {install_advice('watchfiles')}"
         ) from None
 
-    failed: dict[Path, tuple[int, int]] = {}
-    for _ in watch(watched, recursive=False, yield_on_timeout=True, rust_timeout=1000,
-                   raise_interrupt=False):  # fmt: skip
+    tried: dict[Path, tuple[int, int]] = {}
+    for _ in watch(watched, yield_on_timeout=True, rust_timeout=1000, raise_interrupt=False,
+                   stop_event=stop):  # fmt: skip
         found = [
-            path
-            for path in sorted(watched.iterdir())
-            if _is_complete_gcode(path) and failed.get(path) != _version(path)
+            (path, folder / path.relative_to(watched))
+            for path in _gcode_in(watched, folder, lambda _: None)  # some may be deleted by now
+            if _is_complete(path) and tried.get(path) != _version(path)
         ]
-        jobs = [job for job in jobs_for(found, folder, first_line) if not job.finished]
+        jobs = [job for job in jobs_for(found, first_line) if not job.finished]
+        versions = {job.source: _version(job.source) for job in jobs}  # before they are read
         if jobs:
             yield jobs
-        failed |= {job.source: _version(job.source) for job in jobs if job.state == "failed"}
+        tried |= versions
 
 
-def _is_complete_gcode(path: Path) -> bool:
-    if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or not path.is_file():
-        return False
-    return time.time() - _version(path)[0] / 1e9 >= UPLOAD_PAUSE
+def _is_complete(path: Path) -> bool:
+    return path.is_file() and time.time() - _version(path)[0] / 1e9 >= UPLOAD_PAUSE
 
 
 def _version(path: Path) -> tuple[int, int]:

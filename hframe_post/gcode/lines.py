@@ -26,10 +26,16 @@ NOT_TEXT = {  # first bytes of files that are taken for G-code
     b"\xfe\xff": "this file is UTF-16: save it as UTF-8",
 }
 SUFFIX = ".bgcode"
+NAMES = (".gcode", ".gco", ".g", SUFFIX)  # ends of the names of files of G-code
 MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
 MAX_LINES_AHEAD = 4000  # that can be seen before their turn
 MAX_BYTES_AHEAD = 1 << 20
 BYTES_PER_READ = 1 << 18
+
+
+def is_gcode_name(name: str) -> bool:
+    """Return whether a file's name is one of G-code."""
+    return name.lower().endswith(NAMES)
 
 
 def is_binary(path: Path) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import RECTANGLE, WAIT, run, started, until
-from tests.conftest import SAMPLES
+from tests.conftest import SAMPLES, few
 
 
 @pytest.fixture
@@ -42,8 +42,98 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     summary = json.loads((tmp_path / "s.json").read_text())
     assert [each["state"] for each in summary["files"]] == ["done", "failed", "done"]
     assert summary["files"][1]["error"].startswith("line 3: ")
+    assert summary["files"][1]["line"] == 3
+    assert (summary["status"], summary["failed"], summary["interrupted"]) == (1, 1, False)
+    *_, again, warning, counts = done.stderr.decode().splitlines()
+    assert again.startswith(f"failed  {jobs[1]}: line 3: ")
+    assert warning.startswith(f"WARNING {jobs[0]}, {jobs[2]}: NOT VERIFIED on a machine")
+    assert counts.endswith("1 failed, 2 with warnings; --resume tries only those again")
     assert summary["files"][0]["summary"]["moves"] == 4
     assert "\x1b" not in done.stderr.decode()
+
+
+def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Path) -> None:
+    for name, share in (("a", 32.9), ("b", 0.1)):
+        lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{100 - share} F3000", "A_MACRO")
+        (tmp_path / f"{name}.gcode").write_text("\n".join([*lines, f"G1 X160 E{share}\n"]))
+    done = run("batch", tmp_path, "-d", tmp_path / "out")
+    assert done.returncode == 0
+    warning = "32.9 % of the extrusion is not compensated, mostly after A_MACRO"
+    shown = done.stderr.decode().splitlines()
+    own = next(k for k, line in enumerate(shown) if line.startswith(f"done    {tmp_path}/a.gcode"))
+    assert any(warning in line for line in shown[own + 1 : own + 3])
+    assert any(line.startswith(f"WARNING {tmp_path}/a.gcode: {warning}") for line in shown[-3:-1])
+    assert shown[-1] == "2 converted, 0 skipped, 0 failed, 2 with warnings"
+
+
+def test_a_folder_keeps_its_subfolders(tmp_path: Path) -> None:
+    jobs, out = tmp_path / "jobs", tmp_path / "jobs" / "out"
+    for name in ("a.gcode", "x/a.GCO", "x/y/a.gcode", ".hidden/a.gcode", "x/._a.gcode", "x/a.txt"):
+        (jobs / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(RECTANGLE, jobs / name)
+    converted = ["a.gcode", "x/a.GCO", "x/y/a.gcode"]
+    for expected in (b"3 converted, 0 skipped", b"0 converted, 3 skipped"):
+        done = run("batch", jobs, "-d", out, "--resume")
+        assert done.returncode == 0, done.stderr
+        assert expected in done.stderr
+        files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+        assert files == converted
+    nothing = run("batch", jobs / ".hidden" / "..", "-d", jobs)
+    assert nothing.returncode == 2
+    assert b"would replace the input" in nothing.stderr
+    (tmp_path / "empty").mkdir()
+    nothing = run("batch", tmp_path / "empty", "-d", out)
+    assert (nothing.returncode, b"empty holds no G-code" in nothing.stderr) == (2, True)
+
+
+def test_two_files_of_one_name_are_both_named(tmp_path: Path) -> None:
+    paths = [tmp_path / name / "part.gcode" for name in ("a", "b")]
+    for path in paths:
+        path.parent.mkdir()
+        shutil.copy(RECTANGLE, path)
+    done = run("batch", *paths, "-d", tmp_path / "out")
+    assert done.returncode == 2
+    assert f"{paths[0]} and {paths[1]} would both be written to" in done.stderr.decode()
+    assert not (tmp_path / "out").exists()
+
+
+def test_names_may_begin_with_a_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(RECTANGLE, "--force.gcode")
+    done = run("batch", "-d", "-out", "--", "--force.gcode")
+    assert done.returncode == 0, done.stderr
+    assert Path("-out", "--force.gcode").is_file()
+    done = run("batch", "-d", "out", "--force.gcode")
+    assert done.returncode == 2
+    assert b"type ./--force.gcode" in done.stderr
+
+
+@pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], 1))
+def test_what_was_done_before_an_interruption_is_reported(
+    jobs: list[Path], tmp_path: Path, number: signal.Signals
+) -> None:
+    long, last = tmp_path / "long.gcode", tmp_path / "last.gcode"
+    shutil.copy(SAMPLES / "prism.gcode", long)
+    shutil.copy(RECTANGLE, last)
+    out, summary = tmp_path / "out", tmp_path / "s.json"
+    with started(
+        "batch", jobs[0], jobs[1], long, last, "-d", out, "-j", "1", "--json", summary
+    ) as batch:
+        assert batch.stderr is not None
+        while not batch.stderr.readline().startswith(b"failed"):
+            assert batch.poll() is None
+        until(lambda: bool(list(out.glob(".*.tmp"))))  # of the long one
+        batch.send_signal(number)
+        _, error = batch.communicate(timeout=WAIT)
+    assert batch.returncode == -number  # a shell says 128 + number
+    found = json.loads(summary.read_text())
+    assert (found["status"], found["interrupted"]) == (128 + number, True)
+    states = [each["state"] for each in found["files"]]
+    assert states == ["done", "failed", "stopped", "stopped"]
+    text = error.decode()
+    assert text.count(f"failed  {jobs[1]}: line 3: ") == 1  # once more
+    assert "1 converted, 0 skipped, 1 failed, 1 with warnings, 2 not converted" in text
+    assert [path.name for path in out.iterdir()] == ["a.gcode"]
 
 
 def test_resume_converts_what_is_missing_changed_or_of_other_settings(
@@ -80,21 +170,31 @@ def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_p
 
 def test_what_lands_in_a_watched_folder_is_converted(tmp_path: Path) -> None:
     pytest.importorskip("watchfiles")
-    uploads, out = tmp_path / "uploads", tmp_path / "out"
+    uploads, out, summary = tmp_path / "uploads", tmp_path / "out", tmp_path / "s.json"
     uploads.mkdir()
-    with started("batch", "--watch", uploads, "-d", out) as batch:
+    with started("batch", "--watch", uploads, "-d", out, "--json", summary) as batch:
         until(out.is_dir)
         shutil.copy(RECTANGLE, uploads / "part.gcode.part")  # an upload, renamed at its end
         (uploads / "part.gcode.part").rename(uploads / "part.gcode")
         (uploads / "notes.txt").write_text("no G-code")
         (uploads / "bad.gcode").write_text("nonsense without a move\n")
-        until((out / "part.gcode").is_file)
-        assert (out / "part.gcode").read_bytes().startswith(b"; processed by hframe-post")
+        (uploads / "sub").mkdir()
+        shutil.copy(RECTANGLE, uploads / "sub" / "part.gcode")
+        (uploads / "sub" / "off.gcode").write_text("; hframe-post: off\nG1 X1 Y1 Z1 F60\n")
+        names = ("part.gcode", "sub/part.gcode", "sub/off.gcode")
+        until(lambda: all((out / name).is_file() for name in names))
+        for name in names[:2]:
+            assert (out / name).read_bytes().startswith(b"; processed by hframe-post")
         time.sleep(1.0)  # longer than it takes to notice a change
-        assert [path.name for path in out.iterdir()] == ["part.gcode"]
+        files = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+        assert files == set(names)
         batch.send_signal(signal.SIGINT)
         _, error = batch.communicate(timeout=WAIT)
-    assert error.count(b"failed") == 1  # the bad one, once
+    lines = error.decode().splitlines()
+    assert sum(line.startswith("failed") for line in lines) == 2  # the bad one, once; and the end
+    assert sum(line.startswith("done") for line in lines) == 3
+    assert "3 converted, 0 skipped, 1 failed" in lines[-1]
+    assert json.loads(summary.read_text())["failed"] == 1
 
 
 def test_wrong_usage(jobs: list[Path], tmp_path: Path) -> None:
