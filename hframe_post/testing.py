@@ -13,6 +13,7 @@ from os import PathLike
 from pathlib import Path
 
 from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
 
 Gcode = str | PathLike[str] | bytes  # a file's path, or a file's content
@@ -36,7 +37,7 @@ def assert_same_motion(
         a, b = (
             each.splitlines(keepends=True)
             if isinstance(each, bytes)
-            else files.enter_context(Path(each).open("rb"))
+            else lines_of(files.enter_context(Path(each).open("rb")))
             for each in (expected, actual)
         )
         compared = compare(a, b, dialect(firmware), Tolerance(tolerance, slack))

@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from threading import Event
+from typing import Any
 
 import click
 
 from hframe_post import library
 from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.jobs import Converter, Job, LocalProcesses, jobs_for, run, watch_folder
+from hframe_post.batch.jobs import (
+    Converter,
+    Job,
+    LocalProcesses,
+    State,
+    jobs_for,
+    run,
+    targets,
+    watch_folder,
+)
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     compensation_option,
     files_read,
     force_option,
-    json_option,
     limits_option,
     old_option,
     on_limit_option,
-    open_json,
     printer_option,
     say,
 )
 from hframe_post.errors import HframeError
 from hframe_post.gcode.state import LimitSource
 from hframe_post.printer.profile import check_identified
+from hframe_post.process import Interruption
 from hframe_post.writers.files import Outputs
 
 CLEAR_LINE = "\r\x1b[K"
@@ -38,11 +50,11 @@ def address(text: str) -> str:
 
 
 @click.command()
-@click.argument("sources", nargs=-1, type=click.Path(path_type=Path, exists=True, dir_okay=False),
-                metavar="[FILE]...")  # fmt: skip
+@click.argument("sources", nargs=-1, type=click.Path(path_type=Path, exists=True),
+                metavar="[FILE|FOLDER]...")  # fmt: skip
 @click.option(
     "-d", "--directory", "folder", required=True, type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for the converted files, which keep their names.",
+    help="Folder for the converted files, which keep their names, and the subfolders of a FOLDER.",
 )  # fmt: skip
 @click.option(
     "-j", "--jobs", type=click.IntRange(1, 256),
@@ -59,7 +71,8 @@ def address(text: str) -> str:
 )  # fmt: skip
 @click.option(
     "--watch", "watched", type=click.Path(path_type=Path, file_okay=False, exists=True),
-    metavar="FOLDER", help="Convert files as they arrive in a folder, until stopped with Ctrl-C.",
+    metavar="FOLDER", help="Convert files as they arrive in a folder or its subfolders, until "
+    "stopped with Ctrl-C.",
 )  # fmt: skip
 @click.option(
     "--scheduler", type=address, metavar="tcp://HOST:PORT",
@@ -75,63 +88,117 @@ def batch(
     printer: str, compensation: str | None, limits: LimitSource, on_limit: str, force: bool,
     resume: bool, watched: Path | None, scheduler: str | None, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Convert many files. A file that fails does not stop the others.
+    """Convert files, and all G-code in folders. A file that fails does not stop the others.
 
-    Exit status: 0 if every file is converted, 1 if some failed, 2 for wrong usage.
+    Exit status: 0 if every file is converted, 1 if some failed, 2 for wrong usage. Ctrl-C stops it
+    with the summary of what was done until then, and status 130.
 
     \b
     Examples:
       hframe-post batch jobs/*.gcode -d out/ -p my.toml --resume
+      hframe-post batch jobs/ -d out/
       hframe-post batch --watch uploads/ -d printable/
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
-    _check_usage(sources, watched, folder, json_file)
+    _check_usage(sources, watched, folder)
     profile = library.load_printer(printer)
     first_line = library.first_line(
         profile, strategy=compensation, limits=limits, clamp=on_limit == "clamp"
     )
     if compensation != "none" and not force:
         check_identified(profile)
+    try:
+        todo = jobs_for(targets(sources, folder), first_line if resume else b"")
+    except HframeError as error:
+        raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
     options = ["--limits", limits, "--on-limit", on_limit, *(["--force"] if force else [])]
     options += ["-c", compensation] if compensation else []
     converter: Converter = LocalProcesses(jobs, ["-p", printer, *options])
     if scheduler is not None:
         converter = Cluster(scheduler, jobs, printer, options, first_line)
-    if watched is not None:
-        if not quiet:
-            say(f"watching {watched}; stop with Ctrl-C")
-        for arrived in watch_folder(watched, folder, first_line):
-            _convert(arrived, converter, quiet)
-        return
-    try:
-        todo = jobs_for(sources, folder, first_line if resume else b"")
-    except HframeError as error:
-        raise click.UsageError(str(error)) from None
-    with Outputs(files_read(*sources, printer)) as outputs:
+    interruption, results = Interruption(), Results(quiet)
+    with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
-        _convert(todo, converter, quiet)
-        failed = sum(job.state == "failed" for job in todo)
-        write_json({"files": [job.as_json() for job in todo], "failed": failed})
-    if not quiet:
-        skipped = sum(job.state == "skipped" for job in todo)
-        summary = f"{len(todo) - skipped - failed} converted, {skipped} skipped, {failed} failed"
-        say(f"{summary}; --resume tries only those again" if failed else summary)
-    context.exit(1 if failed else 0)
+        with interruption.put_off(converter.stop):
+            if watched is None:
+                _convert(todo, converter, interruption.event, results)
+            else:
+                results.say(f"watching {watched}; stop with Ctrl-C")
+                for arrived in watch_folder(watched, folder, first_line, interruption.event):
+                    _convert(arrived, converter, interruption.event, results)
+        status = results.status
+        if interruption.number:
+            status = 128 + interruption.number
+        write_json({**results.as_json(), "interrupted": bool(interruption.number)}, status)
+    results.say(results.as_text())
+    interruption.end()
+    context.exit(status)
 
 
-def _check_usage(
-    sources: tuple[Path, ...], watched: Path | None, folder: Path, json_file: Path | None
-) -> None:
+def _check_usage(sources: tuple[Path, ...], watched: Path | None, folder: Path) -> None:
     if bool(sources) == (watched is not None):
-        raise click.UsageError("name either files or --watch FOLDER")
-    if watched is not None and json_file is not None:
-        raise click.UsageError("--watch runs until it is stopped and writes no --json summary")
+        raise click.UsageError("name either files and folders, or --watch FOLDER")
     if watched is not None and watched.resolve() == folder.resolve():
         raise click.UsageError("--watch and --directory must be different folders")
 
 
-def _convert(jobs: list[Job], converter: Converter, quiet: bool) -> None:
+class Results:
+    """What became of the files so far; a watched file that came again counts once."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self._jobs: dict[Path, Job] = {}
+        self._shown = set[str]()  # warnings
+
+    def add(self, jobs: Iterable[Job]) -> None:
+        self._jobs |= {job.source: job for job in jobs}
+
+    def say(self, text: str) -> None:
+        if not self.quiet:
+            say(text)
+
+    def show(self, job: Job, before: str) -> None:
+        """Print a result, and below it the warnings that no file before it had."""
+        new = [text for text in job.warnings if text not in self._shown]
+        self._shown.update(new)
+        self.say(before + "\n".join([job.as_text(), *(f"        WARNING: {text}" for text in new)]))
+
+    @property
+    def status(self) -> int:
+        return 0 if all(job.state in ("done", "skipped") for job in self._jobs.values()) else 1
+
+    def as_json(self) -> dict[str, Any]:
+        jobs = self._jobs.values()
+        return {"files": [job.as_json() for job in jobs], "failed": self._count("failed")}
+
+    def as_text(self) -> str:
+        """Return what needs attention, each with its files, and the counts in the last line."""
+        warned: dict[str, list[Path]] = {}
+        for job in self._jobs.values():
+            for text in job.warnings:
+                warned.setdefault(text, []).append(job.source)
+        lines = [job.as_text() for job in self._jobs.values() if job.state == "failed"]
+        lines += [f"WARNING {_some(files)}: {text}" for text, files in warned.items()]
+        counts = f"{self._count('done')} converted, {self._count('skipped')} skipped, "
+        counts += f"{self._count('failed')} failed"
+        if warned:
+            counts += f", {sum(bool(job.warnings) for job in self._jobs.values())} with warnings"
+        if stopped := self._count("stopped"):
+            counts += f", {stopped} not converted"
+        advice = "; --resume tries only those again" if self.status else ""
+        return "\n".join([*(lines if len(self._jobs) > 1 else []), counts + advice])
+
+    def _count(self, state: State) -> int:
+        return sum(job.state == state for job in self._jobs.values())
+
+
+def _some(files: list[Path]) -> str:
+    more = f" and {len(files) - 3} more" if len(files) > 3 else ""
+    return ", ".join(map(str, files[:3])) + more
+
+
+def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Results) -> None:
     """Convert the jobs in place; print each result, below them a progress bar on a terminal."""
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
     terminal = sys.stderr.isatty()
@@ -140,10 +207,10 @@ def _convert(jobs: list[Job], converter: Converter, quiet: bool) -> None:
         return f"{sum(job.finished for job in jobs)} of {len(jobs)}"
 
     with click.progressbar(
-        length=sum(sizes.values()), file=sys.stderr, hidden=quiet or not terminal,
+        length=sum(sizes.values()), file=sys.stderr, hidden=results.quiet or not terminal,
         item_show_func=count,
     ) as bar:  # fmt: skip
-        for job in run(jobs, converter):
-            if not quiet:
-                say(CLEAR_LINE * terminal + job.as_text())
+        for job in run(jobs, converter, stop):
+            results.show(job, CLEAR_LINE * terminal)
             bar.update(sizes[job.source], job)
+    results.add(jobs)

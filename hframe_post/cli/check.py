@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.options import files_read, json_option, open_json, printer_option, say
+from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.options import (
+    files_read,
+    printer_option,
+    say,
+)
 from hframe_post.cli.sweep import (
     axes_option,
     chips_option,

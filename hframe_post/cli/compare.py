@@ -7,9 +7,15 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, json_option, number, old_option, open_json
+from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.options import (
+    files_read,
+    number,
+    old_option,
+)
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import dialect
+from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Tolerance
 from hframe_post.studies.comparison.compare import compare as compare_files
 from hframe_post.writers.files import Outputs
@@ -68,7 +74,7 @@ def compare(
     The motion is the same if position, filament and time agree, however it is cut into moves. The
     first line written by hframe-post is ignored, and so are numbers in lines that announce the
     print time. Exit status: 0 if the files are the same, 1 if they differ (the first difference is
-    printed), 2 for wrong usage.
+    printed), 2 for wrong usage or a file that cannot be read.
 
     \b
     Example:
@@ -84,8 +90,9 @@ def compare(
         Outputs(files_read(a, b)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
-        result = compare_files(first, second, dialect(firmware), tolerance)
-        write_json(result.as_json())
+        result = compare_files(lines_of(first), lines_of(second), dialect(firmware), tolerance)
+        status = 0 if result.same else 1
+        write_json(result.as_json(), status)
     if not quiet:
         click.echo(result.as_text(), err=str(json_file) == "-")
-    context.exit(0 if result.same else 1)
+    context.exit(status)

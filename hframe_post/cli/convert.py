@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from hframe_post import library
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
     compensation_option,
@@ -21,13 +22,11 @@ from hframe_post.cli.options import (
     extrusion_option,
     files_read,
     force_option,
-    json_option,
     limits_option,
     log,
     number,
     old_option,
     on_limit_option,
-    open_json,
     printer_option,
     progress_bar,
     say,
@@ -138,6 +137,8 @@ def convert(
       hframe-post in.gcode --report report.html
     """
     if more:
+        if more[0].startswith("-"):  # after --, which ends the options
+            raise click.UsageError(f"{more[0]!r} follows --: put options before it")
         raise click.UsageError(
             f"one file at a time: for another output use -o {more[0]}, for many files "
             "'hframe-post batch'"

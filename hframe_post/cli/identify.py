@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     files_read,
-    json_option,
     old_option,
-    open_json,
     page_option,
     position,
 )

@@ -43,6 +43,17 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     ),
     "paper": ("paper.paper", "Reproduce the paper's tables and figures."),
 }
+_GIVEN = "hframe_post.given"  # the command line in the context's meta
+_NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
+
+
+class _Trouble(click.ClickException):
+    """A failure of a command whose status 1 has another meaning, as in diff and cmp."""
+
+    exit_code = 2
+
+
+FAILURES = {"compare": _Trouble}
 
 
 class _Commands(click.Group):
@@ -62,28 +73,59 @@ class _Commands(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
-    def resolve_command(
-        self, context: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
+    def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         """Treat an unknown command as an argument of ``convert``, unless it looks mistyped."""
-        if args[0] not in COMMANDS:
+        context.meta[_GIVEN] = args
+        if args and args[0] not in COMMANDS and args[0] not in ("-h", "--help", "--version"):
             if _looks_like_a_command(args[0]):
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
-                raise click.UsageError(f"there is no command and no file {args[0]!r}; {advice}")
+                raise click.UsageError(
+                    f"there is no command and no file {args[0]!r}; {advice}", context
+                )
             args = ["convert", *args]
-        return super().resolve_command(context, args)
+        return super().parse_args(context, args)
 
     def invoke(self, context: click.Context) -> Any:
-        """Turn errors of users and files into one line and status 1."""
+        """Turn every failure into one line, its status and, if asked for, a summary as JSON."""
         try:
             return super().invoke(context)
-        except HframeError as error:
-            raise click.ClickException(str(error)) from None
-        except BrokenPipeError:
+        except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
-        except OSError as error:
-            raise click.ClickException(_cause(error)) from None
+        except Exception as error:
+            failure = error
+        if isinstance(failure, click.ClickException):
+            shown: click.ClickException = failure
+            if isinstance(failure, _NOT_PARSED) and (advice := _advice(context.meta[_GIVEN])):
+                shown = click.UsageError(failure.format_message() + advice, failure.ctx)
+        else:
+            kind = FAILURES.get(context.invoked_subcommand or "", click.ClickException)
+            shown = kind(_text(failure))
+        from hframe_post.cli.json_summary import write_failure  # imported by the command by now
+
+        write_failure(context, shown.exit_code, shown.format_message(), failure)
+        raise shown from None
+
+
+def _text(error: Exception) -> str:
+    if isinstance(error, HframeError):
+        return str(error)
+    if isinstance(error, OSError):
+        return _cause(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory; nothing was written"
+    return _bug_report(error)  # our mistake, not the user's
+
+
+def _advice(args: list[str]) -> str:
+    """Return what to type for a file whose name begins with a dash, if one may be meant."""
+    from hframe_post.gcode.lines import is_gcode_name
+
+    options = args[: args.index("--")] if "--" in args else args
+    for word in options:
+        if word.startswith("-") and (is_gcode_name(word) or Path(word).is_file()):
+            return f" (for the file {word!r} type ./{word})"
+    return ""
 
 
 def _looks_like_a_command(word: str) -> bool:
@@ -108,7 +150,7 @@ def _cause(error: OSError) -> str:
 @click.group(
     cls=_Commands,
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"], "ignore_unknown_options": True},
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(__version__, prog_name="hframe-post")
 def main() -> None:
@@ -131,12 +173,10 @@ def run() -> NoReturn:
         status = 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 1
-    except MemoryError:
-        status = _fail("there is not enough memory; nothing was written")
     except OSError as error:  # while click wrote to standard output
         status = _fail(error.strerror or str(error))
-    except Exception as error:  # our mistake, not the user's
-        status = _fail(_bug_report(error))
+    except Exception as error:
+        status = _fail(_text(error))
     failure = process.flush_streams()
     if failure is not None and status == 0:
         status = 1 if isinstance(failure, BrokenPipeError) else _fail(str(failure))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import sys
@@ -19,7 +18,6 @@ from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.files import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _CHOICE = "hframe_post.choice"  # in a context's meta
@@ -108,30 +106,10 @@ seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
 )  # fmt: skip
 
-json_option = click.option(
-    "--json", "json_file", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    metavar="FILE", help="Write the summary as JSON; '-' for standard output.",
-)  # fmt: skip
-
 page_option = click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.HTML", help="Write a report with plots, for a browser.",
 )  # fmt: skip
-
-
-def open_json(outputs: Outputs, path: Path | None) -> Callable[[dict[str, Any]], None]:
-    """Return the function that writes a summary to a file or standard output; None: nowhere.
-
-    The file is opened at once, so that a file that cannot be written is reported before any work.
-    """
-    if path is None:
-        return lambda summary: None
-    file = outputs.open(dashed(path))
-
-    def write(summary: dict[str, Any]) -> None:
-        file.write((json.dumps(summary, indent=2) + "\n").encode())
-
-    return write
 
 
 def say(text: str) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 import click
 
 from hframe_post import library
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
     files_read,
-    json_option,
     old_option,
     on_limit_option,
-    open_json,
     opened,
     print_options,
     seed_option,

@@ -9,11 +9,10 @@ from typing import Any
 import click
 
 from hframe_post import library, plotting
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     files_read,
-    json_option,
     number,
-    open_json,
     opened,
     print_options,
     seed_option,
@@ -142,7 +141,13 @@ def tune(
                 plants = random_plants(profile.plant, model_error, draws, seed)
                 pace = pareto.pareto(kept, profile, grid, plants)
             found = summary(tuned.trials, best, model_error, draws, tuned.stops)
-            write_json(found | (pace_as_json(pace) if pace else {}))
+            failure = None
+            if best is None:
+                failure = HframeError(
+                    "no candidate stays within the motors' limits: try a larger --effort, or a "
+                    "slower print"
+                )
+            write_json(found | (pace_as_json(pace) if pace else {}), error=failure)
             if figure is not None and drawing is not None:
                 drawn = trade_off(tuned.trials, best, profile.motors, pace)
                 plotting.save(drawn, drawing, figure.suffix.removeprefix("."))
@@ -150,12 +155,9 @@ def tune(
         if tuned.stops:
             table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
         click.echo(table, err=str(json_file) == "-")
-        if best is None:
-            raise HframeError(
-                "no candidate stays within the motors' limits: try a larger --effort, or a slower "
-                "print"
-            )
-        if file is not None:
+        if failure is not None:
+            raise failure
+        if file is not None and best is not None:
             file.write(_recommended_profile(printer, best, pace).encode())
 
 

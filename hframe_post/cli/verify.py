@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     files_read,
-    json_option,
     old_option,
-    open_json,
     page_option,
     printer_option,
     say,
@@ -142,7 +141,10 @@ def _judge(
             verdict = judge(profile, plain, compensated)
             moved = {} if verdict.fault else drifted(profile, plain, compensated)
             left = {name: list(one.left) for name, one in moved.items()}
-            write_json({**verdict.as_json(), "drifted": left, "notes": notes})
+            fault = None
+            if verdict.fault is not None:
+                fault = IdentificationError(f"the profile is not verified: {verdict.fault}")
+            write_json({**verdict.as_json(), "drifted": left, "notes": notes}, error=fault)
             if html is not None:
                 setup = [("recordings", ", ".join(path.name for path in recorded))]
                 setup += [("note", note) for note in notes]
@@ -151,8 +153,8 @@ def _judge(
         for note in notes:
             say(f"WARNING     {note}")
         click.echo(verdict.as_text(), err=str(json_file) == "-")
-        if verdict.fault is not None:
-            raise IdentificationError(f"the profile is not verified: {verdict.fault}")
+        if fault is not None:
+            raise fault
         click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
             day = max(map(recorded_on, recorded)).isoformat()

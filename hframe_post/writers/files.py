@@ -34,10 +34,12 @@ Through = Callable[[], AbstractContextManager[IO[bytes]]]
 class Outputs:
     """Context manager whose files appear once all of them are written.
 
-    reads: files that the command reads, which no output may replace.
+    reads: files that the command reads, which no output may replace. appeared: whether the files
+    are there, complete.
     """
 
     def __init__(self, reads: Iterable[Path] = ()) -> None:
+        self.appeared = False
         self._taken: list[object] = []
         for path in reads:
             with contextlib.suppress(OSError):  # a missing file cannot be replaced
@@ -130,6 +132,7 @@ class Outputs:
                 if os.name != "posix":  # where an open file keeps its name
                     file.close()
                 os.replace(name, target)
+        self.appeared = True
 
 
 def _written_through(path: Path | None) -> Through | None:

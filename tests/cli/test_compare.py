@@ -49,6 +49,14 @@ def test_a_tolerance_without_a_unit_is_answered_with_units() -> None:
 
 
 def test_unreadable_files_are_errors(tmp_path: Path) -> None:
+    """Status 1 means that the files differ, so trouble is 2, as in diff and cmp."""
     missing = run("compare", RECTANGLE, tmp_path / "none.gcode")
-    assert missing.returncode == 1
+    assert missing.returncode == 2
     assert b"none.gcode: No such file" in missing.stderr
+    for content in (b"\x7fELF\x00\x00\n", b"\x1f\x8b\x08\x00", b"GCDE\x01\x00", b"G1 XNaN\n"):
+        (tmp_path / "bad.gcode").write_bytes(content)
+        unreadable = run("compare", RECTANGLE, tmp_path / "bad.gcode")
+        assert unreadable.returncode == 2, content
+        assert unreadable.stderr.startswith(b"Error: b: "), unreadable.stderr
+    assert run("compare", RECTANGLE, tmp_path).returncode == 2
+    assert run("compare", RECTANGLE, RECTANGLE, "--json", tmp_path / "no" / "a").returncode == 2

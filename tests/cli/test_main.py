@@ -196,6 +196,26 @@ def test_a_second_file_is_answered_with_the_option_for_the_output(part: Path) ->
     assert b"use -o out.gcode" in done.stderr
 
 
+def test_names_that_begin_with_a_dash(part: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(part.parent)
+    for name in ("-part.gcode", "-h.gcode", "--force.gcode", "-dash.gcode"):
+        part = part.rename(name)
+        refused = run(name, "-o", "out.gcode")
+        assert refused.returncode == 2, name
+        assert f"(for the file {name!r} type ./{name})" in refused.stderr.decode()
+        assert not refused.stdout
+    for command in ("convert", "simulate", "compare"):
+        assert b"type ./-dash.gcode" in run(command, name).stderr
+    for given in ((f"./{name}",), ("--", name)):
+        assert run("-n", "-q", *given).returncode == 0
+        assert run("convert", "-n", "-q", *given).returncode == 0
+    assert run("compare", "-q", "--", name, RECTANGLE).returncode == 0
+    assert part.read_bytes() == RECTANGLE.read_bytes()
+    behind = run("--", part.name, "-n")
+    assert behind.returncode == 2
+    assert b"'-n' follows --: put options before it" in behind.stderr
+
+
 def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None:
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2

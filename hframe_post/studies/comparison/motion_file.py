@@ -54,6 +54,8 @@ def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[Section]:
     source = Lines(lines, dialect.cr_ends_lines)
     reader = _Reader(source, dialect)
     for line in source:
+        if b"\0" in line.text:
+            raise GcodeError("this is not a text file", line.number)
         moves = reader.apply(line)
         if not (moves or line.text.startswith((STAMP, SUMMARY.line))):
             yield reader.section(line._replace(text=line.text.rstrip()))
