@@ -230,7 +230,8 @@ def _settings(
     # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
     height = offset[2] if len(offset) > 2 else None
-    settings = Settings(band, L_G, racks, (offset[0], offset[1]), height)
+    bed_moves = profile.kinematics.bed_moves
+    settings = Settings(band, L_G, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
 
 

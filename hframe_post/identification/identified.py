@@ -74,7 +74,8 @@ class Identified:
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
     noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
     more than once at one place. couplings: what x and y do to each other. lever_arm_sd: standard
-    deviations of x_c (mm) and of racking (relative), if racking was found by the lever arm.
+    deviations of x_c (mm) and of racking (relative), if racking was found by the lever arm. notes:
+    what compensation cannot know.
     """
 
     measured: dict[str, Measured]
@@ -89,6 +90,7 @@ class Identified:
     lever_arm_sd: tuple[float, float] | None
     repetitions: dict[str, Repetition]
     couplings: list[MeasuredCoupling]
+    notes: list[str]
 
     @property
     def model_error(self) -> float:

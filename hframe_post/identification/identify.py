@@ -14,7 +14,13 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling, pitching
+from hframe_post.identification.diagnosis.coupling import (
+    MeasuredCoupling,
+    Pitch,
+    find_coupling,
+    pitch_note,
+    pitching,
+)
 from hframe_post.identification.diagnosis.nonlinearity import (
     AxisSweeps,
     LinearPrinter,
@@ -116,12 +122,13 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
-    for name, group in groups.items():
-        warnings += _pitching(AXIS[name], group, settings)
+    on_head = [name for name in groups if not (settings.bed_moves and name == "Gyy")]
+    pitches = [_pitching(AXIS[name], groups[name], settings) for name in on_head]
+    seen = [one for one in pitches if one is not None]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
         mode_shift, nonlinearity, uncertainties, lever_arm_sd, repetitions,
-        [one for one in couplings if one is not None],
+        [one for one in couplings if one is not None], [pitch_note(seen)] if seen else [],
     )  # fmt: skip
 
 
@@ -268,13 +275,13 @@ def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
     return replace(run, across=replace(run.across, H=run.across.H - turned))
 
 
-def _pitching(axis: str, group: RunGroup, settings: Settings) -> list[str]:
+def _pitching(axis: str, group: RunGroup, settings: Settings) -> Pitch | None:
     found = [
         pitching(axis, run.response, run.z, settings.height)
         for run in group.runs
         if run.z is not None
     ]
-    return [message for message in found[-1:] if message]
+    return found[-1] if found else None
 
 
 def _find_nonlinearity(

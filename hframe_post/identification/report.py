@@ -129,11 +129,12 @@ class IdentificationReport:
 
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
+        notes = list(self.identified.notes)
         if missing:
-            return [f"{missing[0]} was not recorded, so the profile compensates nothing in it"]
-        if self.identified.racking_below_noise:
-            return ["racking is too small to measure here: the profile cancels ringing only"]
-        return []
+            notes.append(f"{missing[0]} was not recorded, so the profile compensates nothing in it")
+        elif self.identified.racking_below_noise:
+            notes.append("racking is too small to measure here: the profile cancels ringing only")
+        return notes
 
     def as_text(self) -> str:
         used = [f"{label:13s}{text}" for label, text in self.gathered.rows()]

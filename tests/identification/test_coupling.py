@@ -11,7 +11,12 @@ import pytest
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling, pitching
+from hframe_post.identification.diagnosis.coupling import (
+    MeasuredCoupling,
+    find_coupling,
+    pitch_note,
+    pitching,
+)
 from hframe_post.identification.fitting.modal import Data, Modal, Parameters, Structure, refine
 from hframe_post.identification.fitting.shared import in_print
 from hframe_post.identification.recordings.alignment import acceleration
@@ -337,11 +342,16 @@ def test_diagonals_are_one_recording_however_many() -> None:
 def test_a_head_that_pitches_is_reported_with_what_one_height_hides() -> None:
     along, _ = Coupled().measured((1.0, 0.0), 1)
     pitch = replace(along, H=0.5 * along.H * (along.hz > 30.0))
-    text = pitching("x", along, pitch, 40.0)
-    assert text is not None
-    assert "0.5 times as strongly as x" in text
-    assert "40 mm above the nozzle" in text
-    assert "A sensor above the nozzle" in str(pitching("x", along, pitch, None))
+    found = pitching("x", along, pitch, 40.0)
+    assert found is not None
+    assert found.share == pytest.approx(0.5, abs=0.02)
+    assert found.hz > 30.0
+    assert pitching("x", along, pitch, None) == found
+    text = pitch_note([found, replace(found, axis="y", hz=65.2, share=1.0)])
+    assert text.count("the head pitches") == 1
+    assert "0.5 times x at" in text
+    assert "1.0 times y at 65 Hz" in text
+    assert "may bring less than predicted" in text
     assert pitching("x", along, pitch, 0.0) is None  # at the nozzle's height nothing is hidden
     assert pitching("x", along, replace(along, H=0.1 * along.H), 40.0) is None
     silent = replace(along, coherence=np.full(len(along.hz), 1e-3))

@@ -91,7 +91,7 @@ def test_folders_that_give_nothing_are_refused_in_one_line(tmp_path: Path, confi
     ]
     for text, words in (
         (b"".join(lines[:12000]), "cut"),
-        (lines[0] + b"".join(lines[9000:]), "complete"),
+        (lines[0] + b"".join(lines[9000:]), "begins in the middle of the resonance test"),
         (b"".join(lines)[:-12], r"too few columns.*cut off"),
         (lines[0] + b"".join(noise), "shows no resonance test"),
         (b"freq,psd_x,psd_y,psd_z,psd_xyz\n1,2,3,4,5\n", "a spectrum"),

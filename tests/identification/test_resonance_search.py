@@ -115,3 +115,15 @@ def test_input_shaping_is_noticed() -> None:
     chip = replace(drawn_sensor(seed, "lis2dw-394"), lead=0.4)
     with pytest.raises(IdentificationError, match="input shaping was on during the test"):
         find(chip.record(machine, shaped, seed), test)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.1])
+def test_a_sensor_that_does_not_move_with_the_axis_is_not_taken_for_shaping(share: float) -> None:
+    """It sits on the head while the bed moves, and feels what the frame passes on."""
+    chip = replace(drawn_sensor(8, "adxl345"), lead=0.4)
+    test = klipper(X, **QUICK)
+    made = chip.record(linear_printer(8), test.command(), 8)
+    rest = made.a.mean(axis=0)
+    passed_on = replace(made, a=rest + share * (made.a - rest), started=False)
+    with pytest.raises(IdentificationError, match="not on what this axis moves"):
+        find(passed_on, test)

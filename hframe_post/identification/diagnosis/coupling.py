@@ -188,10 +188,19 @@ def _smoothed(values: Array | Complex, n: int) -> Complex:
     return np.asarray(np.convolve(padded, np.ones(n) / n, "valid"))
 
 
+@dataclass(frozen=True, slots=True)
+class Pitch:
+    """What z shows while ``axis`` moves: where most, and how much, relative to the axis itself."""
+
+    axis: str
+    hz: float
+    share: float
+
+
 def pitching(
     axis: str, along: FrequencyResponse, z: FrequencyResponse, height: float | None
-) -> str | None:
-    """Return a warning if the head pitches while ``axis`` moves; None if it does not.
+) -> Pitch | None:
+    """Return how the head pitches while ``axis`` moves; None if it does not.
 
     z: the response of the sensor's z to the same command. height: mm of the sensor above the
     nozzle, the z of --sensor-offset; None if it is unknown. A head that pitches by φ moves a sensor
@@ -208,9 +217,14 @@ def pitching(
     most = int(np.argmax(np.where(strong, share, 0.0)))
     if share[most] < PITCHES:
         return None
-    where = "above the nozzle" if height is None else f"{height:g} mm above the nozzle"
+    return Pitch(axis, float(z.hz[most]), float(share[most]))
+
+
+def pitch_note(found: Sequence[Pitch]) -> str:
+    """Return what pitching costs, in one note for all axes."""
+    shown = " and ".join(f"{one.share:.1f} times {one.axis} at {one.hz:.0f} Hz" for one in found)
     return (
-        f"the head pitches: at {z.hz[most]:.0f} Hz z answers {share[most]:.1f} times as strongly "
-        f"as {axis} does. A sensor {where} feels more or less of that than the nozzle, and one "
-        "height does not tell how much. Record again with the sensor at another height"
+        f"the head pitches: the sensor's z answers {shown}. Around there a sensor above the nozzle "
+        "feels another motion than the nozzle makes, so compensation may bring less than predicted "
+        "('--sensor-offset 0,0,0' if it sits at the nozzle's height)"
     )

@@ -36,6 +36,11 @@ REACH = 16  # steps by which the start may be off the line's
 LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
 ALIKE = 0.01  # of that share, by which the first frequency expected may fall behind another
 LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency
+LEAST_MOVED = 0.2  # of the level expected: sensors and settings differ less
+ELSEWHERE = (
+    "not on what this axis moves, but on a bed that moves in y alone, on a head whose bed moves in "
+    "y, or on another head"
+)
 LEAST_PEAK = 1.5  # of the level; with shaping 1.2, without 2.9 and more on 20 drawn printers
 PERIODS = (0.3, 4.0)  # s, of sweeping
 LEAST_SWEEPING = 30.0  # mm/s²
@@ -92,9 +97,11 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     low, high = _low_band(hz, level)
     known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
     fit = _best(_low(a, drift), known, line, drift, high)
-    _check_motion(fit, line, hz[hz <= high], level[hz <= high], expected)
+    if fit.test.min_freq != expected.min_freq and not _rests_before(a, fit.start * (1.0 + drift)):
+        raise _cut_at_start(line)
+    _check_motion(fit, line, hz[hz <= high], level[hz <= high])
     last = _last_hz(a, line, drift, fit, expected)
-    _check_shaping(level, low)
+    _check_shaping(level, low, expected)
     test = _with_levels(fit, low / (1.0 + drift), expected)
     start = float(recording.t[0] + fit.start * (1.0 + drift))
     return Found(replace(test, max_freq=last), start, drift)
@@ -255,16 +262,21 @@ def _cut_at_start(line: Line) -> IdentificationError:
     )
 
 
-def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array, expected: ResonanceTest) -> None:
-    if fit.start < REST and fit.test.min_freq != expected.min_freq:
-        raise _cut_at_start(line)
+def _rests_before(a: Array, start: float) -> bool:
+    """Return whether the printer of a recording stands before a motion that starts at s."""
+    first = int((start - REST) * RATE)
+    moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
+    return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
+
+
+def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array) -> None:
     # pulses grow with the frequency, which a sine sweep of constant acceleration does not
     growth = float(np.polyfit(np.log(hz), np.log(level), 1)[0])
     if fit.like < LEAST_LIKE or growth < LEAST_GROWTH:
         raise IdentificationError(
             f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but "
-            "it does not follow that motion: another program made it, or input shaping was on "
-            "(INPUT_SHAPING=1)"
+            f"it does not follow that motion. The sensor was {ELSEWHERE}, input shaping was on "
+            "(INPUT_SHAPING=1), or another program made it"
         )
 
 
@@ -301,8 +313,13 @@ def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceT
     return round(last, 1)
 
 
-def _check_shaping(level: Array, base: float) -> None:
+def _check_shaping(level: Array, base: float, expected: ResonanceTest) -> None:
     """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
+    if base < LEAST_MOVED * expected.accel_per_hz:
+        raise IdentificationError(
+            f"the sensor moved {100.0 * base / expected.accel_per_hz:.0f} % as much as the test "
+            f"moves its axis: it was {ELSEWHERE}"
+        )
     if level.max() < LEAST_PEAK * base and level.min() < 0.5 * base:
         raise IdentificationError(
             "the recording shows no resonance: input shaping was on during the test. Repeat "

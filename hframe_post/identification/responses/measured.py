@@ -92,8 +92,8 @@ class Settings:
 
     L_G: distance of P1 and P2, mm. racks: whether the kinematics can rack. offset: from the
     nozzle to its sensor in x and y, mm. height: of the sensor above the nozzle, mm, if known.
-    step: mm of belt for one motor step. sensor: gains of the sensor along x and y if they were
-    measured with gravity.
+    step: mm of belt for one motor step. bed_moves: whether y moves the bed, with its sensor.
+    sensor: gains of the sensor along x and y if they were measured with gravity.
     """
 
     band_hz: tuple[float, float]
@@ -102,6 +102,7 @@ class Settings:
     offset: tuple[float, float] = (0.0, 0.0)
     height: float | None = None
     step: float = 0.02
+    bed_moves: bool = False
     sensor: tuple[float, float] | None = None
 
 
