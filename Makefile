@@ -27,7 +27,7 @@ slow hosts: export MOONRAKER_PYTHON ?= $(wildcard $(MOONRAKER)/bin/python)
 slow hosts: export OCTOPRINT_PYTHON ?= $(wildcard $(OCTOPRINT)/bin/python)
 slow: export MAINLINE_KLIPPER ?= $(dir $(wildcard $(MAINLINE)/ready))
 slow:
-	$(PYTHON) -m pytest -m slow -n auto --dist worksteal
+	$(PYTHON) -m pytest -m slow -n auto --dist worksteal --durations=20
 
 hosts: $(MOONRAKER)/ready $(OCTOPRINT)/ready
 	$(PYTHON) -m pytest -m slow tests/hosts
