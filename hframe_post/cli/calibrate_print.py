@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from hframe_post.cli.options import files_read, number, printer_option, say, share
+from hframe_post.cli.options import files_read, number, printer_option, quoted, say, share
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
 from hframe_post.printer.edit import with_plant
@@ -103,8 +103,8 @@ def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, floa
         outputs.open(target).write(empty.encode())
     say(
         f"Print {output}. Measure the waves on its right and back wall with a ruler, and fill in "
-        f"{target}, which says how. Next: hframe-post calibrate-print -p {printer} --form {target} "
-        f"-o {printer}"
+        f"{target}, which says how. Next: hframe-post calibrate-print -p {quoted(printer)} --form "
+        f"{quoted(target)} -o {quoted(printer)}"
     )
 
 
@@ -137,7 +137,7 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     if profile.kinematics.racks and racking is None:
         say("note         the low wall shows too little racking: the profile cancels ringing only")
     by = max(FINEST, 50.0 * off)
-    say(f"Next: hframe-post calibrate-print -p {output} --compare {by:.0f}% -o three.gcode")
+    say(f"Next: hframe-post calibrate-print -p {quoted(output)} --compare {by:.0f}% -o three.gcode")
 
 
 def _compare(
@@ -155,8 +155,8 @@ def _compare(
     say(
         f"Print {output}. Which square has the fewest waves on its right wall (x), which on its "
         f"back wall (y)? The left one is {low}, the middle one 0, the right one {high}. For the "
-        f"left one in x and the middle one in y, run hframe-post calibrate-print -p {printer} "
-        f"--pick {low} 0 -o {printer}"
+        "left one in x and the middle one in y, run hframe-post calibrate-print -p "
+        f"{quoted(printer)} --pick {low} 0 -o {quoted(printer)}"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
 _CHOICE = "hframe_post.choice"  # in a context's meta
 
 
@@ -120,7 +122,7 @@ def say(text: str) -> None:
 
 def quoted(path: str | Path) -> str:
     """Return a path as a shell takes it."""
-    return f'"{path}"' if " " in str(path) else str(path)
+    return f'"{path}"' if SPECIAL.search(str(path)) else str(path)
 
 
 def files_read(*names: str | Path | None) -> list[Path]:

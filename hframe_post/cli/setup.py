@@ -190,7 +190,7 @@ Next:
   2. Restart Klipper, home, and run on its console TEST_RESONANCES AXIS=X OUTPUT=raw_data{places};
      then the same with AXIS=Y. docs/start.md has the commands, also for a bed that moves.
   3. Fetch raw_data_*.csv from /tmp of Klipper's host into a folder recordings, and run
-     hframe-post identify recordings --printer-cfg {self.path} -o {target}"""
+     hframe-post identify recordings --printer-cfg {quoted(self.path)} -o {quoted(target)}"""
 
 
 class _Marlin:
@@ -225,7 +225,7 @@ class _Marlin:
         return f"""
 Next: measure the printer (docs/start.md#marlin).
   With an accelerometer: hframe-post sweep -o sweep.gcode, record while the printer plays it, and
-  hframe-post identify recordings -o {target}
+  hframe-post identify recordings -o {quoted(target)}
   With a ruler only: hframe-post calibrate-print -o tower.gcode"""
 
 
@@ -273,7 +273,8 @@ def _summary(source: _Source, profile: Printer, target: str, kind: Known) -> Ite
     if kind.origin.startswith("assumed"):
         other = "hbot" if source.decided else "corexy"
         shown = "an H-bot" if source.decided else "a CoreXY"
-        yield f"                 for {shown}: hframe-post setup {source.path} --kinematics {other}"
+        command = f"hframe-post setup {quoted(source.path)} --kinematics {other}"
+        yield f"                 for {shown}: {command}"
     yield f"path             at most {limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
     yield (
         f"belts            at most {motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} "

@@ -29,6 +29,8 @@ OUTCOMES = {
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
     # of motors whose limits are too low. On marlin500 a good print must come out: see its issue
     "belts": (1, r"Error: line \d+: belt acceleration \(mm/s²\) would be .*, the printer's limit"),
+    "either": (1, r"Error: line \d+: (x of the path|belt acceleration) .* would be"),  # the first
+    "none": (1, r"Error: no candidate stays within the motors' limits"),
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
     "differ": (1, r"the same up to there: .* moves"),

@@ -1,0 +1,35 @@
+"""Commands that messages advise can be typed as they stand, whatever the files are called."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from hframe_post.cli.options import quoted
+from tests.command_line import run
+from tests.printers import M503, REAL
+
+
+@pytest.mark.parametrize("name", ["printer.toml", "my printer.toml", "printer(2).toml", "a&b.toml"])
+def test_a_shell_takes_a_quoted_path_as_one_word(name: str) -> None:
+    assert shlex.split(quoted(Path("größe") / name)) == [f"größe/{name}"]
+    assert quoted("printer.toml") == "printer.toml"
+
+
+@pytest.mark.parametrize("source", [REAL, M503], ids=["printer.cfg", "m503.txt"])
+def test_the_next_command_can_be_typed(source: Path, tmp_path: Path) -> None:
+    home = tmp_path / "Drucker (neu)"
+    home.mkdir()
+    named = home / f"my {source.name}"
+    named.write_bytes(source.read_bytes())
+    done = run("setup", named, "-o", home, XDG_CONFIG_HOME=str(tmp_path), HFRAME_PRINTER="")
+    assert done.returncode == 0, done.stderr
+    own, tower = home / "printer.toml", home / "the tower.gcode"
+    advised = done.stdout.decode().partition("hframe-post identify recordings")[2].splitlines()[0]
+    assert shlex.split(advised)[-1] == str(own)
+    printed = run("calibrate-print", "-p", own, "-o", tower)
+    assert printed.returncode == 0, printed.stderr
+    words = shlex.split(printed.stderr.decode().partition("hframe-post calibrate-print")[2])
+    assert words == ["-p", str(own), "--form", str(home / "the tower.form.toml"), "-o", str(own)]
