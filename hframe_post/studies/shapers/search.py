@@ -30,6 +30,7 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import excerpt
@@ -61,7 +62,9 @@ def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
     options = Options("none", tolerance=None)  # the path without standstills
     plans = (plan(pieces[k].items, printer.limits) for k in chosen)
-    return [_path(sampled(items, printer, options)) for items in plans]
+    samples = (sampled(items, printer, options, leaps=True) for items in plans)
+    found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]
+    return [(path, counted) for path, counted in found if counted.any()]
 
 
 def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
