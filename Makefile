@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test slow hosts programs debian bench fuzz random-printers audit
+.PHONY: check lint test slow hosts programs debian bench fuzz guided random-printers audit
 
 check: lint test
 
@@ -61,6 +61,13 @@ bench:
 
 fuzz:
 	$(PYTHON) -m tests.fuzz $(FUZZ)
+
+# TARGETS: of tests/fuzz/targets.py; GUIDED: options of libFuzzer, for each
+TARGETS ?= reader bgcode profile cfg recording second
+GUIDED ?= -max_total_time=1800
+guided:
+	@$(PYTHON) -c 'import atheris' 2>/dev/null || { echo "pip install -e '.[fuzz]' first"; exit 1; }
+	for each in $(TARGETS); do $(PYTHON) -m tests.fuzz.guided $$each $(GUIDED) || exit 1; done
 
 random-printers:
 	$(PYTHON) -m tests.identification.random_printers $(RANDOM_PRINTERS)

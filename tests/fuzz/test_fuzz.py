@@ -11,6 +11,7 @@ from tests.conftest import ROOT
 from tests.fuzz.cases import KINDS
 from tests.fuzz.machine import Machine
 from tests.fuzz.oracle import check_same_print
+from tests.fuzz.targets import FOUND, TARGETS, check, seeds
 
 ORIGINAL = b"G28\nM83\nG1 X10 Y10 Z0.2\nG1 X20 E0.5\n;@1\nG91\nUNHEARD_OF @2\nG90\n;@3\n"
 
@@ -25,6 +26,16 @@ def fuzzed(*arguments: str) -> None:
 def test_a_few_of_each_kind() -> None:
     """In one process, which loads but once what all kinds need."""
     fuzzed("-n", "6", "--jobs", "1")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_guided_fuzzing_begins_with_what_is_taken(target: str) -> None:
+    assert "taken" in {check(target, seed) for seed in seeds(target)[:3]}
+
+
+def test_what_guided_fuzzing_found_stays_mended() -> None:
+    for file in sorted(FOUND.glob("*/*")):
+        assert check(file.parent.name, file.read_bytes()), file
 
 
 @pytest.mark.slow
