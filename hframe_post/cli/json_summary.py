@@ -84,8 +84,10 @@ def write_failure(context: click.Context, status: int, text: str, error: Excepti
     if to_stdout and asked.outputs is not None and asked.outputs.appeared:
         return  # printed already; the failure came after it
     with suppress(HframeError, OSError):
-        if asked.path.is_file() and asked.path.open("rb").read(1) not in (b"", b"{"):
-            return
+        if asked.path.is_file():
+            with asked.path.open("rb") as file:
+                if file.read(1) not in (b"", b"{"):
+                    return
         with Outputs(_files_of(asked.context)) as outputs:
             document = _document(asked.context, status, _failure(text, error))
             outputs.open(dashed(asked.path)).write(document)
