@@ -91,7 +91,8 @@ class Arc:
     def chords(self) -> tuple[Array, Array]:
         """Return points after the start (k, 2), and the share of the arc up to each (k,)."""
         sagitta = min(TOLERANCE / max(self.radii), 1.0)
-        angle = min(2.0 * math.acos(1.0 - sagitta), MAX_ANGLE)
+        # of a radius beyond 1e11 mm the cosine rounds to 1
+        angle = max(min(2.0 * math.acos(1.0 - sagitta), MAX_ANGLE), 1e-8)
         k = max(math.ceil(abs(self.sweep) / angle), 1)  # sweep is 0 if the end is behind the start
         share = np.arange(1, k + 1) / k
         angles = self.begin + self.sweep * share
