@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.guard import AROUND, REACH, Clamp, Guard
-from hframe_post.errors import LimitError
+from hframe_post.compensation.guard import (
+    AROUND,
+    REACH,
+    Clamp,
+    Guard,
+    check_deviation,
+    check_prediction,
+    max_deviation,
+)
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.settings import Motors, Travel
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Samples
 
@@ -43,6 +52,45 @@ def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]
     for _ in guard.check(chunks, "racking"):
         pass
     return guard
+
+
+# ---------------------------------------------------------------------- the model's reach
+
+
+IDEAL = TransferFunction(np.zeros(0), np.zeros(0), 1.0)
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
+    paper: Printer, share: float
+) -> None:
+    most = max_deviation(paper.plant, paper.limits)
+    command = standing(50)
+    command[30] += share * most * np.array([0.6, -0.8])
+    chunks = check_deviation(
+        [chunk(standing(50), command)], "racking", paper.plant, paper.limits
+    )
+    if share < 1.0:
+        assert len(list(chunks)) == 1
+    else:
+        with pytest.raises(HframeError, match=rf"line 1030: .* {share * most:.1f} mm off its path"):
+            list(chunks)
+
+
+def test_the_axis_that_lags_more_decides_how_far_a_command_may_lead(paper: Printer) -> None:
+    both, limits = paper.plant, paper.limits
+    x = max_deviation(replace(both, Gyy=IDEAL), limits)
+    y = max_deviation(replace(both, Gxx=IDEAL), limits)
+    neither = max_deviation(replace(both, Gxx=IDEAL, Gyy=IDEAL), limits)
+    assert neither == pytest.approx(3.0), "mm"
+    assert min(x, y) > 3.1, "mm"
+    assert max_deviation(both, limits) == max(x, y)
+
+
+def test_a_model_that_predicts_what_no_working_printer_does_is_refused() -> None:
+    check_prediction(0.99)
+    with pytest.raises(HframeError, match=r"predicts 1\.2 mm RMS"):
+        check_prediction(1.2)
 
 
 # ---------------------------------------------------------------------- guard
@@ -132,6 +180,7 @@ def test_a_clamp_moves_a_command_smoothly_onto_the_bed(height: float) -> None:
     result, clamp = clamped(chunk(path, command), FAR)
     changed = np.flatnonzero((result != command).any(axis=1))
     assert result[:, 0].min() >= 0.0
+    assert result[:, 0].min() == pytest.approx(0.0, abs=1e-9), "mm: no more is removed than must be"
     assert clamp.clamped.samples == len(changed)
     assert clamp.clamped.line == 1000 + changed[0]
     beyond = np.flatnonzero(command[:, 0] < 0.0)
@@ -154,6 +203,18 @@ def test_a_clamp_reduces_compensation_until_the_motors_can_follow(width: int) ->
     assert peaks.belt_acceleration <= MOTORS.belt_acceleration
     assert 0 < clamp.clamped.samples <= 2 * (width + REACH) + 1
     assert np.abs(result - path).max() > 0.0  # not all of it
+
+
+def test_a_clamp_leaves_what_the_motors_have_to_spare_on_a_moving_path() -> None:
+    path = standing(800, x=20.0)
+    path[:, 0] += 80.0 * TS * np.arange(800)  # 80 of 100 mm/s
+    command = path.copy()
+    command[:, 0] += bump(800, 400, 2.0, 150)
+    asked = float(np.diff(command[:, 0]).max()) / TS
+    result, clamp = clamped(chunk(path, command), LIMITS)
+    reached = float(np.diff(result[:, 0]).max()) / TS
+    assert clamp.clamped.samples > 0
+    assert 90.0 < reached <= 100.0 < asked, "mm/s"
 
 
 @pytest.mark.parametrize("height", [2.0, 3.0, 4.0])
