@@ -179,5 +179,5 @@ def test_signals_at_random_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_thousand_signals_at_random_times(tmp_path: Path) -> None:
-    print(at_random(tmp_path.resolve(), 1000, seed=2))
+def test_hundreds_of_signals_at_random_times(tmp_path: Path) -> None:
+    print(at_random(tmp_path.resolve(), 400, seed=2))

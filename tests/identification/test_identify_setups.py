@@ -46,7 +46,7 @@ def test_two_sensors_on_the_bridge_measure_racking(
     assert [title[title.index("(") :] for title in titles] == ["(Gxx)", "(Gyy)", "(Gxθ)"]
     lines = shown["sections"][0]["charts"][0]["lines"]
     assert [line["label"] for line in lines] == ["x = 140 mm", "model"]
-    assert any("x_c was not measured" in note for note in shown["notes"])
+    assert any("x_c was not measured" in warning for warning in shown["warnings"])
 
 
 @pytest.mark.slow
