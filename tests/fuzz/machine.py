@@ -95,7 +95,9 @@ class Machine:
             )
             self.stands.append(stand)
             return
-        code = re.sub(rb"\([^)]*\)", b"", raw).split(b";")[0].split(b"*")[0].strip()
+        # from each of 100 000 open parentheses, a search for the missing end takes half a minute
+        code = re.sub(rb"\([^)]*\)", b"", raw) if b")" in raw else raw
+        code = code.split(b";")[0].split(b"*")[0].strip()
         code = re.sub(rb"^[Nn]\s*\d+\s*", b"", code)
         head = re.match(rb"([GMgm])\s*0*(\d+)(?:\.(\d+))?", code)
         if not head:
