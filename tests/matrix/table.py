@@ -27,7 +27,7 @@ PRINTERS = (
 OUTCOMES = {
     "unmeas": (1, r"Error: .* plant\.invented: this plant was not measured on your printer"),
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
-    # of motors whose limits are too low; marlin500's are those that its planner was given, for looks
+    # of motors whose limits are too low; marlin500's are its planner's, chosen for looks
     "belts": (1, r"Error: line \d+: belt acceleration \(mm/s²\) would be .*, the printer's limit"),
     "either": (1, r"Error: line \d+: (x of the path|belt acceleration) .* would be"),  # the first
     "none": (1, r"Error: no candidate stays within the motors' limits"),
