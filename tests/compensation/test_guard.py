@@ -57,7 +57,7 @@ def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]
 # ---------------------------------------------------------------------- the model's reach
 
 
-IDEAL = TransferFunction(np.zeros(0), np.zeros(0), 1.0)
+IDEAL = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])
@@ -67,9 +67,7 @@ def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
     most = max_deviation(paper.plant, paper.limits)
     command = standing(50)
     command[30] += share * most * np.array([0.6, -0.8])
-    chunks = check_deviation(
-        [chunk(standing(50), command)], "racking", paper.plant, paper.limits
-    )
+    chunks = check_deviation([chunk(standing(50), command)], "racking", paper.plant, paper.limits)
     if share < 1.0:
         assert len(list(chunks)) == 1
     else:
