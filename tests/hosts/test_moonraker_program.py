@@ -88,6 +88,7 @@ def reports(part: Path) -> Iterator[list[Any]]:
         answering.join()
 
 
+@pytest.mark.slow
 def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any]) -> None:
     run(part, "-o", part.with_name("by_hand.gcode"), "-p", ROOT / "tests/measured.toml")
     assert processed(part) == 0
@@ -120,6 +121,7 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     assert part.read_bytes().startswith(b"; processed by hframe-post")
 
 
+@pytest.mark.slow
 def test_a_linked_file_is_converted_in_its_place_alone(part: Path) -> None:
     elsewhere = part.with_name("elsewhere.gcode")
     part.rename(elsewhere)
@@ -217,7 +219,13 @@ def test_a_line_that_names_any_other_file_is_not_followed(part: Path) -> None:
     assert part.with_name("secret.sliced").read_bytes() == b"G28\n"
 
 
-@pytest.mark.parametrize("fate", ["deleted", "renamed", "written over"])
+@pytest.mark.parametrize(
+    "fate",
+    [
+        "deleted",
+        *(pytest.param(fate, marks=pytest.mark.slow) for fate in ("renamed", "written over")),
+    ],
+)
 def test_a_conversion_ends_when_its_file_is_gone(
     part: Path, reports: list[Any], fate: str, tmp_path: Path
 ) -> None:

@@ -106,7 +106,7 @@ def test_another_printer_is_refused(other: int) -> None:
     ],
     ids=["above", "two at the bound of damping", "between"],
 )
-@pytest.mark.parametrize("fault", [{}, {"friction": 200.0}])
+@pytest.mark.parametrize("fault", [{}, pytest.param({"friction": 200.0}, marks=pytest.mark.slow)])
 def test_the_printer_itself_is_never_refused(
     invented: tuple[Mode, ...], fault: dict[str, float]
 ) -> None:

@@ -238,12 +238,13 @@ def hardest(run: Played, printer: Printer, over: float) -> float:
 
 
 @pytest.mark.klipper
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "acceleration", "limit"),
     [
         ("paper", 18_000.0, 50_000.0),  # reached, so that the clamp acts
-        pytest.param("example-corexy", 10_000.0, 14_500.0, marks=pytest.mark.slow),
-        pytest.param("example-cartesian", 8_000.0, 8_000.0, marks=pytest.mark.slow),
+        ("example-corexy", 10_000.0, 14_500.0),
+        ("example-cartesian", 8_000.0, 8_000.0),
     ],
 )
 def test_klipper_keeps_the_limit_of_the_belts_over_5_ms(
