@@ -168,6 +168,7 @@ def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_p
     assert not (tmp_path / "out" / "long.gcode").exists()
 
 
+@pytest.mark.slow
 def test_what_lands_in_a_watched_folder_is_converted(tmp_path: Path) -> None:
     pytest.importorskip("watchfiles")
     uploads, out, summary = tmp_path / "uploads", tmp_path / "out", tmp_path / "s.json"

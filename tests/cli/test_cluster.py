@@ -53,6 +53,7 @@ def files_of(path: Path) -> list[dict[str, Any]]:
     return files
 
 
+@pytest.mark.slow
 def test_the_bytes_are_those_of_this_machine(scheduler: str, tmp_path: Path) -> None:
     """With a profile that no worker has, and a name with spaces."""
     part, bad, own = tmp_path / "the part.gcode", tmp_path / "bad.gcode", tmp_path / "my own.toml"

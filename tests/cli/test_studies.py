@@ -340,6 +340,7 @@ def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> 
 
 
 @pytest.mark.paper
+@pytest.mark.slow
 def test_paper_prints_its_tables() -> None:
     # another default profile is not the paper's printer
     done = run("paper", HFRAME_PRINTER="example-cartesian")

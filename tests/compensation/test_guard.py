@@ -235,7 +235,7 @@ def test_where_clamping_is_not_enough_the_error_does_not_recommend_it() -> None:
         list(Guard(*LIMITS, clamped=True).check([chunk(path, path)], "racking"))
 
 
-@pytest.mark.parametrize("cut", [1, 7, 100, 399])
+@pytest.mark.parametrize("cut", [pytest.param(1, marks=pytest.mark.slow), 7, 100, 399])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

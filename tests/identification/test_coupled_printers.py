@@ -26,6 +26,7 @@ AXIS = Axis((Mode(40.0, 0.1),))  # of no account: only the kinematics are
 SETTINGS = Settings((3.0, 100.0), racks=False)
 
 
+@pytest.mark.slow
 def test_only_what_two_recordings_share_is_compensated() -> None:
     machine = Coupled((46.0, 33.0), (0.05, 0.08), 0.2, delay=0.0)
     x, again = (coupled_run(machine, ALONG_X, seed=seed) for seed in (1, 2))

@@ -123,6 +123,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     assert found == pytest.approx(drift, abs=6e-4)
 
 
+@pytest.mark.slow
 def test_a_marlin_owner_measures_a_bed_slinger(tmp_path: Path) -> None:
     """With an ADXL345 on the head for x, and for y a telephone (394 samples a second) on a bed."""
     own = tmp_path / "printer.toml"

@@ -68,6 +68,7 @@ def hardening(hz: Array, mode: Mode, share: float) -> Complex:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_poles_that_cancel_one_another_do_not_explain_a_hardening_belt() -> None:
     """Compensation by such a model made prints worse than none."""
     hz = HZ[::2]

@@ -81,6 +81,7 @@ def test_clock_and_axis_are_found_from_the_motion(seed: int) -> None:
     np.testing.assert_allclose(other.axis, mirror @ one.axis, atol=0.01)
 
 
+@pytest.mark.slow
 def test_modes_are_those_of_the_printer_and_below_them_it_follows_its_command() -> None:
     result = found(short(X), short(Y))
     check_modes(result, "Gxx", HEAD)
@@ -105,6 +106,7 @@ def test_belts_tell_both_axes() -> None:
     check_modes(result, "Gyy", BED)
 
 
+@pytest.mark.slow
 def test_a_mode_that_x_and_y_share_is_found_where_it_is_no_clear_peak() -> None:
     """At 42 Hz y answers with an eighth of its motion only; the rest is at 58 Hz."""
     printer = Coupled((42.0, 58.0), (0.05, 0.05), np.radians(20.0))

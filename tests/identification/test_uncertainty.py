@@ -47,6 +47,7 @@ def test_uncertainty_is_the_scatter_of_repeated_measurements() -> None:
     assert scatter / 3.0 < estimated < 3.0 * scatter
 
 
+@pytest.mark.slow
 def test_more_noise_means_more_uncertainty() -> None:
     (_, quiet), (_, loud) = (known(noise, 1) for noise in (0.01, 0.1))
     assert loud.hz[0] > 3.0 * quiet.hz[0]
