@@ -97,12 +97,17 @@ class IdentificationError(HframeError):
 
 
 class LimitError(HframeError):
-    """The command would leave the bed or outrun a motor."""
+    """The command would leave the bed or outrun a motor.
+
+    clampable: whether less compensation would keep the limit.
+    """
 
     def __init__(
-        self, quantity: str, value: float, bound: float, line: int | None, advice: str
-    ) -> None:
+        self, quantity: str, value: float, bound: float, line: int | None, advice: str,
+        clampable: bool = False,
+    ) -> None:  # fmt: skip
         self.quantity, self.value, self.bound, self.line = quantity, value, bound, line
+        self.clampable = clampable
         super().__init__(
             f"{_place(line)}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
             + advice

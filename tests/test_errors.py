@@ -19,7 +19,7 @@ from tests.command_line import run
 
 SAMPLES: dict[str, Any] = {
     "str": "a cause", "bytes": b"G1 X1", "int": 12, "int | None": 34, "float": 5.5,
-    "Path": Path("a file"),
+    "bool": True, "Path": Path("a file"),
 }  # fmt: skip
 
 
@@ -85,5 +85,6 @@ def test_what_the_motors_cannot_follow_is_told_by_line_and_cause(tmp_path: Path,
     assert done.returncode == 1
     assert done.stderr.startswith(b"Error: line 10: belt acceleration (mm/s\xc2\xb2) would be ")
     assert done.stderr.count(b"\n") == 1
+    assert done.stderr.endswith(b", or use --on-limit clamp\n")
     assert source.read_text() == SPANS
     assert {path.name for path in tmp_path.iterdir()} == {"weak.toml", "part.gcode"}

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import click
 
 from hframe_post import process
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.version import __version__
 from hframe_post.writers.files import FULL
 
@@ -99,12 +99,23 @@ class _Commands(click.Group):
             if isinstance(failure, _NOT_PARSED) and (advice := _advice(context.meta[_GIVEN])):
                 shown = click.UsageError(failure.format_message() + advice, failure.ctx)
         else:
-            kind = FAILURES.get(context.invoked_subcommand or "", click.ClickException)
-            shown = kind(_text(failure))
+            name = context.invoked_subcommand or ""
+            text = _text(failure)
+            if (
+                isinstance(failure, LimitError)
+                and failure.clampable
+                and self._clamps(context, name)
+            ):
+                text += ", or use --on-limit clamp"
+            shown = FAILURES.get(name, click.ClickException)(text)
         from hframe_post.cli.json_summary import write_failure  # imported by the command by now
 
         write_failure(context, shown.exit_code, shown.format_message(), failure)
         raise shown from None
+
+    def _clamps(self, context: click.Context, name: str) -> bool:
+        command = self.get_command(context, name)
+        return command is not None and any(each.name == "on_limit" for each in command.params)
 
 
 def _text(error: Exception) -> str:

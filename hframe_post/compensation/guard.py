@@ -217,8 +217,8 @@ def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
         off = abs(position[k] - chunk.xyze[k, axis])
         raise LimitError(
             f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
-            f"the compensation adds {off:.3g} mm here: move the part inwards, "
-            "widen [travel] in the profile if the bed allows it, or use --on-limit clamp",
+            f"the compensation adds {off:.3g} mm here: move the part inwards, or "
+            "widen [travel] in the profile if the bed allows it", clampable=True,
         )  # fmt: skip
 
 
@@ -232,9 +232,9 @@ def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -
             k = int(magnitude.argmax())
             raise LimitError(
                 f"belt {name} ({unit})", float(magnitude[k]), limit, int(chunk.line[k]),
-                "raise effort in [compensation], lower the print's speed or acceleration, "
+                "raise effort in [compensation], lower the print's speed or acceleration, or "
                 f"raise motors.belt_{name} if the motors can do it"
-                + ("; clamping was not enough" if clamped else ", or use --on-limit clamp"),
+                + ("; clamping was not enough" if clamped else ""), clampable=not clamped,
             )  # fmt: skip
 
 

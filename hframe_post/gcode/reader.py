@@ -320,5 +320,6 @@ class _Reader:
             return True
         raise line.error(
             "it is unclear whether E is absolute (M82) or relative (M83): nothing sets it before "
-            "this line, but a macro may have. Say --extrusion absolute or --extrusion relative"
+            "this line, but a macro may have. Add the one that holds above it, or say "
+            "'hframe-post convert --extrusion absolute' or '… relative'"
         )

@@ -186,7 +186,7 @@ def test_e_that_grows_is_absolute() -> None:
     "text", [(*START, "G1 X20 E1", "G1 X30 E1"), (*START[1:], *EQUAL)], ids=["few", "no macro"]
 )
 def test_unclear_e_needs_an_option(text: tuple[str, ...]) -> None:
-    with pytest.raises(GcodeError, match="--extrusion absolute or --extrusion relative"):
+    with pytest.raises(GcodeError, match="'hframe-post convert --extrusion absolute'"):
         filament(*text)
     e = float(sum(line.startswith("G1") and "E1" in line for line in text))
     assert filament(*text, extrusion="relative") == e

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import pytest
 
-from hframe_post.cli.main import main
+from hframe_post.cli.main import COMMANDS, main
 from hframe_post.printer.profile import shipped
 from tests.matrix.cells import Cell, answer
 from tests.matrix.owners import OWNERS, settle
@@ -39,6 +41,27 @@ def home_of(printer: str, homes: Path, measured: bool) -> Path:
     return home
 
 
+ADVICE = re.compile(
+    r"(?:hframe-post |'(?!hframe-post))(?P<command>[a-z-]+) |(?<![\w-])(?P<option>--[a-z][a-z-]+)"
+)
+
+
+def foreign_options(words: str, output: str) -> Iterator[str]:
+    """Yield the options that an answer names, but that the command which it is about lacks."""
+    context = click.Context(main)
+    for line in output.splitlines():
+        about = words.split()[0] if words.split()[0] in COMMANDS else "convert"
+        for found in ADVICE.finditer(line):
+            if found["command"] in COMMANDS:
+                about = found["command"]
+            elif found["option"]:
+                command = main.get_command(context, about)
+                assert command is not None
+                known = {name for each in command.params for name in each.opts}
+                if found["option"] not in known:
+                    yield f"{about} {found['option']}"
+
+
 def check(cell: Cell, outcome: str, folder: Path, home: Path) -> None:
     """Check status, last line and files of a cell's answer, and that it is no bug's."""
     found = answer(cell, folder, home)
@@ -47,6 +70,7 @@ def check(cell: Cell, outcome: str, folder: Path, home: Path) -> None:
     assert "Traceback" not in found.output, shown
     assert "this is a bug" not in found.output, shown
     assert found.status == status, shown
+    assert not [*foreign_options(cell.words, found.output)], shown
     assert last_line.match(found.last_line), shown
     assert files.fullmatch(" ".join(found.changed)), f"{cell}: files {found.changed} changed"
 

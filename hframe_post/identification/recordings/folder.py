@@ -34,7 +34,7 @@ UNUSABLE = {
     "vibrations": "a test at constant speeds, which excites no band of frequencies",
     "constant frequency": "a test at a constant frequency, which excites no band of frequencies",
 }
-EXPLICIT = "or name it with its command: --nozzle COMMAND RECORDING"
+EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND RECORDING'"
 
 
 @dataclass(frozen=True, slots=True)

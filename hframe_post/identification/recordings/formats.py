@@ -176,7 +176,7 @@ def _text(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
     if columns is None:
         raise IdentificationError(
             f"{path} is not a Klipper accelerometer file. If another program wrote it, name its "
-            f"columns: --columns time,x,y,z; {_listed(names)}"
+            f"columns: 'hframe-post identify --columns time,x,y,z'; {_listed(names)}"
         )
     return Table(_numbers(path, content, columns), content)
 
@@ -269,7 +269,8 @@ def _chosen(
     """Return the arrays of the user's names, (n,) each."""
     if columns is None:
         raise IdentificationError(
-            f"{path}: name the arrays of time and x, y, z: --columns time,x,y,z; {_listed(names)}"
+            f"{path}: name the arrays of time and x, y, z: 'hframe-post identify --columns "
+            f"time,x,y,z'; {_listed(names)}"
         )
     chosen = []
     for name in columns:

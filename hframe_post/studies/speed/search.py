@@ -132,7 +132,7 @@ def _fastest_whole(
     raise HframeError(
         f"this print cannot be kept within that error: even at the lowest speed tried, {worst} has "
         f"an error of {max(trial.errors[worst]) * 1e3:.0f} µm, model uncertainty included; allow "
-        "more with --max-error"
+        "more in max_error below [speed], or with 'hframe-post convert --max-error'"
     )
 
 
