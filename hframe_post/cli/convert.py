@@ -137,8 +137,6 @@ def convert(
       hframe-post in.gcode --report report.html
     """
     if more:
-        if more[0].startswith("-"):  # after --, which ends the options
-            raise click.UsageError(f"{more[0]!r} follows --: put options before it")
         raise click.UsageError(
             f"one file at a time: for another output use -o {more[0]}, for many files "
             "'hframe-post batch'"

@@ -96,8 +96,8 @@ class _Commands(click.Group):
             failure = error
         if isinstance(failure, click.ClickException):
             shown: click.ClickException = failure
-            if isinstance(failure, _NOT_PARSED) and (advice := _advice(context.meta[_GIVEN])):
-                shown = click.UsageError(failure.format_message() + advice, failure.ctx)
+            if isinstance(failure, click.UsageError):
+                shown = click.UsageError(_misread(failure, context.meta[_GIVEN]), failure.ctx)
         else:
             name = context.invoked_subcommand or ""
             text = _text(failure)
@@ -128,15 +128,19 @@ def _text(error: Exception) -> str:
     return _bug_report(error)  # our mistake, not the user's
 
 
-def _advice(args: list[str]) -> str:
-    """Return what to type for a file whose name begins with a dash, if one may be meant."""
+def _misread(failure: click.UsageError, args: list[str]) -> str:
+    """Return the message, and what to type if a file was read as options or an option as a file."""
     from hframe_post.gcode.lines import is_gcode_name
 
-    options = args[: args.index("--")] if "--" in args else args
-    for word in options:
-        if word.startswith("-") and (is_gcode_name(word) or Path(word).is_file()):
-            return f" (for the file {word!r} type ./{word})"
-    return ""
+    end = args.index("--") if "--" in args else len(args)
+    dashed = [word for word in args[:end] if word.startswith("-")]
+    for word in dashed if isinstance(failure, _NOT_PARSED) else ():
+        if is_gcode_name(word) or Path(word).is_file():
+            return f"{failure.format_message()} (for the file {word!r} type ./{word})"
+    for word in args[end + 1 :]:
+        if word.startswith("-") and not (is_gcode_name(word) or Path(word).exists()):
+            return f"{word!r} follows --: put options before it"
+    return failure.format_message()
 
 
 def _looks_like_a_command(word: str) -> bool:
