@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -117,7 +118,9 @@ def batch(
     converter: Converter = LocalProcesses(jobs, ["-p", printer, *options])
     if scheduler is not None:
         converter = Cluster(scheduler, jobs, printer, options, first_line)
-    interruption, results = Interruption(), Results(quiet)
+    compensates = (compensation or profile.compensation.strategy) != "none"
+    results = Results(quiet, profile.warnings() if compensates else [])
+    interruption = Interruption()
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
         with interruption.put_off(converter.stop):
@@ -144,12 +147,18 @@ def _check_usage(sources: tuple[Path, ...], watched: Path | None, folder: Path) 
 
 
 class Results:
-    """What became of the files so far; a watched file that came again counts once."""
+    """What became of the files so far; a watched file that came again counts once.
 
-    def __init__(self, quiet: bool) -> None:
+    notices: warnings of the profile, which every file has: they are printed once.
+    """
+
+    def __init__(self, quiet: bool, notices: Sequence[str]) -> None:
         self.quiet = quiet
         self._jobs: dict[Path, Job] = {}
+        self._notices = notices
         self._shown = set[str]()  # warnings
+        for text in notices:
+            self.say(f"WARNING {text}")
 
     def add(self, jobs: Iterable[Job]) -> None:
         self._jobs |= {job.source: job for job in jobs}
@@ -160,7 +169,7 @@ class Results:
 
     def show(self, job: Job, before: str) -> None:
         """Print a result, and below it the warnings that no file before it had."""
-        new = [text for text in job.warnings if text not in self._shown]
+        new = [text for text in self._warnings(job) if text not in self._shown]
         self._shown.update(new)
         self.say(before + "\n".join([job.as_text(), *(f"        WARNING: {text}" for text in new)]))
 
@@ -176,18 +185,21 @@ class Results:
         """Return what needs attention, each with its files, and the counts in the last line."""
         warned: dict[str, list[Path]] = {}
         for job in self._jobs.values():
-            for text in job.warnings:
+            for text in self._warnings(job):
                 warned.setdefault(text, []).append(job.source)
         lines = [job.as_text() for job in self._jobs.values() if job.state == "failed"]
         lines += [f"WARNING {_some(files)}: {text}" for text, files in warned.items()]
         counts = f"{self._count('done')} converted, {self._count('skipped')} skipped, "
         counts += f"{self._count('failed')} failed"
         if warned:
-            counts += f", {sum(bool(job.warnings) for job in self._jobs.values())} with warnings"
+            counts += f", {len(set(chain(*warned.values())))} with warnings"
         if stopped := self._count("stopped"):
             counts += f", {stopped} not converted"
         advice = "; --resume tries only those again" if self.status else ""
         return "\n".join([*(lines if len(self._jobs) > 1 else []), counts + advice])
+
+    def _warnings(self, job: Job) -> list[str]:
+        return [text for text in job.warnings if text not in self._notices]
 
     def _count(self, state: State) -> int:
         return sum(job.state == state for job in self._jobs.values())
