@@ -62,7 +62,7 @@ class Pace:
 
     acceleration: float
     corner: float
-    feed: float = 1.0
+    feed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class _Pacer:
     def __init__(self, paces: Paces, start: Start) -> None:
         self._paces, self._labeller = paces, Labeller(start)
         of_kinds = [paces.kinds.get(name) for name in NAMES]
-        unlimited = Pace(math.inf, math.inf)
+        unlimited = Pace(math.inf, math.inf, 1.0)
         self._is_paced = np.array([pace is not None for pace in of_kinds])
         self._limits = np.array([astuple(pace or unlimited) for pace in of_kinds]).T  # (3, kinds)
 
