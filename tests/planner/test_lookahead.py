@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -413,6 +414,32 @@ def test_smooth_path_of_any_length_is_driven_without_a_stop() -> None:
     planned = plans(cut(gentle_spiral(70_000), 10_000))
     inside = np.concatenate([p.speed for p in planned])[1:-1]
     assert (inside > 0.99 * 60.0).all()
+
+
+def test_smooth_path_after_a_reversal_is_driven_without_a_stop() -> None:
+    """The speed at the queue's end is final where a stop there and full speed give the same."""
+    vase = gentle_spiral(5000)
+    points = vase.points.copy()
+    points[0, :3] = points[2, :3]  # back along the first move
+    planned = plans([replace(vase, points=points)], batch=256)
+    assert len(planned) > 5
+    slow = [vertex for vertex, speed in run_ends(planned).items() if speed < 0.99 * 60.0]
+    assert slow == [0, 1, 5000], "vertices passed below 59.4 mm/s"
+
+
+def test_no_more_moves_wait_than_the_longest_queue() -> None:
+    """Where braking takes longer than the queue, half of it goes as soon as it is full."""
+    waiting, done = list[int](), 0
+
+    def one_by_one() -> Iterator[Moves]:
+        for k, move in enumerate(cut(slow_giant(300), 1)):
+            waiting.append(k + 1 - done)  # with this move
+            yield move
+
+    for planned in plan(one_by_one(), LIMITS, batch=16, longest=64):
+        assert isinstance(planned, Plan)
+        done += len(planned.line)
+    assert max(waiting) == 64, "moves in the queue"
 
 
 def test_batches_give_the_speeds_of_one_plan() -> None:

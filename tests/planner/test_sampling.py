@@ -507,6 +507,13 @@ def test_chunks_stay_short_however_long_the_machine_stands() -> None:
     assert max(sizes) < 2 * SAMPLES_PER_CHUNK
 
 
+def test_chunks_stay_short_however_long_one_move_lasts_at_rest() -> None:
+    lift = Standing(1, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.0, 0.0), 3.0)
+    sizes = [len(block) for block in sampled([lift], size=500)]
+    assert sum(sizes) > 3000, "samples"
+    assert max(sizes) <= 500 + FIRST, "samples in a chunk"
+
+
 def mixed() -> list[Item]:
     """Return paths of several plans each, with pauses of all kinds between them."""
     items: list[Item] = []
@@ -675,6 +682,16 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
 @pytest.mark.parametrize("jerk", [1e4, 1e5, 1e6, 5e6, 5e7, 1e8, 1e9])
 def test_every_run_of_many_gets_a_profile_within_its_limits(jerk: float, seed: int) -> None:
     assert_profiles_fit(random_runs(seed, 20_000, jerk), jerk)
+
+
+def test_runs_at_cruise_speed_keep_it() -> None:
+    """There is room for a little more, by which vertices stay below it: nothing would be won."""
+    count, s = np.arange(9), 50.0 * np.arange(9.0)
+    points, limits = np.column_stack([s, np.zeros((9, 3))]), (np.full(8, 60.0), np.full(8, 1e4))
+    planned = Plan(count[:-1], points, s, count, np.full(9, 59.994), *limits, ())
+    [(t, j)] = Profiler(LIMITS.jerk).profiles([planned])
+    acceleration, _, _ = integrate(t, j, planned.speed[:-1])
+    assert np.abs(acceleration).max() == 0.0, "mm/s²"
 
 
 @settings(max_examples=100, deadline=None)
