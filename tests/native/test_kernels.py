@@ -239,6 +239,23 @@ def test_profiles(compiled: None, seed: int, runs: int) -> None:
 
 
 @thorough
+@given(seeds, st.integers(1, 30), st.floats(4.0, 9.0))
+def test_ramps_between_speeds(compiled: None, seed: int, n: int, power: float) -> None:
+    """Some begin or end at rest, some keep their speed, and some lengths are too short."""
+    rng, jerk = np.random.default_rng(seed), 10.0**power
+    v0, v1 = rng.uniform(0.0, 200.0, (2, n)) * (rng.random((2, n)) < 0.8)
+    v1 = np.where(rng.random(n) < 0.2, v0, v1)
+    length = 10.0 ** rng.uniform(-3.0, 2.0, n)
+
+    def found() -> list[NDArray[Any]]:
+        t, j, acceleration = profiles.ramps(v0, v1, length, jerk)
+        return [t, j, acceleration, profiles._misses(t, j, v0, length)]
+
+    for one, other in zip(found(), in_numpy(found), strict=True):
+        same(one, other)
+
+
+@thorough
 @given(*[st.floats(0.01, 5.0)] * 2, *[st.floats(0.0, 30.0)] * 2, st.booleans())
 def test_standing_moves(
     paper: Printer, compiled: None, z: float, e: float, entry: float, leaving: float, lifts: bool
