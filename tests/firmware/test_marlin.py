@@ -86,6 +86,21 @@ def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
     ]  # fmt: skip
 
 
+def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) -> None:
+    mine = with_own(
+        marlin, max_acceleration=(9000.125, 7000.375), max_acceleration_e=1800.625,
+        max_velocity=(280.125, 310.375), acceleration=2800.125, travel_acceleration=2900.375,
+        retract_acceleration=1234.625, min_segment_time=0.012345, min_velocity=0.125,
+        min_travel_velocity=0.375, junction_deviation=0.0125, linear_advance=0.04125,
+        shaper_freq_x=41.125, shaper_freq_y=38.625,
+    )  # fmt: skip
+    assert mode(mine).end(STATE, AT)[1:-2] == [
+        b"M201 X9000.125 Y7000.375 E1800.625", b"M203 X280.125 Y310.375",
+        b"M204 P2800.125 T2900.375 R1234.625", b"M205 B12345 S0.125 T0.375 J0.0125",
+        b"M900 K0.04125", b"M593 X F41.125", b"M593 Y F38.625",
+    ]  # fmt: skip
+
+
 def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
     mine = mode(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
     assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.begin(NOWHERE, AT)

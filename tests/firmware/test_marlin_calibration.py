@@ -52,6 +52,8 @@ def test_file_stays_on_the_bed_and_restores_the_settings(found: Calibration) -> 
     assert printer.travel.x[0] < min(x)
     assert max(x) < printer.travel.x[1]
     assert b"M204 P3000 T3000 R3000\n" in found.lines[-12:]
+    counts = [line for line in found.lines if line.startswith(b"G92")]
+    assert counts == [b"G92 E0\n"]  # x, y and z are where homing has put them
 
 
 def test_profile_that_knows_no_marlin_is_refused() -> None:
