@@ -56,6 +56,17 @@ def test_file_stays_on_the_bed_and_restores_the_settings(found: Calibration) -> 
     assert counts == [b"G92 E0\n"]  # x, y and z are where homing has put them
 
 
+def test_no_limit_of_the_file_slows_it_down() -> None:
+    """Speeds and limits are rounded, each in its own way."""
+    printer = load("paper-marlin")
+    printer = replace(printer, limits=replace(printer.limits, velocity=150.4))
+    words = [line.decode().split() for line in calibration(printer).lines]
+    fastest = max(float(row[-1][1:]) for row in words if row[0] == "G1") / 60.0
+    assert fastest >= 150.4, "mm/s"
+    limits = [float(word[1:]) for row in words if row[0] == "M203" for word in row[1:]]
+    assert min(limits[:2]) >= fastest, "mm/s"
+
+
 def test_profile_that_knows_no_marlin_is_refused() -> None:
     with pytest.raises(PrinterError, match="only boards that run Marlin"):
         calibration(load("paper"))

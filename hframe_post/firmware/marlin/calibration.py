@@ -142,6 +142,6 @@ def _lines(printer: Printer, marlin: Marlin, parts: tuple[Part, ...]) -> list[by
         text += [f"G1 X{x[0]} Y{y} F3000", "M400", "G4 P2000", f"M118 {part.name} begins", "M75"]
         text += (there + back) * (part.strokes // 2)
         text += ["M400", "M77", f"M118 {part.name} ends", "M31"]
-    at = np.array([parts[-1].x[0], sum(printer.travel.y) / 2.0, 0.0, 0.0])
-    state = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
-    return [line.encode() + b"\n" for line in text] + [b + b"\n" for b in marlin.end(state, at)]
+    state = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))  # places count as homed
+    end = marlin.end(state, np.zeros(4))
+    return [line.encode() + b"\n" for line in text] + [line + b"\n" for line in end]
