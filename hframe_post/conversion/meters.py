@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, lengths
-from hframe_post.compensation.guard import Clamped, Peaks
+from hframe_post.compensation.clamp import Clamped
+from hframe_post.compensation.guard import Peaks
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors

@@ -18,14 +18,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
+from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.guard import (
-    Clamp,
-    Guard,
-    check_deviation,
-    check_model,
-    check_prediction,
-)  # fmt: skip
+from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.report import Plastic, Report

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
-from hframe_post.compensation.guard import Clamped, Peaks
+from hframe_post.compensation.clamp import Clamped
+from hframe_post.compensation.guard import Peaks
 from hframe_post.conversion.meters import (
     InputSummary,
     Limited,

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array
+from hframe_post.compensation.clamp import AROUND, REACH, Clamp
 from hframe_post.compensation.guard import (
-    AROUND,
-    REACH,
-    Clamp,
     Guard,
     check_deviation,
     check_prediction,

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from hframe_post import native
 from hframe_post.arrays import TS, Array, X, Z
-from hframe_post.compensation.guard import Clamp, Clamped, Guard, Peaks, _farthest
+from hframe_post.compensation.clamp import Clamp, Clamped
+from hframe_post.compensation.guard import Guard, Peaks, _farthest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
