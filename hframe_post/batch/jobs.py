@@ -1,4 +1,4 @@
-"""The files of a batch, and their conversion in processes of their own.
+"""The conversion of the files of a batch, in processes of their own.
 
 What happens to one file (a crash, lack of memory) cannot affect another, and the bytes are those
 of a single conversion.
@@ -7,10 +7,9 @@ of a single conversion.
 from __future__ import annotations
 
 import json
-import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -18,8 +17,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Literal, Protocol
 
-from hframe_post.errors import HframeError, install_advice
-from hframe_post.gcode.lines import NAMES, is_gcode_name
 from hframe_post.process import ChildProcess, own_command, processor_count
 
 State = Literal["waiting", "running", "done", "skipped", "failed", "stopped"]
@@ -78,80 +75,6 @@ class Job:
         if len(values) < 2:
             return ""
         return f"; contour error {values[-1]:.1f} µm instead of {values[0]:.0f}, predicted"
-
-
-def targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
-    """Return the files to convert, each with its target in ``folder``.
-
-    Of a folder these are the files of G-code in it and its subfolders, whose structure is kept.
-    Raises HframeError for a folder without G-code, and OSError for one that cannot be read.
-    """
-    found: list[tuple[Path, Path]] = []
-    for source in sources:
-        if not source.is_dir():
-            found.append((source, folder / source.name))
-            continue
-        files = _gcode_in(source, folder, _raise)
-        if not files:
-            raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
-        found += [(path, folder / path.relative_to(source)) for path in files]
-    return list(dict.fromkeys(found))
-
-
-def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]) -> list[Path]:
-    """Return the files of G-code in a folder and its subfolders, without hidden ones.
-
-    without: a subfolder that is left out, too: the one of the output.
-    """
-    found, left_out = [], without.resolve()
-    for place, folders, names in os.walk(folder, onerror=on_error):
-        folders[:] = sorted(
-            name
-            for name in folders
-            if not name.startswith(".") and Path(place, name).resolve() != left_out
-        )
-        shown = (name for name in sorted(names) if is_gcode_name(name) and name[0] != ".")
-        found += [Path(place, name) for name in shown]
-    return found
-
-
-def _raise(error: OSError) -> None:
-    raise error
-
-
-def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]:
-    """Return one job per file and target; those converted already are marked as skipped.
-
-    first_line: the first line of a file converted with the same settings; empty: skip none.
-    Raises HframeError where a target would be written twice or replace a source.
-    """
-    jobs, taken = [], dict[Path, Path]()
-    inputs = {source.resolve(): source for source, _ in files}
-    for source, target in files:
-        place = target.resolve()
-        if place in inputs:
-            raise HframeError(
-                f"{target} would replace the input {inputs[place]}: choose another --directory"
-            )
-        if place in taken:
-            raise HframeError(
-                f"{taken[place]} and {source} would both be written to {target}: rename one, or "
-                "name a folder that holds both, whose subfolders are kept"
-            )
-        taken[place] = source
-        done = (
-            first_line
-            and target.is_file()
-            and target.stat().st_mtime >= source.stat().st_mtime
-            and _begins_with(target, first_line)
-        )
-        jobs.append(Job(source, target, "skipped" if done else "waiting"))
-    return jobs
-
-
-def _begins_with(path: Path, first_line: bytes) -> bool:
-    with path.open("rb") as file:
-        return file.readline(len(first_line) + 1) == first_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,50 +204,3 @@ def _converted(job: Job, converter: Converter) -> Job:
     except OSError as error:
         return replace(job, state="failed", error=f"{job.target.parent}: {error.strerror}")
     return converter.convert(job)
-
-
-# ---------------------------------------------------------------------- a watched folder
-
-UPLOAD_PAUSE = 2.0  # s without a change after which an upload counts as complete
-
-
-def watch_folder(
-    watched: Path, folder: Path, first_line: bytes, stop: Event
-) -> Iterator[list[Job]]:
-    """Yield lists of files to convert from a folder and its subfolders, until ``stop`` is set.
-
-    The caller converts each list in place before it asks for the next: no file is tried again
-    until it changes. Raises HframeError where the package watchfiles is missing.
-    """
-    try:
-        from watchfiles import watch
-    except ImportError:
-        raise HframeError(
-            f"--watch needs watchfiles. Install it with: {install_advice('watchfiles')}"
-        ) from None
-
-    tried: dict[Path, tuple[int, int]] = {}
-    for _ in watch(watched, yield_on_timeout=True, rust_timeout=1000, raise_interrupt=False,
-                   stop_event=stop):  # fmt: skip
-        found = [
-            (path, folder / path.relative_to(watched))
-            for path in _gcode_in(watched, folder, lambda _: None)  # some may be deleted by now
-            if _is_complete(path) and tried.get(path) != _version(path)
-        ]
-        jobs = [job for job in jobs_for(found, first_line) if not job.finished]
-        versions = {job.source: _version(job.source) for job in jobs}  # before they are read
-        if jobs:
-            yield jobs
-        tried |= versions
-
-
-def _is_complete(path: Path) -> bool:
-    return path.is_file() and time.time() - _version(path)[0] / 1e9 >= UPLOAD_PAUSE
-
-
-def _version(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError:  # deleted in the meantime
-        return 0, 0
-    return status.st_mtime_ns, status.st_size

@@ -14,16 +14,8 @@ import click
 
 from hframe_post import library
 from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.jobs import (
-    Converter,
-    Job,
-    LocalProcesses,
-    State,
-    jobs_for,
-    run,
-    targets,
-    watch_folder,
-)
+from hframe_post.batch.folders import jobs_for, watch_folder, with_targets
+from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     compensation_option,
@@ -109,7 +101,7 @@ def batch(
     if compensation != "none" and not force:
         check_identified(profile)
     try:
-        todo = jobs_for(targets(sources, folder), first_line if resume else b"")
+        todo = jobs_for(with_targets(sources, folder), first_line if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
