@@ -76,7 +76,9 @@ G1 X180 E4
 
 
 @pytest.mark.parametrize("jobs", ["2", "1"])
-def test_what_the_motors_cannot_follow_is_told_by_line_and_cause(tmp_path: Path, jobs: str) -> None:
+def test_what_the_motors_cannot_follow_is_reported_with_line_and_cause(
+    tmp_path: Path, jobs: str
+) -> None:
     """In the second of two spans, each of which another process computes."""
     (tmp_path / "weak.toml").write_text(WEAK)
     source = tmp_path / "part.gcode"

@@ -47,13 +47,13 @@ _GIVEN = "hframe_post.given"  # the command line in the context's meta
 _NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
 
 
-class _Trouble(click.ClickException):
+class _CompareError(click.ClickException):
     """A failure of a command whose status 1 has another meaning, as in diff and cmp."""
 
     exit_code = 2
 
 
-FAILURES = {"compare": _Trouble}
+FAILURES = {"compare": _CompareError}
 
 
 class _Commands(click.Group):

@@ -109,8 +109,8 @@ def next_steps(
             f"move the sensor to the bed, print {on_bed}, and"
         )
     folder = target.parent
-    beside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
-    both = (f"{beside}*{run.name}.csv" for run in planned)  # the command and the recording
+    inside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
+    both = (f"{inside}*{run.name}.csv" for run in planned)  # the command and the recording
     profile = Path(printer if Path(printer).is_file() else "printer.toml")
     return "\n".join(
         [

@@ -103,7 +103,7 @@ class SpanWriter:
         start = span.beginning
         stages = Stages(
             printer, options, compensator, at_stops=self._at_stops,
-            printing=replace(start.printing), leaps=options.tolerance is not None,
+            printing=replace(start.printing), skip_slow=options.tolerance is not None,
         )  # fmt: skip
         firmware = player(printer, options.tolerance, options.retract == "moving")
         writer = GcodeWriter(options.strategy, firmware, place=start.place, offset=start.offset)
@@ -135,7 +135,9 @@ class SpanWriter:
         except BrokenProcessPool as broken:
             if broken.__cause__ is not None:  # no worker died: what one sent cannot be unpickled
                 *_, cause, _ = str(broken.__cause__).splitlines()
-                raise RuntimeError(f"a worker's answer is unreadable: {cause}") from None
+                raise RuntimeError(
+                    f"the result of a worker process cannot be read: {cause}"
+                ) from None
             raise HframeError(
                 "a worker process of this conversion was killed, perhaps for lack of memory; "
                 "nothing was written. Try again with --jobs 1"

@@ -105,15 +105,15 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 
 
 def sampled(
-    items: Iterable[Planned], printer: Printer, options: Options, leaps: bool = False
+    items: Iterable[Planned], printer: Printer, options: Options, skip_slow: bool = False
 ) -> Iterator[Samples]:
     """Sample planned motion, with the standstill that the strategy needs at stops.
 
-    leaps: leave out samples of slow motion, as ``sample`` does.
+    skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
     lifts = player(printer, options.tolerance, options.retract == "moving").rests
     waits = rests(printer.compensation.stops, options.strategy, lifts)
-    return sample(items, printer.limits, waits, leaps=leaps)
+    return sample(items, printer.limits, waits, skip_slow=skip_slow)
 
 
 class Stages:
@@ -121,15 +121,15 @@ class Stages:
 
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
-    feature at the beginning. leaps: see ``sampled``.
+    feature at the beginning. skip_slow: see ``sampled``.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
-        printing: Place | None = None, leaps: bool = False,
+        printing: Place | None = None, skip_slow: bool = False,
     ) -> None:  # fmt: skip
-        self._leaps = leaps
+        self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
@@ -145,7 +145,7 @@ class Stages:
 
         Raises HframeError.
         """
-        samples = sampled(items, self._printer, self._options, self._leaps)
+        samples = sampled(items, self._printer, self._options, self._skip_slow)
         samples = self.times.timed("sample", samples)
         return self.checked(self.compensated(samples))
 

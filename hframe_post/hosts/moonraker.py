@@ -89,7 +89,7 @@ class HframePost:
         ):
             return await self._delete_file(path)
         (self._gcodes / name).unlink(missing_ok=True)
-        with contextlib.suppress(self.server.error):  # there is no such file any more
+        with contextlib.suppress(self.server.error):  # the file is gone already
             return await self._delete_file(path)
         item = {"path": name, "root": root, "size": 0, "modified": 0, "permissions": ""}
         deleted = {"action": "delete_file", "item": item}

@@ -31,7 +31,6 @@ from hframe_post.planner.profiles import (
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,
-    Glide,
     Halt,
     Handling,
     Mark,
@@ -42,6 +41,7 @@ from hframe_post.stream.types import (
     Rest,
     Rests,
     Samples,
+    SlowStraight,
     Standing,
     frozen,
 )
@@ -56,15 +56,15 @@ SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
 
 def sample(
     planned: Iterable[Planned], limits: Limits, rests: Rests, size: int | None = None,
-    leaps: bool = False,
+    skip_slow: bool = False,
 ) -> Iterator[Samples]:  # fmt: skip
     """Yield the samples of the whole stream, in chunks of about ``size`` if it is given.
 
-    A chunk may hold several plans, and ends where the machine is released. leaps: leave out the
+    A chunk may hold several plans, and ends where the machine is released. skip_slow: leave out the
     samples of long pauses and of slow straights, so that these take no longer than short ones.
     """
     size = size or SAMPLES_PER_CHUNK
-    sampler = _Sampler(limits, rests, size, leaps)
+    sampler = _Sampler(limits, rests, size, skip_slow)
     for item, motion in _with_motion_after(sampler.profiled(planned), rests.needs_rest):
         if isinstance(item, Plan):
             yield from sampler.run(item)
@@ -152,7 +152,7 @@ class _Output:
             if first + n < samples:
                 yield from self.flush()
 
-    def leap(self, where: Array, samples: int) -> Iterator[Samples]:
+    def skip(self, where: Array, samples: int) -> Iterator[Samples]:
         """End the stretch; leave out all of these samples but the last, which is ``where``."""
         yield from self.flush(ends_stretch=True)
         self.index += samples - 1
@@ -172,8 +172,8 @@ class _Output:
 class _Sampler:
     """The machine's state on the clock of samples, and what it yields."""
 
-    def __init__(self, limits: Limits, rests: Rests, size: int, leaps: bool) -> None:
-        self._limits, self._rests, self._leaps = limits, rests, leaps
+    def __init__(self, limits: Limits, rests: Rests, size: int, skip_slow: bool) -> None:
+        self._limits, self._rests, self._skip_slow = limits, rests, skip_slow
         self._profiler = Profiler(limits.jerk, limits.deceleration)
         self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = _Output(size)
@@ -215,7 +215,7 @@ class _Sampler:
         while (first := self.output.index) <= last:
             n = min(self.output.size, last + 1 - first)
             if slow and first == slow[0][0]:
-                yield from self._glide(plan, motion, *slow.popleft())
+                yield from self._straight(plan, motion, *slow.popleft())
                 continue
             n = min(n, slow[0][0] - first) if slow else n
             arrives = stops and first + n > last
@@ -245,7 +245,7 @@ class _Sampler:
         time, duration, s, v, a, j = motion.table
         steady = (v <= SLOW) & (a == 0.0) & (j == 0.0)
         phases = np.flatnonzero(steady & (duration > (FEWEST + 2 * KEPT) * TS))
-        if not self._leaps or self._retraction is not None or not len(phases):
+        if not self._skip_slow or self._retraction is not None or not len(phases):
             return parts
         for k in phases.tolist():
             end = s[k] + v[k] * duration[k]
@@ -258,14 +258,14 @@ class _Sampler:
                     parts.append((first, final))
         return parts
 
-    def _glide(self, plan: Plan, motion: Phases, first: int, last: int) -> Iterator[Samples]:
+    def _straight(self, plan: Plan, motion: Phases, first: int, last: int) -> Iterator[Samples]:
         """Leave out samples first … last, which go straight; end the stretch before them."""
-        path = [motion.path(k - self._section, 1, float(plan.s[-1])) for k in (last, last + 1)]
-        (before, after), (_, move) = (_follow(plan, s)[0][0] for s in path), _follow(plan, path[1])
+        path = motion.path(last - self._section, 2, float(plan.s[-1]))
+        (before, after), (_, move) = _follow(plan, path)
         x, y, z, e = before.tolist()
-        self.output.line = int(plan.line[move[0]])
-        self.output.events.append(Glide(first, last - first + 1, (x, y, z, e)))
-        yield from self.output.leap(after, last - first + 2)
+        self.output.line = int(plan.line[move])
+        self.output.events.append(SlowStraight(first, last - first + 1, (x, y, z, e)))
+        yield from self.output.skip(after, last - first + 2)
 
     def _set_out(self, plan: Plan) -> Iterator[Samples]:
         self.output.line = int(plan.line[0])
@@ -318,8 +318,8 @@ class _Sampler:
             out.events.append(Pause(out.index, 0, action))
         else:
             out.events.append(Pause(out.index, n, action, action.seconds))
-            if self._leaps and n >= FEWEST:
-                yield from out.leap(out.last, n)
+            if self._skip_slow and n >= FEWEST:
+                yield from out.skip(out.last, n)
             else:
                 yield from out.stand(out.last, n)
         if released:
@@ -351,8 +351,8 @@ class _Sampler:
         yield from self.come_to_rest(long, needed=entry == 0.0)
         out.line = move.line
         out.events.append(Pause(out.index, profile.samples, move, exact, entry, leaving))
-        if self._leaps and profile.samples >= FEWEST and not (entry or leaving):
-            yield from out.leap(profile.places(move, profile.samples, 1)[0], profile.samples)
+        if self._skip_slow and profile.samples >= FEWEST and not (entry or leaving):
+            yield from out.skip(profile.places(move, profile.samples, 1)[0], profile.samples)
             self._state = _State.ASIDE
             return
         for first in range(0, profile.samples, out.size):

@@ -232,7 +232,7 @@ def updated(text: str, tables: Tables, source: str = "") -> Updated:
     """Return a profile's text with newly found settings.
 
     A value that differs from the one that its comment begins with was changed by its owner, and
-    stays. A table without settings is removed if it is as it was found. Nothing else changes.
+    stays. A table without settings is removed unless its owner changed it. Nothing else changes.
     Raises PrinterError.
     """
     document: Any = tomlkit.parse(text)

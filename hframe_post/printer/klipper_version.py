@@ -21,7 +21,7 @@ NAMED = re.compile(r"v([\d.]+)-(\d+)-g[0-9a-f]+")
 COMMIT = re.compile(r"(?:^|-g)([0-9a-f]{7,40})(?:-dirty)?$")
 # Of Klipper's main branch, db10e92e9 to 2239041df: a frequency in SET_INPUT_SHAPER changes nothing
 RELEASE, SINCE = "0.13.0", range(631, 642)
-DEAF = (
+AFFECTED = (
     "db10e92e9b3a", "7c0ee842c48c", "19da13507a12", "530cd0512210", "ef8edf3aef7f", "293e1e9d5882",
     "352bc8b2e384", "460ee78340a5", "ef7b13b1f2d4", "d2aa4bd7e371", "2239041df6a2",
 )  # fmt: skip
@@ -53,14 +53,14 @@ def check_version(config: KlipperConfig, log: Path | None) -> Iterator[Finding]:
             f"{log} does not show Klipper's version" if log else "Klipper's version is not known"
         )
         yield Finding(False, f"{where}: show its log with --klippy-log, since {WHICH} {HARM}")
-    elif is_deaf(version):
+    elif is_affected(version):
         yield Finding(True, f"{log}: Klipper {one_line(version)} {HARM}: update Klipper")
 
 
-def is_deaf(version: str) -> bool:
+def is_affected(version: str) -> bool:
     """Return whether this version of Klipper cannot turn input shaping off."""
     commit, named = COMMIT.search(version), NAMED.match(version)
-    if commit and any(each.startswith(commit[1][:12]) for each in DEAF):
+    if commit and any(each.startswith(commit[1][:12]) for each in AFFECTED):
         return True
     return bool(named and named[1] == RELEASE and int(named[2]) in SINCE)
 

@@ -188,10 +188,10 @@ class Pause:
 
 
 @dataclass(frozen=True, slots=True)
-class Glide:
-    """``samples`` from ``index`` on that are left out, in which all moves straight and slowly.
+class SlowStraight:
+    """Slow straight motion whose ``samples``, from ``index`` on, are left out.
 
-    The stretch ends at ``index``. end: x, y, z, e at the last of them.
+    The stretch ends at ``index``. end: x, y, z, e at the last of the samples.
     """
 
     index: int
@@ -199,7 +199,7 @@ class Glide:
     end: Position
 
 
-Event = Mark | Rest | Pause | Glide
+Event = Mark | Rest | Pause | SlowStraight
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,8 +209,8 @@ class Samples:
     xyze (n, 4): the desired path. line (n,): source line of each. events: in order of their
     index, which is in [first, first + n] (first + n: after the last sample). commands:
     strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
-    ends_stretch: the machine may move on its own after these samples. The next ones may be later
-    by those that a ``Glide`` or a long ``Pause`` leaves out.
+    ends_stretch: the machine may move on its own after these samples, or a ``SlowStraight`` or a
+    long ``Pause`` leaves out samples between these and the next.
     """
 
     first: int

@@ -49,7 +49,7 @@ def test_a_tolerance_without_a_unit_is_answered_with_units() -> None:
 
 
 def test_unreadable_files_are_errors(tmp_path: Path) -> None:
-    """Status 1 means that the files differ, so trouble is 2, as in diff and cmp."""
+    """Status 1 means that the files differ, so an error is 2, as in diff and cmp."""
     missing = run("compare", RECTANGLE, tmp_path / "none.gcode")
     assert missing.returncode == 2
     assert b"none.gcode: No such file" in missing.stderr

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import main
-from hframe_post.printer.klipper_version import is_deaf
+from hframe_post.printer.klipper_version import is_affected
 from tests.command_line import run
 from tests.printers import REAL
 
@@ -118,7 +118,7 @@ LOGGED = "Git version: 'v0.13.0-99-g0123456ab'\n===== Config file =====\n"
 
 
 @pytest.mark.parametrize(
-    ("version", "deaf"),
+    ("version", "affected"),
     [
         ("v0.13.0-630-ge4c4a5b94", False),  # the last before
         ("v0.13.0-631-gdb10e92e9", True),
@@ -132,15 +132,16 @@ LOGGED = "Git version: 'v0.13.0-99-g0123456ab'\n===== Config file =====\n"
         ("?", False),
     ],
 )
-def test_which_klipper_does_not_turn_shaping_off(version: str, deaf: bool) -> None:
-    assert is_deaf(version) == deaf
+def test_which_klipper_does_not_turn_shaping_off(version: str, affected: bool) -> None:
+    assert is_affected(version) == affected
 
 
 @pytest.mark.parametrize(
-    ("version", "deaf"), [("v0.13.0-635-g352bc8b2e-dirty", True), ("v0.13.0-642-g77d5d942e", False)]
+    ("version", "affected"),
+    [("v0.13.0-635-g352bc8b2e-dirty", True), ("v0.13.0-642-g77d5d942e", False)],
 )
 def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
-    machine: Path, tmp_path: Path, version: str, deaf: bool
+    machine: Path, tmp_path: Path, version: str, affected: bool
 ) -> None:
     config = tmp_path / "printer_data" / "config"
     shutil.copytree(machine, config)
@@ -156,12 +157,12 @@ def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
     log.parent.mkdir()
     log.write_text(f"{LOGGED}Start\nGit version: '{version}'\nBranch: master\n\xff")
     done = doctor()
-    assert done.returncode == deaf, done.stdout
+    assert done.returncode == affected, done.stdout
     text = f"PROBLEM  {log}: Klipper {version} ignores SET_INPUT_SHAPER SHAPER_FREQ_X=0"
-    assert (text in done.stdout.decode()) == deaf
+    assert (text in done.stdout.decode()) == affected
     assert b"--klippy-log" not in done.stdout
     log.rename(tmp_path / "other.log")
-    assert doctor("--klippy-log", tmp_path / "other.log").returncode == deaf
+    assert doctor("--klippy-log", tmp_path / "other.log").returncode == affected
     (tmp_path / "other.log").write_text("no version")
     assert (
         b"does not show Klipper's version" in doctor("--klippy-log", tmp_path / "other.log").stdout

@@ -170,5 +170,5 @@ def test_what_cannot_be_unpickled_is_no_killed_worker(
         raise UnreadableError("a mistake of ours", 3)
 
     monkeypatch.setattr(conversions.SpanWriter, "streamed", failing)
-    with pytest.raises(RuntimeError, match=r"unreadable: TypeError: .*__init__"):
+    with pytest.raises(RuntimeError, match=r"cannot be read: TypeError: .*__init__"):
         converted(cube(), paper, 2)

@@ -101,7 +101,7 @@ def test_samples_do_not_grow_with_the_time_that_slow_lines_take(feed: int) -> No
     lines += [b"G1 X%d E1 F%d\n" % (100 - 40 * (k % 2), feed) for k in range(10)]
     lines += [b"G4 P%d\n" % (1_000_000 / feed), b"G1 E-9 F%d\n" % feed, b"G1 Z9.3 F%d\n" % feed]
     printer, options = profile.load("paper"), Options("racking")
-    stages = Stages(printer, options, prepared(printer), leaps=True)
+    stages = Stages(printer, options, prepared(printer), skip_slow=True)
     planned = plan(parsed(lines, printer, options), printer.limits)
     chunks = list(stages.predicted(stages.commands(planned), threads=False))
     seconds = (10 * 40 + 9 + 9) * 60 / feed + 1000 / feed

@@ -208,7 +208,7 @@ def wrong_values(value: Any, name: str) -> Iterator[Any]:
                 yield changed
 
 
-def told(value: Any) -> str:
+def shown(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.ravel()[:8].tolist()}"
     return repr(value)[:40]
@@ -249,12 +249,12 @@ def main() -> None:
             for value in values:
                 arguments = fresh(ours)
                 arguments[k] = value
-                call(library, name, arguments, f"{k}={told(value)}")
+                call(library, name, arguments, f"{k}={shown(value)}")
         for _ in range(rounds):
             arguments, changes = fresh(ours), []
             for k in draw.sample(range(len(ours)), draw.choice((2, 3))):
                 arguments[k] = draw.choice(wrong[k])
-                changes.append(f"{k}={told(arguments[k])}")
+                changes.append(f"{k}={shown(arguments[k])}")
             call(library, name, arguments, " ".join(changes))
     print("all loops survived")
 

@@ -62,7 +62,7 @@ def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
     options = Options("none", tolerance=None)  # the path without standstills
     plans = (plan(pieces[k].items, printer.limits) for k in chosen)
-    samples = (sampled(items, printer, options, leaps=True) for items in plans)
+    samples = (sampled(items, printer, options, skip_slow=True) for items in plans)
     found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]
     return [(path, counted) for path, counted in found if counted.any()]
 

@@ -12,7 +12,15 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.player import Player
 from hframe_post.gcode.lexer import Line, command
-from hframe_post.stream.types import Glide, Handling, Mark, Passthrough, Pause, Samples, Standing
+from hframe_post.stream.types import (
+    Handling,
+    Mark,
+    Passthrough,
+    Pause,
+    Samples,
+    SlowStraight,
+    Standing,
+)
 from hframe_post.writers.stream.print_time import Output, passed_on
 from hframe_post.writers.stream.segments import (
     SAMPLES_AT_ONCE,
@@ -126,24 +134,24 @@ class Machine:
                 yield from self._pause(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
-            elif isinstance(event, Glide):
+            elif isinstance(event, SlowStraight):
                 yield from self._take(chunk, done, at)
                 done = max(at, done)
-                yield from self._glide(event)
+                yield from self._slow_straight(event)
         yield from self._take(chunk, done, len(chunk))
 
-    def _glide(self, glide: Glide) -> Iterator[Command]:
+    def _slow_straight(self, slow: SlowStraight) -> Iterator[Command]:
         """Yield a straight whose samples are left out, as one segment."""
         if batch := self._buffer.batch(last=False):
             yield from self._motion(batch)
         assert self._at is not None
-        start, end = self._at, self._units.place(glide.end)
-        self._buffer.leap(glide.end)
-        self._still += glide.samples
+        start, end = self._at, self._units.place(slow.end)
+        self._buffer.resume(slow.end)
+        self._still += slow.samples
         if end == start:
             return
         yield from self._enter()
-        self.ledger.moved([glide.index + glide.samples - 1], end[E] - start[E])
+        self.ledger.moved([slow.index + slow.samples - 1], end[E] - start[E])
         self._at = end
         at, T = np.array([start, end]), np.array([self._still * TS])
         self._still = 0

@@ -134,7 +134,7 @@ class SampleBuffer:
         """Add a line that passes before its sample, which may follow later."""
         self._marks.append(mark)
 
-    def leap(self, place: Position) -> None:
+    def resume(self, place: Position) -> None:
         """Go on from a place, mm, at the next sample; the buffer is empty."""
         self._before = np.array(place)
 
