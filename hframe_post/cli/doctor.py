@@ -184,20 +184,27 @@ def _check_profile(
     if config is None:
         findings.note("printer.cfg is not checked: name it with --printer-cfg")
         return
+    _check_config(findings, config, log or log_of(config), profile, printer)
+
+
+def _check_config(
+    findings: _Findings, path: Path, log: Path | None, profile: Printer, name: str
+) -> None:
+    """Compare printer.cfg with a profile of this name; log: Klipper's, which shows its version."""
     try:
-        read = KlipperConfig(config)
-        differences = list(_differences(read, profile, printer))
-        if klipper:
-            differences += check_version(read, log or log_of(config))
+        config = KlipperConfig(path)
+        differences = list(_differences(config, profile, name))
+        if profile.firmware.dialect == "klipper":
+            differences += check_version(config, log)
     except HframeError as error:
         findings.problem(str(error))
         return
-    if read.missing:
+    if config.missing:
         findings.unchecked = "the include that finds no file"
     for difference in differences:
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):
-        findings.ok(f"{config} agrees with the profile")
+        findings.ok(f"{path} agrees with the profile")
 
 
 def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
