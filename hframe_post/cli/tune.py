@@ -151,7 +151,9 @@ def tune(
             if figure is not None and drawing is not None:
                 drawn = trade_off(tuned.trials, best, profile.motors, pace)
                 plotting.save(drawn, drawing, figure.suffix.removeprefix("."))
-        table = trials_table(tuned.trials, best) + (pace_table(pace) if pace else "")
+        paced = pace_table(pace) if pace else ""
+        advice = "best with the profile's limits" if paced else "recommended"
+        table = trials_table(tuned.trials, best, advice) + paced
         if tuned.stops:
             table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
         click.echo(table, err=str(json_file) == "-")

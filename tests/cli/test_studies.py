@@ -168,7 +168,10 @@ def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path
     for name in ("acceleration", "deceleration", "jerk"):
         assert getattr(profile.limits, name) == chosen[name]
     assert profile.limits.jerk < 5e7
-    assert "recommended: acceleration = " in done.stdout.decode()
+    shown = done.stdout.decode()
+    assert "best with the profile's limits: L = 8" in shown
+    assert "\nrecommended: acceleration = " in shown
+    assert shown.count("recommended") == 1, shown
 
 
 def test_tune_recommends_no_limits_where_no_layer_has_a_label(tmp_path: Path) -> None:

@@ -84,16 +84,17 @@ def pace_table(pace: Pareto) -> str:
             f"{point.trial.contour.rms * 1e3:20.2f}{point.trial.robust * 1e3:9.2f}"
             f"{point.trial.worst * 1e3:8.2f}"
         )
-    lines += ["", _recommendation(chosen.trial, _limits(chosen)), _bought(pace.usual, chosen)]
+    recommended = f"recommended: {_limits(chosen)}, {_settings(chosen.trial)}"
+    lines += ["", recommended, _bought(pace.usual, chosen)]
     return "\n".join(lines)
 
 
 def _bought(usual: Point, chosen: Point) -> str:
-    """Return what the chosen limits cost and bring, next to the profile's own."""
+    """Return what the chosen limits cost and bring, compared with the profile's own."""
     before, after = usual.trial, chosen.trial
     more = after.seconds / before.seconds - 1.0
     return (
-        f"next to {_limits(usual)}: {more:+.1%} time; "
+        f"compared with the profile's {_limits(usual)}: {more:+.1%} time; "
         f"median {1e3 * before.robust:.1f} → {1e3 * after.robust:.1f} µm, "
         f"worst {1e3 * before.worst:.1f} → {1e3 * after.worst:.1f} µm"
     )
@@ -103,12 +104,9 @@ def _limits(point: Point) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in point.settings.items())
 
 
-def _recommendation(trial: Trial, limits: str = "") -> str:
+def _settings(trial: Trial) -> str:
     x, y = trial.windows
-    return (
-        f"recommended: {limits}{', ' if limits else ''}L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, "
-        f"effort = [{x.effort:g}, {y.effort:g}]"
-    )
+    return f"L = {x.L}, n_C = {x.n_C}, n_up = {x.n_up}, effort = [{x.effort:g}, {y.effort:g}]"
 
 
 def summary(
@@ -125,7 +123,8 @@ def summary(
     }
 
 
-def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
+def trials_table(trials: Sequence[Trial], best: Trial | None, advice: str) -> str:
+    """Return a table of windows and efforts; advice: what the best of them is."""
     lines = [
         f"{'':2s}{'':3s}{'effort (λ)':>16s}{'contour error, µm RMS':>29s}{'belts, at most':>21s}",
         f"{'':2s}{'L':>3s}{'x, y':>16s}{'the model':>12s}{'median':>9s}{'worst':>8s}{'mm/s':>10s}"
@@ -144,7 +143,7 @@ def trials_table(trials: Sequence[Trial], best: Trial | None) -> str:
     drawn = max((len(trial.drawn) for trial in trials), default=0)
     lines += [f"median and worst: of {drawn} random printers"] if drawn else []
     if best is not None:
-        lines += ["", _recommendation(best)]
+        lines += ["", f"{advice}: {_settings(best)}"]
     return "\n".join(lines)
 
 
