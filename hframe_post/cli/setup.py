@@ -119,18 +119,10 @@ def setup(
         if sections and not _holds(folder / FILE, sections):
             outputs.open(folder / FILE).write(sections.encode())
         done = moonraker.connect(outputs, target) if moonraker is not None else []
-    default = "from now on the default"
-    try:
-        set_default(os.path.abspath(target))
-    except OSError as error:
-        source.warnings.append(
-            f"{error.filename} cannot be written ({error.strerror}), so {target} is not the "
-            f"default: give -p {quoted(target)} to each command, or set {VARIABLE} to its path"
-        )
-        default = "not the default"
+    written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
         click.echo("\n".join(_differences(new, old, target)))
-    click.echo("\n".join(_summary(source, profile, f"{target}, {default}", kind)))
+    click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done]))
     click.echo(source.next_steps(profile, target))
@@ -249,6 +241,19 @@ def _kinematics(source: _Source, requested: str | None, before: Printer | None) 
     if not source.decided:
         return Known(possible[0], "assumed: the answers do not tell")
     return Known(possible[0], f"assumed: for the firmware {' and '.join(possible)} are the same")
+
+
+def _made_default(target: Path, warnings: list[str]) -> str:
+    """Make a profile the default and say so, or add to the warnings why it is not."""
+    try:
+        set_default(os.path.abspath(target))
+    except OSError as error:
+        warnings.append(
+            f"{error.filename} cannot be written ({error.strerror}), so {target} is not the "
+            f"default: give -p {quoted(target)} to each command, or set {VARIABLE} to its path"
+        )
+        return "not the default"
+    return "from now on the default"
 
 
 def _holds(path: Path, text: str) -> bool:
