@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.klipper_cfg import KlipperConfig
@@ -18,8 +19,18 @@ from hframe_post.printer.setup import Known, as_float, extruder, motors
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
 
-# Whether it is wrong, section, option, text, and the profile's key if setup finds its value
-Difference = tuple[bool, str, str, str, str]
+
+class Difference(NamedTuple):
+    """A difference of printer.cfg from the profile, and whether it is wrong.
+
+    key: of the profile, if `setup` finds its value in printer.cfg.
+    """
+
+    wrong: bool
+    section: str
+    option: str
+    text: str
+    key: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +74,7 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]
     needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
     if has != needs:
         text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
-        yield True, "printer", "kinematics", text, "kinematics.type"
+        yield Difference(True, "printer", "kinematics", text, "kinematics.type")
 
 
 def _speed_and_acceleration(config: KlipperConfig) -> tuple[float, float]:
@@ -121,10 +132,11 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         if math.isnan(has):
             line = f"'{option}: {wanted:g}', the profile's {key}"
             text = f"has no {option}, so Klipper chooses it: add {line}"
-            yield False, section, option, text, ""
+            yield Difference(False, section, option, text)
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
-            yield True, section, option, f"{option}: {has:g}{given}, but {key} = {wanted:g}", key
+            text = f"{option}: {has:g}{given}, but {key} = {wanted:g}"
+            yield Difference(True, section, option, text, key)
 
 
 def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
@@ -133,7 +145,7 @@ def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         step = config.step(motor)
         if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
             text = f"steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
-            yield True, motor, "rotation_distance", text, "steps.belt"
+            yield Difference(True, motor, "rotation_distance", text, "steps.belt")
 
 
 def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
@@ -148,7 +160,7 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         ):
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
-                yield True, section, option, text, f"travel.{axis}"
+                yield Difference(True, section, option, text, f"travel.{axis}")
 
 
 def _above(
@@ -175,7 +187,7 @@ def _above(
             if above:
                 has = config.text("printer", option)
                 text = f"{option}: {has}, but the profile has {' and '.join(above)}, {who}"
-                yield who != "as you chose", "printer", option, text, ""
+                yield Difference(who != "as you chose", "printer", option, text)
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
