@@ -321,7 +321,7 @@ def converted(upload: Upload, command: list[str], interface: Interface) -> str:
         )  # fmt: skip
     except OSError as error:
         raise FailureError(
-            f"{command[0]} cannot be run: {error.strerror}. Mend command in [{NAME}] of "
+            f"{command[0]} cannot be run: {error.strerror}. Correct command in [{NAME}] of "
             "moonraker.conf"
         ) from None
     shown = []

@@ -2,7 +2,7 @@
 
 Other arguments are libFuzzer's: -max_total_time=1800, and a folder that keeps what it learned.
 Without compiled loops, whose coverage it would not see. It ends at the first defect, and writes
-it to crash-…; once mended, that belongs into found/TARGET.
+it to crash-…; once it is corrected, that belongs into found/TARGET.
 """
 
 from __future__ import annotations

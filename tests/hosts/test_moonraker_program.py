@@ -137,7 +137,7 @@ def test_a_command_that_cannot_run_is_a_reason(part: Path) -> None:
     assert processed(part, "/nowhere/hframe-post") == 1
     reason = part.read_text().split("\n")[0]
     assert "/nowhere/hframe-post cannot be run: No such file" in reason
-    assert "Mend command in [hframe_post] of moonraker.conf" in reason
+    assert "Correct command in [hframe_post] of moonraker.conf" in reason
 
 
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
