@@ -86,8 +86,8 @@ class Marlin:
             return ()
         return (
             f"a serial line of {self.table.baud} baud carries {self.lines_per_second:.0f} lines in "
-            "a second, so motion is coarser: raise its baud rate, or print from the SD card, without "
-            "baud in the profile",
+            "a second, so motion is coarser: raise its baud rate, or print from the SD card, "
+            "without baud in the profile",
         )
 
     @property
