@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -41,6 +42,7 @@ class TransferFunction:
     zeros: Complex
     poles: Complex
     gain: float
+    ahead: ClassVar[int] = 0  # samples of the command after a sample that its output depends on
 
     def __post_init__(self) -> None:
         for name in ("zeros", "poles"):
