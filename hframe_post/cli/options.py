@@ -122,7 +122,10 @@ def say(text: str) -> None:
 
 def quoted(path: str | Path) -> str:
     """Return a path as a shell takes it."""
-    return f'"{path}"' if SPECIAL.search(str(path)) else str(path)
+    text = str(path)
+    if os.name == "posix":
+        text = re.sub(r'(["$`\\])', r"\\\1", text)  # which it would read even between quotes
+    return f'"{text}"' if SPECIAL.search(text) else text
 
 
 def files_read(*names: str | Path | None) -> list[Path]:

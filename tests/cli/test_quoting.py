@@ -12,7 +12,10 @@ from tests.command_line import run
 from tests.printers import M503, REAL
 
 
-@pytest.mark.parametrize("name", ["printer.toml", "my printer.toml", "printer(2).toml", "a&b.toml"])
+@pytest.mark.parametrize(
+    "name",
+    ["a.toml", "my a.toml", "a(2).toml", "a&b.toml", "5$a.toml", 'a"b.toml', "a`b`.toml", "a\\b c"],
+)
 def test_a_shell_takes_a_quoted_path_as_one_word(name: str) -> None:
     assert shlex.split(quoted(Path("größe") / name)) == [f"größe/{name}"]
     assert quoted("printer.toml") == "printer.toml"
