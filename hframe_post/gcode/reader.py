@@ -121,9 +121,10 @@ class _Reader:
         """Apply the end of the file: complete the last item, and report the final modes."""
         number = self._source.number
         if not number:
-            raise GcodeError("the file is empty")
+            raise GcodeError("the file is empty: slice again")
         if not (self._any_motion or self.items.any_motion):
-            raise GcodeError("there is not a single move in this file", number)
+            cause = "there is not a single move in this file: give the G-code of a slicer"
+            raise GcodeError(cause, number)
         self._pass_through(Line(number, b""), Handling.RELEASE)
 
     # ------------------------------------------------------------------ motion
