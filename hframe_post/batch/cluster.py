@@ -115,7 +115,7 @@ class Cluster:
         return job
 
     def stop(self) -> None:
-        """Wait for no result: a conversion that a worker has begun ends there."""
+        """Cancel all conversions; those that a worker has begun end there, unread."""
         self._stopped = True
         for running in list(self._running):
             running.cancel()

@@ -100,7 +100,7 @@ class Outcome:
 
     @property
     def interrupted(self) -> bool:
-        """Return whether a signal ended it that a terminal sends to all processes of a batch."""
+        """Return whether it was ended by a signal that a terminal sends to the whole batch."""
         return self.status in [-getattr(signal, name, 0) for name in INTERRUPTS if self.status < 0]
 
     def _cause(self) -> str:

@@ -139,7 +139,7 @@ def _check_usage(sources: tuple[Path, ...], watched: Path | None, folder: Path) 
 
 
 class Results:
-    """What became of the files so far; a watched file that came again counts once.
+    """Results of the files so far; a watched file that came again counts once.
 
     notices: warnings of the profile, which every file has: they are printed once.
     """

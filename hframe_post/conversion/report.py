@@ -217,7 +217,7 @@ class Report:
         return found
 
     def _tools(self) -> list[str]:
-        """Return a warning if tools print that the plant is not of, or may not be of."""
+        """Return a warning if the file uses tools that the profile may have no model of."""
         if self.other_tools is None:
             tools = filter(TOOL.fullmatch, self.path.uncompensated)
             if not (named := ", ".join(tools)):
@@ -233,7 +233,7 @@ class Report:
             return []
         return [
             f"{_percent(filament / self.path.filament)} of the extrusion is not compensated: the "
-            f"model is of another tool than {', '.join(others)} (other_tools in the profile)"
+            f"profile has no model of {', '.join(others)} (other_tools in the profile)"
         ]
 
     def _is_other_tool(self, cause: str) -> bool:

@@ -8,7 +8,7 @@ Rules:
  4. Lines that only set limits or the feed-rate factor are applied here and do not pass through:
     inside a dense stream the firmware would apply them a second time.
  5. Firmware retraction becomes a move of filament where the profile gives its settings.
- 6. What a tool prints that the profile's model is not of passes through to the firmware.
+ 6. What a tool prints that the profile has no model of passes through to the firmware.
 """
 
 from __future__ import annotations

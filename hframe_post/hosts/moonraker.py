@@ -250,7 +250,7 @@ def write(path: Path, head: bytes, rest: IO[bytes] | None = None) -> None:
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """Return what changes if a file is replaced or written to; nothing if there is none."""
+    """Return numbers that change if a file is replaced or written to; empty if it is gone."""
     try:
         found = path.lstat()
     except OSError:

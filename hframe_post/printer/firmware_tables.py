@@ -105,8 +105,8 @@ class Firmware:
     """The firmware that plays the output (``dialect``), and the tables of all that the profile has.
 
     harmless: commands and macros that move nothing. returns: those that may move, but return to
-    the same position and modes. other_tools: those after which a tool prints that the plant is not
-    of; None if its owner has not said. A name may end in ``*``.
+    the same position and modes. other_tools: those after which a tool prints that the profile has
+    no model of; None if its owner has not said. A name may end in ``*``.
     """
 
     dialect: str = "klipper"

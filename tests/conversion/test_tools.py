@@ -55,7 +55,7 @@ def test_what_another_tool_prints_is_left_to_the_firmware() -> None:
     shares = report.as_json()["uncompensated"]["by_cause"]
     assert shares["T1"]["moves"] == 2 * len(OTHER) + 1
     (warning,) = [w for w in report.warnings() if "not compensated" in w]
-    assert "the model is of another tool than T1 (other_tools in the profile)" in warning
+    assert "the profile has no model of T1 (other_tools in the profile)" in warning
 
 
 def test_it_goes_on_with_the_other_tool_after_a_macro(tmp_path: Path) -> None:
