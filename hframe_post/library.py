@@ -33,7 +33,7 @@ from hframe_post.errors import (
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import is_binary, lines_of, reread
 from hframe_post.gcode.state import Extrusion, LimitSource
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.predict import contour_error as off_path
@@ -92,7 +92,7 @@ def predict(command: ArrayLike, printer: Printer) -> Array:
     Raises ArgumentError for an array that is not a command.
     """
     points = _points(command, "command")
-    return Response(printer.plant, points[0]).run(points)
+    return nozzle(printer.plant, points[0], points)
 
 
 def contour_error(nozzle: ArrayLike, path: ArrayLike) -> Array:

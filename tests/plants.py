@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Complex
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 
@@ -34,7 +35,7 @@ def all_of_them() -> list[TransferFunction]:
     """Return the paper's three and those of three random printers."""
     plant = profile.load("paper").plant
     assert plant.Gxtheta is not None
-    paper = [plant.Gxx, plant.Gyy, plant.Gxtheta]
+    paper = [transfer_function(G) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)]
     return paper + [G for seed in (1, 2, 3) for G in drawn(seed)]
 
 

@@ -7,7 +7,8 @@ machine must stand where the file believes it to be.
 
 The solution depends only on the samples around the stop and on the state of the plant before it.
 That state is carried from stop to stop; after a long time without stops it is computed from the
-last REMEMBERED samples, because the plant has forgotten all before.
+last REMEMBERED samples, because the plant has forgotten all before. Where a measured response
+begins before the command, these numbers grow by that many samples.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class _Stretch:
     def finish(self) -> Iterator[Samples]:
         """Yield the rest of the stretch, at the end of which the machine goes on standing."""
         end = self._window.end
-        self._window.append_standstill(AFTER)
+        self._window.append_standstill(self._window.after)
         self._add_stop(end - 1, FOREVER)
         self._solve()
         yield from self._release(end)
@@ -127,13 +128,13 @@ class _Stretch:
         while self._stops:
             a, b = self._stops[0]
             before, long = min(a - self._free, BESIDE), b - a > LONGEST
-            if long and not self._arrived and window.end >= a + AFTER:
+            if long and not self._arrived and window.end >= a + window.after:
                 window.put_on_path(a, b)
                 window.solve(Stop(a, a, before, 0, False, a))
                 self._arrived = True
             if self._arrived:
                 window.put_on_path(a, b)
-            if window.end < b + AFTER:
+            if window.end < b + window.after:
                 return min(b if self._arrived else a, window.end - 1) - BEFORE
             following = self._stops[1][0] if len(self._stops) > 1 else FOREVER
             after = min(following - b, BESIDE)
@@ -179,11 +180,14 @@ class _Window:
     """The samples of a stretch that are still needed, counted as in the stream.
 
     They begin with standstill before the stretch. ``_first`` is the index of the first of them.
+    after: samples after a stop that its solution depends on.
     """
 
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
         self._first = chunk.first - BEFORE
         self._origin, self._e = chunk.xyze[0, :Z], chunk.xyze[:1, E]
+        ahead = max((solver.around.ahead for solver in solvers.values()), default=0)
+        self.after, self._remembered = AFTER + ahead, REMEMBERED + ahead
         self._path = np.zeros((BEFORE, 2))
         self._extruding = np.zeros(BEFORE, dtype=bool)
         self._tracks = {
@@ -222,7 +226,7 @@ class _Window:
 
     def forget(self, end: int) -> None:
         """Drop the samples that nothing depends on once all before ``end`` is final."""
-        n = end - self._first - REMEMBERED
+        n = end - self._first - self._remembered
         if n <= 0:
             return
         for track in self._tracks.values():
@@ -252,8 +256,8 @@ class _Window:
 
     def _response_before(self, k: int, track: _Track) -> Response:
         """Return the response of a track's plant before sample k, before which all is final."""
-        if track.reached < k - REMEMBERED:
-            track.reached = k - REMEMBERED
+        if track.reached < k - self._remembered:
+            track.reached = k - self._remembered
             track.before = track.solver.around.at_rest(track.command[track.reached - self._first])
         track.before.run(track.command[self._rows(track.reached, k)])
         track.reached = k

@@ -96,7 +96,8 @@ class ImpulseResponse:
         b[k] = c[k] − 2 c[k−1] + c[k−2], so nothing after sample k is needed. late ≥ ahead.
         """
         first = self.lead + 1 - late
-        return np.concatenate([np.zeros(max(-first, 0)), self.deviation[max(first, 0) :]])
+        taps = np.concatenate([np.zeros(max(-first, 0)), self.deviation[max(first, 0) :]])
+        return taps if len(taps) else np.zeros(1)
 
     def impulse(self, n: int) -> Array:
         """Return the response to a command of 1 at sample 0 only, n samples from −ahead on."""
@@ -130,3 +131,13 @@ class ImpulseResponse:
 
 
 Linear: TypeAlias = TransferFunction | ImpulseResponse
+
+
+def transfer_function(G: Linear) -> TransferFunction:
+    """Return G if it has poles and zeros. Raises ArgumentError otherwise."""
+    if isinstance(G, ImpulseResponse):
+        raise ArgumentError(
+            "this needs a model of poles and zeros; that of this printer is a measured impulse "
+            "response"
+        )
+    return G

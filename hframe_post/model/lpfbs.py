@@ -11,11 +11,16 @@ symbol          meaning                                                      sou
 ``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
 ``effort``      λ, weight on the command's second difference                 —
 ``s``           the past, as the next window needs it: (plant state, p_P)    —
+``lead``        samples by which the plant responds before the command       —
 ==============  ===========================================================  ==========
 
 The paper truncates the impulse response where it reaches back (the bar over N). Here the past
 enters as the plant's state and the last control points, which is exact, so one step of the
 recursion is a constant linear map of (s, window of x_d).
+
+A finite impulse response has no state: the past is then all control points that it reaches. If it
+begins before the command, the solver sees the plant and its target ``lead`` samples late: the
+command comes at its right time, and the preview is shorter by the lead.
 """
 
 from __future__ import annotations
@@ -26,7 +31,9 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.linear import product, pseudo_inverse, recursion, windows_product
+from hframe_post.model.plant import FiniteFilter
 from hframe_post.model.transfer_function import TransferFunction
 
 CONDITION = 1e12  # greatest condition number of a window that can be solved
@@ -103,12 +110,13 @@ class Lpfbs:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
     """
 
-    def __init__(self, G: TransferFunction, window: Window) -> None:
-        self.window = window
+    def __init__(self, G: Linear, window: Window) -> None:
+        self.window, self.lead = window, G.ahead
         self._basis = uniform_basis(window.L, window.degree)
-        K_target, self._K_past, step_target, self._step_past = _solve(G, window)
-        self._by_target = np.ascontiguousarray(np.vstack([K_target, step_target]).T)
-        self.rest = np.zeros(len(step_target))  # the past of an axis that stood at zero
+        gains = _solve_finite(G, window) if isinstance(G, ImpulseResponse) else _solve(G, window)
+        K_target, self._K_past, z_target, self._step_past = gains
+        self._by_target = np.ascontiguousarray(np.vstack([K_target, z_target]).T)
+        self.rest = np.zeros(len(self._step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
         if not self.radius < 1.0:
             raise ArgumentError(
@@ -128,17 +136,25 @@ class Lpfbs:
             raise ArgumentError(f"x_d must be (n,), it is {np.shape(x_d)}")
         if not len(x_d):
             return np.zeros(0)
-        w = self.window
-        target = np.pad(x_d - x_d[0], (0, -len(x_d) % w.stride + w.L_C - w.stride), mode="edge")
-        x_dm, _ = self.run(target, self.rest)
+        x_dm, _ = self.run(self.whole(np.pad(x_d - x_d[0], (self.lead, 0))), self.rest)
         return np.asarray(x_d[0] + x_dm[: len(x_d)])
+
+    def whole(self, target: Array) -> Array:
+        """Return the target in whole windows, standing still after its end.
+
+        It is ``lead`` samples late, so the command of its last ``lead`` samples is not needed.
+        """
+        w = self.window
+        n = len(target) - self.lead
+        length = n + -n % w.stride + w.L_C - w.stride
+        return np.pad(target, (0, max(length - len(target), 0)), mode="edge")[:length]
 
     def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
         """Return the command x_dm (W·stride,) for W whole windows of x_d, and the next s.
 
-        x_d has (W − 1)·stride + L_C samples, of which the last L_C − stride are the preview and
-        come again with the next call. Both are relative to where the axis stood when the stream
-        began. Raises ArgumentError for any other length.
+        x_d is ``lead`` samples late. It has (W − 1)·stride + L_C samples, of which the last
+        L_C − stride are the preview and come again with the next call. Both are relative to where
+        the axis stood when the stream began. Raises ArgumentError for any other length.
         """
         w = self.window
         if len(x_d) < w.L_C or (len(x_d) - w.L_C) % w.stride:
@@ -147,7 +163,11 @@ class Lpfbs:
                 f"of {w.stride}); command() takes any length"
             )
         by_target = windows_product(np.ascontiguousarray(x_d), w.stride, self._by_target)
-        past = recursion(self._step_past, by_target[:, w.n_up :], s)
+        points = min(w.n_up, len(s) - by_target.shape[1] + w.n_up)  # that the next window needs
+        steps = np.zeros((len(by_target), len(s)))
+        steps[:, : by_target.shape[1] - w.n_up] = by_target[:, w.n_up :]
+        steps[:, len(s) - points :] = by_target[:, w.n_up - points : w.n_up]
+        past = recursion(self._step_past, steps, s)
         p = by_target[:, : w.n_up] + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
         control = np.concatenate([s[-w.degree :], p.ravel()])
         return windows_product(control, 1, self._basis.T).ravel(), past[-1]
@@ -158,12 +178,48 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
 
     Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
     difference: eq. 39 with the past exact and an effort penalty. Of p_C, the first n_up are kept;
-    s = (z, p_P) becomes step_target x_d + step_past s. Shapes (n_up, L_C), (n_up, d + m + 1),
-    (d + m + 1, L_C), (d + m + 1, d + m + 1).
+    s = (z, p_P) becomes step_past s + (z_target x_d, K_target x_d), of which p_P keeps the last
+    m + 1. Returns K_target (n_up, L_C), K_past (n_up, d + m + 1), z_target (d, L_C),
+    step_past (d + m + 1, d + m + 1).
     """
     N_P, N_C, D_P, D_C = window_splines(w)
     lifted, O, _, _ = G.lifted(w.L_C)
     N_P_filtered, N_C_filtered = product(lifted, N_P), _shifted(product(lifted, N_C[:, :1]), w)
+    past_filtered = np.hstack([O, N_P_filtered])
+    D_past = np.hstack([np.zeros((w.L_C, O.shape[1])), D_P])
+    K_target, K_past = _gains(N_C_filtered, D_C, past_filtered, D_past, w)
+
+    past, T = w.degree + 1, w.stride
+    _, _, A_T, R = G.lifted(T)
+    reach_C, reach_P = product(R, N_C[:T, : w.n_up]), product(R, N_P[:T])
+    z_target = product(reach_C, K_target)
+    z_past = product(reach_C, K_past) + np.hstack([A_T, reach_P])
+    old = np.hstack([np.zeros((past, O.shape[1])), np.eye(past)])
+    return K_target, K_past, z_target, np.vstack([z_past, np.vstack([old, K_past])[-past:]])
+
+
+def _solve_finite(G: ImpulseResponse, w: Window) -> tuple[Array, Array, Array, Array]:
+    """Return what ``_solve`` does, for a plant without state: s = p_P, all points in its reach."""
+    _, _, D_P, D_C = window_splines(w)
+    first = bsplines(
+        w.L * np.arange(w.degree + 2, dtype=float), w.degree, np.arange(w.L * (w.degree + 1.0))
+    )
+    plant = FiniteFilter(G, G.ahead)
+    filtered = plant.run(np.pad(first[:, 0], (0, len(plant.state))))
+    past = max(-(-len(filtered) // w.L) - 1, w.degree + 1)
+    since = np.arange(w.L_C)[:, None] - w.L * np.arange(-past, w.n_C)
+    inside = (since >= 0) & (since < len(filtered))
+    N_filtered = np.where(inside, filtered[np.where(inside, since, 0)], 0.0)
+    D_past = np.pad(D_P, ((0, 0), (past - w.degree - 1, 0)))
+    K_target, K_past = _gains(N_filtered[:, past:], D_C, N_filtered[:, :past], D_past, w)
+    step_past = np.vstack([np.eye(past), K_past])[-past:]
+    return K_target, K_past, np.zeros((0, w.L_C)), step_past
+
+
+def _gains(
+    N_C_filtered: Array, D_C: Array, past_filtered: Array, D_past: Array, w: Window
+) -> tuple[Array, Array]:
+    """Return the gains K_target and K_past, from what moves the nozzle and what takes effort."""
     weight = np.sqrt(w.effort)
     pinv = pseudo_inverse(np.vstack([N_C_filtered, weight * D_C]), CONDITION)
     if pinv is None:
@@ -172,19 +228,8 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
             "without influence on the window; take smaller n_C or larger effort"
         )
     pinv = pinv[: w.n_up]
-    free = np.block([[O, N_P_filtered], [np.zeros((w.L_C, O.shape[1])), weight * D_P]])
-    K_target, K_past = pinv[:, : w.L_C], -product(pinv, free)
-
-    past, T = w.degree + 1, w.stride
-    _, _, A_T, R = G.lifted(T)
-    reach_C, reach_P = product(R, N_C[:T, : w.n_up]), product(R, N_P[:T])
-    z_target = product(reach_C, K_target)
-    z_past = product(reach_C, K_past) + np.hstack([A_T, reach_P])
-    points_target = np.vstack([np.zeros((past, w.L_C)), K_target])[-past:]
-    old = np.hstack([np.zeros((past, O.shape[1])), np.eye(past)])
-    points_past = np.vstack([old, K_past])[-past:]
-    step_target, step_past = np.vstack([z_target, points_target]), np.vstack([z_past, points_past])
-    return K_target, K_past, step_target, step_past
+    free = np.vstack([past_filtered, weight * D_past])
+    return pinv[:, : w.L_C], -product(pinv, free)
 
 
 def _shifted(first: Array, w: Window) -> Array:

@@ -20,14 +20,17 @@ from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
+from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
+from hframe_post.model.linear import windows_product
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.native import kernel
+from hframe_post.native import Kernel, kernel
 
+BLOCK = 64  # outputs of a finite response that are computed together
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
 
@@ -41,7 +44,7 @@ class Coupling:
 
     answer: int
     command: int
-    G: TransferFunction
+    G: Linear
     along: int | None = None
     centre: float = 0.0
 
@@ -60,16 +63,16 @@ class Bed:
 
 @dataclass(frozen=True)
 class Plant:
-    """The three transfer functions of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
+    """The three responses of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
 
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
     does not move the nozzle. cross: couplings other than racking. bed: None if it does not move,
     or nothing is known of it.
     """
 
-    Gxx: TransferFunction
-    Gyy: TransferFunction
-    Gxtheta: TransferFunction | None
+    Gxx: Linear
+    Gyy: Linear
+    Gxtheta: Linear | None
     x_c: float
     cross: tuple[Coupling, ...] = ()
     bed: Bed | None = None
@@ -80,6 +83,12 @@ class Plant:
         if self.Gxtheta is None:
             return self.cross
         return Coupling(Y, X, self.Gxtheta, X, self.x_c), *self.cross
+
+    @property
+    def ahead(self) -> int:
+        """Return how many samples of a command after a sample the nozzle's place depends on."""
+        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
+        return max(G.ahead for G in each)
 
     def decoupled(self) -> Plant:
         """Return the plant without couplings."""
@@ -99,13 +108,18 @@ class Plant:
         return replace(self, Gyy=heavier(self.Gyy, math.exp(HEAVIER * load)), bed=None)
 
 
-def heavier(G: TransferFunction, factor: float) -> TransferFunction:
+def heavier(G: Linear, factor: float) -> Linear:
     """Return G with ``factor`` times the mass behind its modes.
 
-    Of s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first term grows: ω and ζ fall
-    by √factor, and G at rest and the lag at low speed stay. So do real roots, and pairs above a
-    quarter of the sampling rate: lags and delays.
+    A measured response takes √factor times as long.
+
+    Of a transfer function's s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first
+    term grows: ω and ζ fall by √factor, and G at rest and the lag at low speed stay. So do real
+    roots, and pairs above a quarter of the sampling rate: lags and delays.
     """
+
+    if isinstance(G, ImpulseResponse):
+        return G.stretched(math.sqrt(factor))
 
     def moved(root: complex) -> complex:
         if root.imag == 0.0 or root.real <= 0.0:
@@ -120,12 +134,31 @@ def heavier(G: TransferFunction, factor: float) -> TransferFunction:
     return replace(new, gain=G.gain * G.dc_gain / new.dc_gain)
 
 
+class StreamFilter(Protocol):
+    """A linear response applied to a stream, its state carried: equal bits however it is cut."""
+
+    state: Array
+
+    def run(self, u: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,)."""
+
+    def settle(self, u: float) -> None:
+        """Take the state that a constant input leads to."""
+
+
+def stream_filter(G: Linear, late: int) -> StreamFilter:
+    """Return the filter of G whose output comes ``late`` samples late, at least G.ahead."""
+    if isinstance(G, ImpulseResponse):
+        return FiniteFilter(G, late)
+    return LateFilter(G, late) if late else Filter(G)
+
+
 class Filter:
     """A transfer function applied to a stream, its state carried: equal bits however it is cut."""
 
-    def __init__(self, G: TransferFunction) -> None:
-        self.sections = G.sections
-        self.state = np.zeros((len(G.sections), 2))
+    def __init__(self, G: Linear) -> None:
+        self.sections = transfer_function(G).sections
+        self.state = np.zeros((len(self.sections), 2))
 
     def run(self, u: Array) -> Array:
         """Return the output (n,) at the next samples of the input u (n,)."""
@@ -144,6 +177,56 @@ class Filter:
             state[1] = b2 * u - a2 * y
             state[0] = b1 * u - a1 * y + state[1]
             u = y
+
+
+class LateFilter:
+    """A transfer function applied to a stream, its output ``late`` samples late."""
+
+    def __init__(self, G: TransferFunction, late: int) -> None:
+        self._filter, self._dc_gain = Filter(G), G.dc_gain
+        size = self._filter.state.size
+        self.state = np.zeros(size + late)
+        self._filter.state, self._waiting = self.state[:size].reshape(-1, 2), self.state[size:]
+
+    def run(self, u: Array) -> Array:
+        y = np.concatenate([self._waiting, self._filter.run(u)])
+        self._waiting[:] = y[len(u) :]
+        return y[: len(u)]
+
+    def settle(self, u: float) -> None:
+        self._filter.settle(u)
+        self._waiting[:] = self._dc_gain * u
+
+
+class FiniteFilter:
+    """An impulse response applied to a stream, its output ``late`` samples late.
+
+    state (k,): the latest samples of the input. Acceleration is filtered, which at rest is zero.
+    """
+
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
+        taps = G.taps(late)
+        self._rest, self._late = G.rest, late
+        self.state = np.zeros(max(len(taps) + 1, late))
+        outputs = np.zeros((BLOCK, len(taps) + BLOCK))  # each row a sample later than the one above
+        outputs[:, : len(taps)] = taps[::-1]
+        outputs = outputs.ravel()[:-BLOCK].reshape(BLOCK, -1)
+        self._by_acceleration = np.ascontiguousarray(outputs.T)
+
+    def run(self, u: Array) -> Array:
+        n, known = len(u), np.concatenate([self.state, u])
+        blocks, memory = -(-n // BLOCK), len(self._by_acceleration) - BLOCK
+        acceleration = np.zeros(memory + blocks * BLOCK)
+        rate = np.diff(known[len(self.state) - memory - 2 :])
+        np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
+        y = windows_product(acceleration, BLOCK, self._by_acceleration).ravel()[:n]
+        before = len(self.state) - self._late
+        y += self._rest * known[before : before + n]
+        self.state[:] = known[n:]
+        return y
+
+    def settle(self, u: float) -> None:
+        self.state[:] = u
 
 
 @cache
@@ -172,28 +255,39 @@ def _by_scipy_signal(sections: Array, signals: Array, states: Array) -> None:
 
 
 class Filters:
-    """Filters side by side, in one block of memory for the compiled loops.
+    """Filters side by side, each ``late`` samples late.
 
-    sections (k, 6), state (k, 2): of all of them, in turn; counts: how many each has. axes
-    (couplings, 3): of the answer, of the command, and of the lever arm or -1; centres (couplings,).
+    If all are transfer functions and none is late they are ``fused``, in one block of memory for
+    the compiled loops: sections (k, 6), state (k, 2): of all of them, in turn; counts: how many
+    each has. axes (couplings, 3): of the answer, of the command, and of the lever arm or -1;
+    centres (couplings,).
     """
 
-    def __init__(self, direct: Sequence[TransferFunction], couplings: Sequence[Coupling]) -> None:
-        self.each = [Filter(G) for G in (*direct, *(coupling.G for coupling in couplings))]
-        self.couplings = couplings
-        self.sections = np.concatenate([f.sections for f in self.each])
-        self.counts = np.array([len(f.sections) for f in self.each])
+    def __init__(self, direct: Sequence[Linear], couplings: Sequence[Coupling], late: int) -> None:
+        functions = (*direct, *(coupling.G for coupling in couplings))
+        self.each = [stream_filter(G, late) for G in functions]
+        self.couplings, self.late = couplings, late
+        fused = [f for f in self.each if isinstance(f, Filter)]
+        self.fused = len(fused) == len(self.each)
+        if not self.fused:
+            return
+        self.sections = np.concatenate([f.sections for f in fused])
+        self.counts = np.array([len(f.sections) for f in fused])
         self.state = np.zeros((len(self.sections), 2))
         parts = np.split(self.state, np.cumsum(self.counts)[:-1])
-        for f, part in zip(self.each, parts, strict=True):
+        for f, part in zip(fused, parts, strict=True):
             f.state = part
         axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
         self.axes = np.array(axes, np.int64).reshape(-1, 3)
         self.centres = np.array([coupling.centre for coupling in couplings])
 
     @classmethod
-    def of_plant(cls, plant: Plant) -> Filters:
-        return cls((plant.Gxx, plant.Gyy), plant.couplings)
+    def of_plant(cls, plant: Plant, late: int) -> Filters:
+        return cls((plant.Gxx, plant.Gyy), plant.couplings, late)
+
+    def loop(self, name: str) -> Kernel | None:
+        """Return the compiled loop of that name, if it can take these filters."""
+        return kernel(name) if self.fused else None
 
     def arguments(self) -> tuple[Array | Integers | int, ...]:
         """Return the first arguments of a compiled loop."""
@@ -204,18 +298,22 @@ class Filters:
 
 
 class Coupled:
-    """What couplings add to the nozzle in one axis, under commands that come in pieces."""
+    """What couplings add to the nozzle in one axis, under commands that come in pieces.
+
+    late: samples by which the result comes later than the commands.
+    """
 
     def __init__(self, couplings: Sequence[Coupling], origin: Array) -> None:
-        self._filters, self._origin = Filters((), couplings), origin
+        self.late = max(coupling.G.ahead for coupling in couplings)
+        self._filters, self._origin = Filters((), couplings, self.late), origin
 
     def run(self, path: Array, x_dm: Array, y_dm: Array) -> Array:
-        """Return the sum (n,) at the next samples of the path (n, 2) and of commands (n,).
+        """Return the sum (n,) at samples of the path (n, 2), which lag behind the commands (n,).
 
         All are relative to the origin. The lever arms are those of the path.
         """
         filters, added = self._filters, np.zeros(len(path))
-        if (compiled := kernel("coupled")) is not None:
+        if (compiled := filters.loop("coupled")) is not None:
             path, x_dm, y_dm = (np.ascontiguousarray(each) for each in (path, x_dm, y_dm))
             compiled(*filters.arguments(), self._origin, path, x_dm, y_dm, len(path), added)
             return added
@@ -226,11 +324,16 @@ class Coupled:
 
 
 class Response:
-    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,)."""
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
 
-    def __init__(self, plant: Plant, origin: Array) -> None:
-        self._filters = Filters.of_plant(plant)
-        self._origin, self.state = origin, self._filters.state
+    late: samples by which the motion comes later than the command, at least and by default the
+    plant's ``ahead``.
+    """
+
+    def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
+        self.late = plant.ahead if late is None else late
+        self._filters = Filters.of_plant(plant, self.late)
+        self._origin = origin
 
     def settle(self, command: Array) -> None:
         """Come to rest under a command (2,)."""
@@ -240,7 +343,7 @@ class Response:
             f.settle(u[axis])
 
     def run(self, command: Array) -> Array:
-        """Return the nozzle's x, y (n, 2) under the next samples of the command (n, 2)."""
+        """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2)."""
         return self._motion(command, 0)
 
     def motion(self, command: Array) -> tuple[Array, Array]:
@@ -248,9 +351,17 @@ class Response:
         both = self._motion(command, len(self._filters.couplings))
         return both[:, :2], both[:, 2:]
 
+    def imagined(self, command: Array) -> tuple[Array, Array]:
+        """Return what ``motion`` would, and keep the state."""
+        states = [f.state.copy() for f in self._filters.each]
+        motion = self.motion(command)
+        for f, state in zip(self._filters.each, states, strict=True):
+            f.state[:] = state
+        return motion
+
     def _motion(self, command: Array, shown: int) -> Array:
         filters, n = self._filters, len(command)
-        if (compiled := kernel("response")) is not None:
+        if (compiled := filters.loop("response")) is not None:
             command, motion = np.ascontiguousarray(command), np.empty((n, 2 + shown))
             compiled(*filters.arguments(), self._origin, command, n, motion, 2 + shown)
             return motion
@@ -262,3 +373,19 @@ class Response:
             outputs.append(G.run(u[:, coupling.command]))
             nozzle[:, coupling.answer] += coupling.lever(place) * outputs[-1]
         return np.column_stack([nozzle, *outputs[:shown]])
+
+
+def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
+    """Return the nozzle's x, y (n, 2) under a whole command (n, 2).
+
+    The plant rests at ``origin`` (2,) before it, and the command stands still after it.
+    """
+    return motion(plant, origin, command)[0]
+
+
+def motion(plant: Plant, origin: Array, command: Array) -> tuple[Array, Array]:
+    """Return what ``nozzle`` does, and what each coupling's G gives, (n, couplings)."""
+    response = Response(plant, origin)
+    following = np.pad(command, ((0, response.late), (0, 0)), mode="edge")
+    place, outputs = response.motion(following)
+    return place[response.late :], outputs[response.late :]

@@ -19,7 +19,13 @@ WIDTH = 4  # lanes that the compiled loop takes together
 
 
 class Responses(Protocol):
-    """Nozzles under commands that come in pieces."""
+    """Nozzles under commands that come in pieces.
+
+    late: samples by which the nozzles' motion comes later than the commands.
+    """
+
+    @property
+    def late(self) -> int: ...
 
     def run(self, commands: Sequence[Array]) -> Array:
         """Return the nozzles' x, y (plants, commands, n, 2) under the next samples, (n, 2) each."""
@@ -45,7 +51,8 @@ class Plants:
         loads = [plant.load(filament) for plant in self._each]
         if self._key != (key := (commands, *loads)):
             self._key, self._loaded = key, tuple(map(Plant.loaded, self._each, loads))
-            filters = [Filters.of_plant(plant) for plant in self._loaded]
+            late = max(plant.ahead for plant in self._loaded)
+            filters = [Filters.of_plant(plant, late) for plant in self._loaded]
             self._lanes = _Lanes(filters, commands) if _alike(filters) else None
         if (compiled := kernel("responses")) is not None and self._lanes is not None:
             return _SideBySide(self._lanes, origin, compiled)
@@ -53,9 +60,9 @@ class Plants:
 
 
 def _alike(filters: Sequence[Filters]) -> bool:
-    """Return whether they differ in coefficients and lever arms only."""
+    """Return whether they differ in coefficients and lever arms only, and are fused."""
     first = filters[0]
-    return all(
+    return all(f.fused for f in filters) and all(
         np.array_equal(other.counts, first.counts) and np.array_equal(other.axes, first.axes)
         for other in filters
     )
@@ -63,7 +70,10 @@ def _alike(filters: Sequence[Filters]) -> bool:
 
 class _OneByOne:
     def __init__(self, plants: Sequence[Plant], origin: Array, commands: int) -> None:
-        self._each = [[Response(plant, origin) for _ in range(commands)] for plant in plants]
+        self.late = max(plant.ahead for plant in plants)
+        self._each = [
+            [Response(plant, origin, self.late) for _ in range(commands)] for plant in plants
+        ]
 
     def run(self, commands: Sequence[Array]) -> Array:
         pairs = (zip(responses, commands, strict=True) for responses in self._each)
@@ -90,6 +100,8 @@ class _Lanes:
 
 
 class _SideBySide:
+    late = 0  # fused filters never are
+
     def __init__(self, lanes: _Lanes, origin: Array, compiled: Kernel) -> None:
         self._lanes, self._origin, self._compiled = lanes, np.ascontiguousarray(origin), compiled
         groups, sections, _, _ = lanes.sections.shape

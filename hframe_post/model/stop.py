@@ -83,10 +83,10 @@ class StopSolver:
 
         command: of the whole stretch, so far; before: the plant's response to all that precedes
         the first of these samples. The path must be known for NEAREST samples more on either side,
-        and for BEYOND after.
+        and for BEYOND after, and the command for ``around.ahead`` after that.
         """
         rows, n = Rows.from_stop(around, stop), stop.b - stop.a
-        command = command[stop.a - BESIDE - 2 : stop.b + BESIDE + BEYOND].copy()
+        command = command[stop.a - BESIDE - 2 : stop.b + BESIDE + BEYOND + self.around.ahead].copy()
         command[BESIDE + 2 : BESIDE + 2 + n] = command[BESIDE + 2]
         path = around.path[rows.index] + around.origin
         known, levers = self.around.known(before, command[2:], path, n)

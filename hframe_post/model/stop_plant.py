@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.model.plant import Filter, Plant, Response
+from hframe_post.model.plant import Plant, Response, stream_filter
 from hframe_post.model.stop_cost import BESIDE, BEYOND, judged
 
 
@@ -20,17 +20,19 @@ class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a hold, in the order of time.
-    axes (couplings, 2): where each coupling answers, and the command.
+    axes (couplings, 2): where each coupling answers, and the command. ahead: samples of the command
+    after a sample that the nozzle's place depends on.
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
         self._plant, self._N_before, self._N_after = plant, N_before, N_after
+        self.ahead = plant.ahead
         axes = [(coupling.answer, coupling.command) for coupling in plant.couplings]
         self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
     def at_rest(self, command: Array) -> Response:
-        """Return the response of a plant that has long stood at a command (2,)."""
+        """Return the response, ``ahead`` samples late, after a long rest at a command (2,)."""
         response = Response(self._plant, np.zeros(2))
         response.settle(command)
         return response
@@ -39,11 +41,9 @@ class AroundStops:
         """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
         before: the response to all earlier commands; command: from BESIDE samples before a hold of
-        n samples to BESIDE + BEYOND after it; path (r, 2): there.
+        n samples to BESIDE + BEYOND + ahead after it; path (r, 2): at the judged samples.
         """
-        state = before.state.copy()
-        at, outputs = (each[judged(n)] for each in before.motion(command))
-        before.state[:] = state
+        at, outputs = (each[judged(n) + self.ahead] for each in before.imagined(command))
         nozzle, levers = at.copy(), np.ones((len(self.axes), len(at)))
         for coupling, output, lever in zip(self._plant.couplings, outputs.T, levers, strict=True):
             if coupling.along is not None:
@@ -55,10 +55,11 @@ class AroundStops:
     def _by_splines(self, n: int) -> Array:
         """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a hold of n."""
         k, end = self._N_before.shape[1], BESIDE + n
-        commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND))
+        commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND + self.ahead))
         commands[:k, :BESIDE] = self._N_before.T
         commands[k, BESIDE:end] = 1.0
         commands[k + 1 :, end : end + BESIDE] = self._N_after.T
         functions = self._plant.Gxx, self._plant.Gyy, *(c.G for c in self._plant.couplings)
-        outputs = [[Filter(G).run(each)[judged(n)] for each in commands] for G in functions]
+        late, at = self.ahead, judged(n) + self.ahead
+        outputs = [[stream_filter(G, late).run(each)[at] for each in commands] for G in functions]
         return np.array(outputs).transpose(0, 2, 1)

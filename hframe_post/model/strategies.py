@@ -148,6 +148,7 @@ class _Stage:
         self.axis, self._solver = axis, _Axis(lpfbs)
         self._coupled = Coupled(couplings, origin) if couplings else None
         self._taken = 0  # samples of which the solver knows the target
+        self._fed = 0  # samples of which the couplings know the commands
         self._solved = np.zeros(0)
 
     def solve(self, path: Array, commands: Sequence[Array], last: bool) -> Array:
@@ -155,20 +156,34 @@ class _Stage:
 
         commands: the latest ones of x and y, from the same sample on. last: the path ends here.
         """
-        known = min(map(len, commands)) if self._coupled else len(path)
-        at = slice(self._taken, known)
-        target = path[at, self.axis]
-        if self._coupled:  # eq. 19, with the lever arm of Remark 2.1
-            target = target - self._coupled.run(path[at], *(each[at] for each in commands))
-        self._taken = at.stop
+        target = path[self._taken :, self.axis]
+        if self._coupled:
+            target = self._less_coupled(self._coupled, path, commands, last)
+        self._taken += len(target)
         self._solved = np.concatenate([self._solved, self._solver.feed(target)])
         if last:
             self._solved = np.concatenate([self._solved, self._solver.finish()])
         return self._solved
 
+    def _less_coupled(
+        self, coupled: Coupled, path: Array, commands: Sequence[Array], last: bool
+    ) -> Array:
+        """Return the target by eq. 19, with the lever arm of Remark 2.1, as far as it is known."""
+        start, known = self._fed - coupled.late, min(map(len, commands))
+        commands = [each[self._fed : known] for each in commands]
+        self._fed = known
+        if last:  # the commands stand still after their end
+            commands = [_standing(each, coupled.late) for each in commands]
+        early = min(max(-start, 0), len(commands[X]))  # samples before the path, at its origin
+        place = path[max(start, 0) :][: len(commands[X]) - early]
+        at_origin = np.zeros((early, 2))
+        added = coupled.run(np.concatenate([at_origin, place]), *commands)[early:]
+        return np.asarray(place[:, self.axis] - added)
+
     def forget(self, n: int) -> None:
         """Drop the first samples, whose command is final in both axes."""
         self._taken -= n
+        self._fed -= n
         self._solved = self._solved[n:].copy()
 
 
@@ -178,13 +193,13 @@ class _Axis:
     def __init__(self, lpfbs: Lpfbs) -> None:
         self._lpfbs, self._s = lpfbs, lpfbs.rest
         self._preview = lpfbs.window.L_C - lpfbs.window.stride
-        self._target = np.zeros(0)  # for which the command is not final
+        self._target = np.zeros(lpfbs.lead)  # for which the command is not final
 
     def feed(self, target: Array) -> Array:
         """Return the command as far as the preview allows."""
         self._target = np.concatenate([self._target, target])
-        stride = self._lpfbs.window.stride
-        final = (len(self._target) - self._preview) // stride * stride
+        stride, following = self._lpfbs.window.stride, max(self._preview, self._lpfbs.lead)
+        final = (len(self._target) - following) // stride * stride
         if final <= 0:
             return np.zeros(0)
         x_dm, self._s = self._lpfbs.run(self._target[: final + self._preview], self._s)
@@ -193,12 +208,16 @@ class _Axis:
 
     def finish(self) -> Array:
         """Return the rest of the command; the target stands still after its end."""
-        n = len(self._target)
+        n = len(self._target) - self._lpfbs.lead
         if not n:
             return np.zeros(0)
-        pad = -n % self._lpfbs.window.stride + self._preview
-        x_dm, self._s = self._lpfbs.run(np.pad(self._target, (0, pad), mode="edge"), self._s)
+        x_dm, self._s = self._lpfbs.run(self._lpfbs.whole(self._target), self._s)
         return x_dm[:n]
+
+
+def _standing(u: Array, n: int) -> Array:
+    """Return the samples (k,) and n more of the last of them."""
+    return np.pad(u, (0, n), mode="edge") if len(u) else u
 
 
 STRATEGIES = {

@@ -26,6 +26,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.model.impulse_response import Linear, transfer_function
 from hframe_post.model.lpfbs import Window, bsplines, window_splines
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
@@ -57,9 +58,10 @@ class WholeTrajectory:
         self._origin = xy[0]
         self._x_d, self._y_d = (xy - xy[0]).T
         self._N = N = basis(n, E, m)
-        Gxx, Gyy = (G.lifted(E + 1)[0] for G in (plant.Gxx, plant.Gyy))
+        Gxx, Gyy = (transfer_function(G).lifted(E + 1)[0] for G in (plant.Gxx, plant.Gyy))
         self._N_xx, self._N_yy = Gxx @ N, Gyy @ N
-        self._N_xtheta = plant.Gxtheta.lifted(E + 1)[0] @ N if plant.Gxtheta else 0.0 * N
+        Gxtheta = plant.Gxtheta and transfer_function(plant.Gxtheta)
+        self._N_xtheta = Gxtheta.lifted(E + 1)[0] @ N if Gxtheta else 0.0 * N
         self._D = xy[:, :1] - plant.x_c
 
     def decoupled(self, racking: bool = True) -> Array:
@@ -150,7 +152,8 @@ class _Filtered:
     the last m + 1 control points.
     """
 
-    def __init__(self, G: TransferFunction, w: Window) -> None:
+    def __init__(self, linear: Linear, w: Window) -> None:
+        G = transfer_function(linear)
         N_P, N_C, D_P, D_C = window_splines(w)
         lifted, self._O, _, _ = G.lifted(w.L_C)
         self.N_P, self.N_C = lifted @ N_P, lifted @ N_C

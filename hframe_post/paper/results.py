@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex, X, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.conversion.pipeline import Options, planned, sampled
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import Compensator
 from hframe_post.paper.commands import WholeTrajectory, windowed
 from hframe_post.prediction.predict import contour_error
@@ -103,8 +103,8 @@ def path(printer: Printer) -> Array:
 
 def contour(plant: Plant, xy: Array, command: Array) -> tuple[Array, Array]:
     """Return the nozzle (k, 2) under a command (k, 2), and its contour error (k,), mm."""
-    nozzle = Response(plant, xy[0]).run(command)
-    return nozzle, contour_error(xy, nozzle)
+    places = nozzle(plant, xy[0], command)
+    return places, contour_error(xy, places)
 
 
 def approximations(plant: Plant, xy: Array) -> list[Approximation]:

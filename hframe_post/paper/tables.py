@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper.results import Approximation, Preview, TimeResponse
 from hframe_post.paper.widths import Widths
 
@@ -48,7 +48,7 @@ def coefficients_off(plant: Plant) -> dict[str, float]:
     """
     off = {}
     for name, texts in PRINTED.items():
-        G: TransferFunction = getattr(plant, name)
+        G = transfer_function(getattr(plant, name))
         gain = G.gain * (1e3 if name == "Gxtheta" else 1.0)  # rad/mm to rad/m
         worst = 0.0
         for text, roots, factor in zip(texts, (G.zeros, G.poles), (gain, 1.0), strict=True):

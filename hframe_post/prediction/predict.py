@@ -1,7 +1,8 @@
 """Prediction of the nozzle's motion: commands through the plant, compared with the path.
 
 The plant is exact: its states are carried, and racking is that at the actual x (eq. 2), not at
-x_d. The contour error is the distance to the path, not to the desired place at that time.
+x_d. Where a response begins before its command, chunks wait for the commands that follow. The
+contour error is the distance to the path, not to the desired place at that time.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,6 +24,8 @@ from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import neighbours, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
+_Predicted: TypeAlias = tuple[Samples, list[dict[str, Array]]]  # a chunk, and each plant's nozzle
+
 
 def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
     """Yield each chunk with the nozzle's x, y (n, 2) for every strategy in its commands."""
@@ -29,20 +33,58 @@ def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
         yield chunk, motion
 
 
-def _predict(
-    chunks: Iterable[Samples], plants: Plants
-) -> Iterator[tuple[Samples, list[dict[str, Array]]]]:
+def _predict(chunks: Iterable[Samples], plants: Plants) -> Iterator[_Predicted]:
     """Yield each chunk with the motion of each plant's nozzle, as ``predict`` gives it for one."""
     for stretch in stretches(chunks):
-        responses: Responses | None = None
+        nozzles: _Nozzles | None = None
         for chunk in stretch:
-            commands, motions = chunk.commands, [dict[str, Array]() for _ in range(len(plants))]
-            if responses is None and len(chunk) and commands:
+            if nozzles is None and len(chunk) and chunk.commands:
                 origin, filament = chunk.xyze[0, :Z], float(chunk.xyze[0, E])
-                responses = plants.at_rest(origin, len(commands), filament)
-            if responses is not None:
-                found = responses.run(list(commands.values()))
-                motions = [dict(zip(commands, of_plant, strict=True)) for of_plant in found]
+                nozzles = _Nozzles(plants.at_rest(origin, len(chunk.commands), filament))
+            if nozzles is not None:
+                yield from nozzles.feed(chunk)
+            else:
+                yield chunk, [dict[str, Array]() for _ in range(len(plants))]
+        if nozzles is not None:
+            yield from nozzles.finish()
+
+
+class _Nozzles:
+    """The chunks of a stretch that wait for their nozzles, which may depend on later commands."""
+
+    def __init__(self, responses: Responses) -> None:
+        self._responses, self._early = responses, responses.late
+        self._waiting, self._standing = deque[Samples](), list[Array]()
+        self._motion = np.zeros((0, 0, 0, 2))  # of plants and commands at the waiting samples
+
+    def feed(self, chunk: Samples) -> Iterator[_Predicted]:
+        self._waiting.append(chunk)
+        if len(chunk):
+            self._standing = [command[-1:] for command in chunk.commands.values()]
+        self._run(list(chunk.commands.values()))
+        yield from self._known()
+
+    def finish(self) -> Iterator[_Predicted]:
+        """Yield the rest; the commands stand still after their end."""
+        late = self._responses.late
+        self._run([np.repeat(place, late, axis=0) for place in self._standing] if late else [])
+        yield from self._known()
+
+    def _run(self, commands: list[Array]) -> None:
+        if not commands:
+            return
+        motion = self._responses.run(commands)
+        early = min(self._early, motion.shape[2])  # samples before the stretch
+        self._early -= early
+        motion = motion[:, :, early:]
+        waiting = self._motion.shape[2]
+        self._motion = np.concatenate([self._motion, motion], axis=2) if waiting else motion
+
+    def _known(self) -> Iterator[_Predicted]:
+        while self._waiting and len(self._waiting[0]) <= self._motion.shape[2]:
+            chunk = self._waiting.popleft()
+            of_chunk, self._motion = np.split(self._motion, [len(chunk)], axis=2)
+            motions = [dict(zip(chunk.commands, one, strict=True)) for one in of_chunk]
             yield chunk, motions
 
 
@@ -95,8 +137,7 @@ def judge_each(
 
 
 def _noted(
-    predicted: Iterable[tuple[Samples, list[dict[str, Array]]]],
-    waiting: deque[list[dict[str, Array]]],
+    predicted: Iterable[_Predicted], waiting: deque[list[dict[str, Array]]]
 ) -> Iterator[Samples]:
     """Yield the chunks; put their motions on ``waiting``."""
     for chunk, motions in predicted:

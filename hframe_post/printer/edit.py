@@ -16,14 +16,16 @@ from tomlkit.items import Item, Table
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import PrinterError
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.profile import AXES, model_digest, parse, shipped, text_of
+from hframe_post.printer.profile import AXES, MICRORAD, model_digest, parse, shipped, text_of
 from hframe_post.printer.setup import AS_BEFORE, Known, Tables
 
 Windows = tuple[Window, Window]
 Settings = Mapping[str, dict[str, Any]]  # by the names of their tables
+DIGITS, IN_A_LINE = 4, 10  # after the point of a response's µm or µrad; numbers
 COMMENT = re.compile(r"# *(\[.*?\]|\".*?\"|[^\s(]+) \(")  # the value that `setup` wrote
 
 
@@ -61,11 +63,11 @@ def with_plant(
 
 def with_check(
     name_or_path: str,
-    moved: Mapping[str, TransferFunction],
+    moved: Mapping[str, Linear],
     uncertainty: float,
     measured: date | None,
 ) -> str:
-    """Return a profile's text with transfer functions that drifted; comments and the rest stay.
+    """Return a profile's text with responses of axes that drifted; comments and the rest stay.
 
     moved: by Gxx and Gyy. measured: day of the recordings; None leaves that of the profile. The
     mark of `verify` stays: a check moves a model no farther than printers drift. Raises
@@ -83,9 +85,12 @@ def with_check(
     return changed.replace("\n", newline)
 
 
-def _functions(moved: Mapping[str, TransferFunction]) -> dict[str, Any]:
+def _functions(moved: Mapping[str, Linear]) -> dict[str, Any]:
     tables = dict[str, Any]()
     for name, G in moved.items():
+        if isinstance(G, ImpulseResponse):
+            tables[name] = {"lead": G.lead, "deviation": _rounded(G, angle=False)}
+            continue
         roots = {"zeros": G.zeros + 0.0, "poles": G.poles + 0.0}
         lists = {key: np.column_stack([r.real, r.imag]).tolist() for key, r in roots.items()}
         tables[name] = {"gain": G.gain, **lists}
@@ -190,7 +195,9 @@ def _plant(
     known += "" if measured is None else f'measured = "{measured}"\n'
     known += "" if plant.bed is None else f"moving_mass = {plant.bed.mass!r}\n"
     head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
-    tables = [f"\n[plant.{name}]\n{_transfer_function(G)}" for name, G in functions.items()]
+    tables = [
+        f"\n[plant.{name}]\n{_linear(G, angle=name == 'Gxtheta')}" for name, G in functions.items()
+    ]
     return "".join([head, *tables, *map(_coupling, plant.cross)])
 
 
@@ -199,13 +206,27 @@ def _coupling(coupling: Coupling) -> str:
     axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
     if coupling.along is not None:
         axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
-    return f"\n[[plant.cross]]\n{axes}{_transfer_function(coupling.G)}"
+    return f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, coupling.along is not None)}"
 
 
-def _transfer_function(G: TransferFunction) -> str:
+def _linear(G: Linear, angle: bool) -> str:
+    """Return the lines of a transfer function, or of a response; angle: one in rad."""
+    if isinstance(G, ImpulseResponse):
+        shown = [f"{value:.{DIGITS}f}" for value in _rounded(G, angle)]
+        rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
+        deviation = "".join(f"    {row},\n" for row in rows)
+        unit = "µrad" if angle else "µm"
+        comment = f"  # {unit} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+        return f"lead = {G.lead}\ndeviation = [{comment}\n{deviation}]\n"
     roots = {"zeros": G.zeros, "poles": G.poles}
     lists = "".join(f"{key} = [{_pairs(values)}]\n" for key, values in roots.items())
     return f"gain = {G.gain!r}\n{lists}"
+
+
+def _rounded(G: ImpulseResponse, angle: bool) -> list[float]:
+    """Return the deviation in the profile's units, to DIGITS."""
+    deviation = np.round(G.deviation / (MICRORAD if angle else 1.0), DIGITS)
+    return [float(value) for value in deviation + 0.0]
 
 
 def _pairs(roots: Complex) -> str:

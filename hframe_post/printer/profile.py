@@ -11,14 +11,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hframe_post.arrays import TS, X, Y
-from hframe_post.errors import PrinterError, one_line
+import numpy as np
+
+from hframe_post.arrays import TS, Array, X, Y
+from hframe_post.errors import ArgumentError, PrinterError, one_line
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.decoding import decoded
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.schema import checked, checked_value, known_keys, roots
+from hframe_post.printer.schema import checked, checked_value, known_keys, numbers, roots
 from hframe_post.printer.settings import (
     PLACES,
     SHARE,
@@ -38,6 +41,9 @@ T = TypeVar("T")
 PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
 MASS = {"least": 0.05, "most": 50.0}  # kg
 FUNCTION = ("zeros", "poles", "gain")
+RESPONSE = ("deviation", "lead")
+MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
+DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
 AXES = {"x": X, "y": Y}
 MOST_CROSS = 16
 LARGEST_FILE = 1 << 20  # bytes of a profile
@@ -244,9 +250,9 @@ def _plant(table: dict[str, Any]) -> Plant:
             raise PrinterError("the key is missing", f"plant.{key}")
     if table["Ts"] != TS:
         raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
-    functions: dict[str, TransferFunction] = {
-        key: _transfer_function(table[key], f"plant.{key}")
-        for key in ("Gxx", "Gyy", "Gxtheta")
+    functions = {
+        key: _linear(table[key], f"plant.{key}", rest, angle)
+        for key, rest, angle in (("Gxx", 1.0, False), ("Gyy", 1.0, False), ("Gxtheta", 0.0, True))
         if key in table
     }
     for key in ("Gxx", "Gyy"):
@@ -255,7 +261,7 @@ def _plant(table: dict[str, Any]) -> Plant:
     racking = functions.get("Gxtheta")
     if racking is not None:
         _check_at_rest(racking, "plant.Gxtheta")
-    if racking is not None and racking.gain == 0.0:
+    if racking is not None and not np.any(_scale(racking)):
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
@@ -271,7 +277,12 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
     return Bed(mass, limits.filament_mass)
 
 
-def _check_at_rest(G: TransferFunction, key: str) -> None:
+def _scale(G: Linear) -> Array | float:
+    """Return what is zero if G is."""
+    return G.gain if isinstance(G, TransferFunction) else G.deviation
+
+
+def _check_at_rest(G: Linear, key: str) -> None:
     if not abs(G.dc_gain) <= 1e-9:
         cause = "gain at rest must be 0: a printer at rest stands at its command"
         raise PrinterError(cause, key)
@@ -288,7 +299,8 @@ def _cross(tables: Any) -> tuple[Coupling, ...]:
 
 
 def _coupling(table: dict[str, Any], key: str) -> Coupling:
-    known_keys(table, ("answer", "command", "along", "centre", *FUNCTION), key)
+    axis_keys = ("answer", "command", "along", "centre")
+    known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE), key)
     needed = ("answer", "command", *(("centre",) if "along" in table else ()))
     for name in needed:
         if name not in table:
@@ -304,21 +316,37 @@ def _coupling(table: dict[str, Any], key: str) -> Coupling:
         cause = "is part of Gxx or Gyy, unless it has a lever arm: add along and centre"
         raise PrinterError(cause, key)
     centre = checked_value(float, table.get("centre", 0.0), PLACES, f"{key}.centre")
-    G = _transfer_function({name: table[name] for name in FUNCTION if name in table}, key)
+    function = {name: value for name, value in table.items() if name not in axis_keys}
+    G = _linear(function, key, rest=0.0, angle="along" in axes)
     _check_at_rest(G, key)
     return Coupling(axes["answer"], axes["command"], G, axes.get("along"), centre)
 
 
-def _transfer_function(table: Any, key: str) -> TransferFunction:
+def _linear(table: Any, key: str, rest: float, angle: bool) -> Linear:
+    """Return a transfer function, or an impulse response with this gain at rest.
+
+    angle: the response is one in rad, to a command in mm.
+    """
     if not isinstance(table, dict):
-        raise PrinterError("must be a table of zeros, poles and gain", key)
-    known_keys(table, FUNCTION, key)
-    for name in FUNCTION:
+        raise PrinterError(
+            "must be a table of deviation and lead, or of zeros, poles and gain", key
+        )
+    known_keys(table, (*FUNCTION, *RESPONSE), key)
+    kind = FUNCTION if not any(name in table for name in RESPONSE) else RESPONSE
+    for name in table:
+        if name not in kind:
+            cause = "is of a transfer function, and deviation of a response: leave one of them out"
+            raise PrinterError(cause, f"{key}.{name}")
+    for name in kind:
         if name not in table:
             raise PrinterError("the key is missing", f"{key}.{name}")
-    zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
-    gain = checked_value(float, table["gain"], {}, f"{key}.gain")
     try:
+        if kind is RESPONSE:
+            deviation = numbers(table["deviation"], LONGEST, DEVIATIONS, f"{key}.deviation")
+            lead = checked_value(int, table["lead"], {}, f"{key}.lead")
+            return ImpulseResponse(deviation * (MICRORAD if angle else 1.0), lead, rest)
+        zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
+        gain = checked_value(float, table["gain"], {}, f"{key}.gain")
         return TransferFunction(zeros, poles, gain)
-    except ValueError as error:
+    except ArgumentError as error:
         raise PrinterError(str(error), key) from None

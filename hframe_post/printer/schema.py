@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 
-from hframe_post.arrays import Complex
+from hframe_post.arrays import Array, Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
@@ -53,6 +53,13 @@ def roots(pairs: Any, key: str) -> Complex:
             raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
     numbers = [[checked_value(float, number, ROOTS, key) for number in pair] for pair in pairs]
     return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
+
+
+def numbers(values: Any, most: int, rules: Rules, key: str) -> Array:
+    """Return a list of 1 to ``most`` numbers as an array. Raises PrinterError."""
+    if not isinstance(values, list) or not 1 <= len(values) <= most:
+        raise PrinterError(f"must be a list of 1 to {most} numbers", key)
+    return np.array([checked_value(float, value, rules, key) for value in values])
 
 
 def checked(kind: type[T], table: dict[str, Any], path: str) -> T:

@@ -11,6 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import IO
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.model.plant import Plant, Response
-from hframe_post.stream.chunks import batches, stretches
+from hframe_post.stream.chunks import batches, stretches, with_neighbours
 from hframe_post.stream.types import Samples
 from hframe_post.writers.stream import digits
 
@@ -34,15 +35,18 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
     The prediction starts from rest after each release of the machine.
     """
     for stretch in stretches(chunks):
-        response: Response | None = None
-        for chunk in batches(stretch, ROWS_AT_ONCE):
-            if not len(chunk):
-                continue
-            command = chunk.commands[strategy]
-            if response is None:
-                loaded = plant.loaded(plant.load(float(chunk.xyze[0, E])))
-                response = Response(loaded, chunk.xyze[0, :Z])
-            nozzle, turns = response.motion(command)
+        filled = (chunk for chunk in batches(stretch, ROWS_AT_ONCE) if len(chunk))
+        if (first := next(filled, None)) is None:
+            continue
+        loaded = plant.loaded(plant.load(float(first.xyze[0, E])))
+        response, early = Response(loaded, first.xyze[0, :Z]), loaded.ahead
+        for chunk, wide, _ in with_neighbours(chain([first], filled), 0, loaded.ahead):
+            command, following = chunk.commands[strategy], wide.commands[strategy]
+            missing = len(command) + loaded.ahead - len(following)  # at the end, where it stands
+            following = np.concatenate([following, np.repeat(following[-1:], missing, axis=0)])
+            response.run(following[:early])
+            early = 0
+            nozzle, turns = response.motion(following[loaded.ahead :])
             theta = turns[:, 0] if plant.Gxtheta else np.zeros(len(command))
             t = np.arange(chunk.first + 1, chunk.end + 1) * TS
             yield np.column_stack([t, chunk.xyze[:, :Z], command, chunk.xyze[:, Z:], theta, nozzle])

@@ -16,6 +16,7 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Commands, Options, prepared
 from hframe_post.errors import HframeError, PrinterError
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Bed, Filter, heavier
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error, in_motion
@@ -98,7 +99,7 @@ def wandering(n: int) -> Array:
 
 @pytest.mark.parametrize("factor", [1.0, 1.1, 1.3, 2.0])
 def test_a_heavier_mode_is_that_of_a_heavier_bed(fixed: Printer, factor: float) -> None:
-    u, G = wandering(3000), heavier(fixed.plant.Gyy, factor)
+    u, G = wandering(3000), transfer_function(heavier(fixed.plant.Gyy, factor))
     off = Filter(G).run(u) - Truth(0.0, 1.0).run(u, np.full(len(u), factor - 1.0))
     assert np.ptp(u) > 50.0
     below(np.abs(off).max(), 0.002, "greatest difference of the nozzle, mm")
@@ -111,10 +112,10 @@ def test_a_heavier_mode_is_that_of_a_heavier_bed(fixed: Printer, factor: float) 
 def test_lags_and_delays_stay(paper: Printer) -> None:
     """So does the lag at low speed, which does not depend on the mass."""
     for G in (
-        paper.plant.Gyy,
+        transfer_function(paper.plant.Gyy),
         TransferFunction(np.zeros(0, complex), np.array([0.0, 0.5], complex), 0.5),
     ):
-        new = heavier(G, 1.3)
+        new = transfer_function(heavier(G, 1.3))
         real = G.poles.imag == 0.0
         np.testing.assert_array_equal(new.poles[real], G.poles[real])
         slow = np.array([2.0 * math.pi * 0.05 * TS])

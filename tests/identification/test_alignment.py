@@ -11,6 +11,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, oriented
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.recordings import THIRTEEN_BITS, Sensor, bridge_end, nozzle, spline, sweep
@@ -186,7 +187,9 @@ def test_clock_is_found_at_the_ends_of_the_bridge(
 ) -> None:
     assert paper.plant.Gxtheta is not None
     sensor = Sensor(drift=0.005, turned=(1.0, 2.0, -3.0))
-    recording = sensor.record(bridge_end(paper.plant.Gxtheta, swept, arm), seconds(swept))
+    recording = sensor.record(
+        bridge_end(transfer_function(paper.plant.Gxtheta), swept, arm), seconds(swept)
+    )
     found = aligned(command, oriented(recording), Y)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert found.correlation > 0.9

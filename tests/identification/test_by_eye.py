@@ -30,6 +30,7 @@ from hframe_post.identification.by_eye.waves import (
     mode_function,
     printed_mode,
 )
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Filter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -260,7 +261,10 @@ def written_form(own: Path) -> Path:
 
 def frequencies(own: Path) -> tuple[float, float]:
     plant = load(str(own)).plant
-    x, y = (float(np.abs(np.log(G.poles[0]))) / (2.0 * np.pi * TS) for G in (plant.Gxx, plant.Gyy))
+    x, y = (
+        float(np.abs(np.log(transfer_function(G).poles[0]))) / (2.0 * np.pi * TS)
+        for G in (plant.Gxx, plant.Gyy)
+    )
     return x, y
 
 

@@ -8,6 +8,7 @@ import pytest
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.fitting.discrete import delayed
 from hframe_post.identification.fitting.modal import Data, Modal, Structure, fit, structures
+from hframe_post.model.impulse_response import transfer_function
 from tests.identification.modal_tools import BAND, HZ, TWO, continuous
 
 
@@ -44,7 +45,7 @@ def test_the_discrete_model_responds_like_the_simulator() -> None:
 
 @pytest.mark.parametrize("samples", [1.0, 5.0 + 2e-8, 5.0 - 3e-5, 0.99])
 def test_no_delay_needs_a_zero_that_a_profile_cannot_have(samples: float) -> None:
-    G = delayed(TWO.exact().Gxx, samples)
+    G = delayed(transfer_function(TWO.exact().Gxx), samples)
     assert np.abs(G.zeros).max() < 1e5
     omega = 2.0 * np.pi * TS * np.linspace(1.0, 100.0, 50)
     late = -np.angle(G.response(omega) / TWO.exact().Gxx.response(omega)) / omega

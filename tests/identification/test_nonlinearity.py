@@ -19,7 +19,7 @@ from hframe_post.identification.diagnosis.nonlinearity import (
 )
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.responses.frequency_response import harmonics
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import Linear
 from tests.conftest import few
 from tests.random_printers import swept
 from tests.simulator import Axis, Chip, Machine, Mode
@@ -29,7 +29,7 @@ LINEAR = Machine(Axis((Mode(32.0, 0.06),)), Axis((Mode(41.0, 0.08),)))
 STEP = 0.0206  # mm of belt
 
 
-def responds(G: TransferFunction, hz: Array) -> Complex:
+def responds(G: Linear, hz: Array) -> Complex:
     return G.response(2.0 * np.pi * hz * TS)
 
 

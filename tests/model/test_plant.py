@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hframe_post.arrays import Array, Complex
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Filter
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
@@ -17,7 +18,7 @@ from hframe_post.printer import profile
 def functions() -> list[TransferFunction]:
     plant = profile.load("paper").plant
     assert plant.Gxtheta is not None
-    return [plant.Gxx, plant.Gyy, plant.Gxtheta]
+    return [transfer_function(G) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)]
 
 
 ALL = pytest.mark.parametrize("G", functions(), ids=["Gxx", "Gyy", "Gxtheta"])

@@ -10,6 +10,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.errors import GcodeError
+from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.strategies import Compensator
@@ -117,7 +118,9 @@ def test_eq_18_minimises_both_errors_at_once(plant: Plant) -> None:
     whole = WholeTrajectory(plant, xy, 20)
     N, lever = basis(20, 199), xy[:, 0] - plant.x_c
     assert plant.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (G.lifted(200)[0] for G in (plant.Gxx, plant.Gyy, plant.Gxtheta))
+    Gxx, Gyy, Gxtheta = (
+        transfer_function(G).lifted(200)[0] for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)
+    )
 
     def squares(command: Array) -> float:
         u = command - xy[0]
@@ -142,12 +145,19 @@ def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     def undelayed(G: TransferFunction) -> TransferFunction:
         return TransferFunction(np.append(G.zeros, 0.0), G.poles, G.gain)
 
-    prompt = Plant(undelayed(plant.Gxx), undelayed(plant.Gyy), plant.Gxtheta, plant.x_c)
+    prompt = Plant(
+        undelayed(transfer_function(plant.Gxx)),
+        undelayed(transfer_function(plant.Gyy)),
+        plant.Gxtheta,
+        plant.x_c,
+    )
     xy = short_path(25)
     E = len(xy) - 1
     whole = WholeTrajectory(prompt, xy, E)
     assert prompt.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (G.lifted(E + 1)[0] for G in (prompt.Gxx, prompt.Gyy, prompt.Gxtheta))
+    Gxx, Gyy, Gxtheta = (
+        transfer_function(G).lifted(E + 1)[0] for G in (prompt.Gxx, prompt.Gyy, prompt.Gxtheta)
+    )
     Gxy = np.diag(xy[:, 0] - prompt.x_c) @ Gxtheta
     x_d, y_d = (xy - xy[0]).T
     x_dm = np.linalg.solve(Gxx, x_d)  # eq. 22, 24

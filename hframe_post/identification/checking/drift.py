@@ -41,6 +41,7 @@ from hframe_post.identification.responses.frequency_response import (
     whole_record,
 )
 from hframe_post.identification.responses.measured import Run
+from hframe_post.model.impulse_response import Linear
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
@@ -156,7 +157,7 @@ def _recorded(run: Run) -> Recorded:
     return Recorded(whole_record(u[:end], a[:end], noise), (u[end:], a[end:]))
 
 
-def drift(G: TransferFunction, recorded: Recorded) -> Drift:
+def drift(G: Linear, recorded: Recorded) -> Drift:
     """Return how a transfer function changed.
 
     Raises IdentificationError if the recording is not of its printer.

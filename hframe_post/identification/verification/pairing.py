@@ -22,7 +22,7 @@ from hframe_post.identification.recordings.orientation import (
     sensor_axes,
 )
 from hframe_post.identification.verification.verdict import GAIN_HZ, HIGH_HZ, band_rms, measured_run
-from hframe_post.model.plant import Response
+from hframe_post.model.plant import nozzle
 from hframe_post.printer.settings import Printer
 
 CLEARLY = 0.5  # of the model's misses: a better pairing than the one that was given
@@ -89,7 +89,8 @@ def sorted_out(printer: Printer, first: Run, second: Run) -> tuple[Run, Run, lis
 
 def _off(printer: Printer, command: Array, wanted: Array) -> float:
     """Return how far the nozzle would be from a path (m, 2) with this command, mm RMS."""
-    return float(np.sqrt(((Response(printer.plant, command[0]).run(command) - wanted) ** 2).mean()))
+    off = nozzle(printer.plant, command[0], command) - wanted
+    return float(np.sqrt((off**2).mean()))
 
 
 def _missed(printer: Printer, command: Array, recording: Recording) -> float:

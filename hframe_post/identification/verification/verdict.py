@@ -22,7 +22,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.verification.motion import QUIET, after_corners, motion_of
-from hframe_post.model.plant import Response
+from hframe_post.model.plant import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 
@@ -204,8 +204,8 @@ def judge(
 def measured_run(printer: Printer, command: Array, recording: Recording) -> Measured:
     """Return what a recording shows of a command (m, 2) in mm. Raises IdentificationError."""
     found = aligned(acceleration(command[:, X]), recording, X)
-    predicted = Response(printer.plant, command[0]).run(command)
-    without = Response(replace(printer.plant, Gxtheta=None), command[0]).run(command)
+    predicted = nozzle(printer.plant, command[0], command)
+    without = nozzle(replace(printer.plant, Gxtheta=None), command[0], command)
     a_predicted = _accelerations(predicted)
     late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
@@ -215,7 +215,7 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     off = _integrated_twice(a - a_predicted)
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
-    direct = Response(printer.plant.decoupled(), command[0]).run(command)
+    direct = nozzle(printer.plant.decoupled(), command[0], command)
     a_racking, a_cross = _accelerations(predicted - without), _accelerations(without - direct)
     return Measured(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
 

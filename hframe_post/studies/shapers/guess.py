@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.plant import Plant, motion, nozzle
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
@@ -43,9 +43,9 @@ def _across(plant: Plant, path: Array, counted: Flags) -> Array:
     normal = np.column_stack([-forward[:, Y], forward[:, X]])[at] / length[at, None]
     shifted = at[:, None] - STEP * np.arange(-REACH, REACH + 1)
     shifted = np.clip(shifted, 0, len(path) - 1)
-    nozzle = Response(plant.decoupled(), path[0]).run(path)
-    across = [normal[:, k, None] * (nozzle[shifted, k] - path[at, k, None]) for k in (X, Y)]
-    _, outputs = Response(plant, path[0]).motion(path)
+    places = nozzle(plant.decoupled(), path[0], path)
+    across = [normal[:, k, None] * (places[shifted, k] - path[at, k, None]) for k in (X, Y)]
+    _, outputs = motion(plant, path[0], path)
     for coupling, output in zip(plant.couplings, outputs.T, strict=True):
         lever = np.reshape(coupling.lever(path[at]), (-1, 1))
         across[coupling.command] += normal[:, coupling.answer, None] * lever * output[shifted]

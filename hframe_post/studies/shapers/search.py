@@ -16,7 +16,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.errors import HframeError
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.impulse_response import Linear
+from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.shapers import (
     SHAPERS,
     WITH_PARAMETERS,
@@ -26,7 +27,6 @@ from hframe_post.model.shapers import (
     most_damping,
     shaper,
 )
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner.lookahead import plan
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
@@ -78,7 +78,7 @@ def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
     for path, counted in paths:
         command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
         at = np.flatnonzero(counted)
-        off.append(contour_error(path, Response(plant, path[0]).run(command), at))
+        off.append(contour_error(path, nozzle(plant, path[0], command), at))
     return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
 
 
@@ -160,7 +160,7 @@ class _Fit:
         return self.smoothing * float(self.vibration**1.5 + 0.2 * self.vibration + 0.01)
 
 
-def _calibrated(G: TransferFunction, names: Iterable[str]) -> AxisShaping:
+def _calibrated(G: Linear, names: Iterable[str]) -> AxisShaping:
     best, chosen = None, list[_Fit]()
     for name in names:
         fits = _fits(G, name)
@@ -192,7 +192,7 @@ def _chosen(fits: list[_Fit]) -> _Fit:
     return min((quietest, *reversed(near)), key=lambda fit: fit.score)
 
 
-def _fits(G: TransferFunction, name: str) -> list[_Fit]:
+def _fits(G: Linear, name: str) -> list[_Fit]:
     """Return a shaper at each frequency that Klipper tries, the highest first."""
     hz = KLIPPER_HZ
     measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS)) * hz) / (hz + 0.1)

@@ -4,6 +4,8 @@ Frequency and damping of each transfer function's roots, in the s-plane s = ln(z
 random factors. Poles and zeros move together, as they do when a belt gets tighter or a carriage
 heavier, so that a slow pole keeps the zero that almost cancels it. Gxx(1) = Gyy(1) = 1 stays: a
 nozzle at rest is where its steps put it. Only the gains of couplings are random.
+
+A measured response takes more or less time, and decays faster or slower.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 
@@ -39,8 +42,7 @@ def perturbed(plant: Plant, factors: Array) -> Plant:
     They are those of Gxx, Gyy, Gxθ and, if any, the other couplings.
     """
     (fx, dx, _), (fy, dy, _), theta, *others = factors.tolist()
-    Gxx, Gyy = _moved(plant.Gxx, fx, dx), _moved(plant.Gyy, fy, dy)
-    Gxx, Gyy = (replace(G, gain=G.gain / G.dc_gain) for G in (Gxx, Gyy))
+    Gxx, Gyy = _moved_axis(plant.Gxx, fx, dx), _moved_axis(plant.Gyy, fy, dy)
     Gxtheta = plant.Gxtheta and _moved_coupling(plant.Gxtheta, *theta)
     cross = (
         replace(coupling, G=_moved_coupling(coupling.G, *each))
@@ -49,12 +51,34 @@ def perturbed(plant: Plant, factors: Array) -> Plant:
     return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=tuple(cross))
 
 
-def _moved_coupling(
-    G: TransferFunction, frequency: float, damping: float, gain: float
-) -> TransferFunction:
+def _moved_axis(G: Linear, frequency: float, damping: float) -> Linear:
+    if isinstance(G, ImpulseResponse):
+        return _stretched(G, frequency, damping)
+    moved = _moved(G, frequency, damping)
+    return replace(moved, gain=moved.gain / moved.dc_gain)
+
+
+def _moved_coupling(G: Linear, frequency: float, damping: float, gain: float) -> Linear:
+    if isinstance(G, ImpulseResponse):
+        moved_response = _stretched(G, frequency, damping)
+        return replace(moved_response, deviation=gain * moved_response.deviation)
     slope, moved = _slope(G), _moved(G, frequency, damping)
     scale = gain * slope / _slope(moved)
     return replace(moved, gain=moved.gain * scale)
+
+
+def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseResponse:
+    """Return a response whose frequencies are so many times as high, and whose modes decay faster.
+
+    One rate of decay stands for those of all modes: half the inverse of the time around which the
+    squared response lies, as for a single mode.
+    """
+    moved = G.stretched(1.0 / frequency)
+    t = np.maximum(np.arange(len(moved.deviation)) - moved.lead, 0)
+    squared = np.square(moved.deviation)
+    time = float(squared @ t)
+    rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
+    return replace(moved, deviation=np.exp((1.0 - damping) * rate * t) * moved.deviation)
 
 
 def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:
