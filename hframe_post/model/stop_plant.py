@@ -60,6 +60,10 @@ class AroundStops:
         commands[k, BESIDE:end] = 1.0
         commands[k + 1 :, end : end + BESIDE] = self._N_after.T
         functions = self._plant.Gxx, self._plant.Gyy, *(c.G for c in self._plant.couplings)
-        late, at = self.ahead, judged(n) + self.ahead
-        outputs = [[stream_filter(G, late).run(each)[at] for each in commands] for G in functions]
-        return np.array(outputs).transpose(0, 2, 1)
+        filters = [stream_filter(G, self.ahead) for G in functions]
+        outputs = np.zeros((len(filters), 2 * k + 1, len(judged(n))))
+        for f, of_filter in zip(filters, outputs, strict=True):
+            for command, output in zip(commands, of_filter, strict=True):
+                f.state[:] = 0.0
+                output[:] = f.run(command)[judged(n) + self.ahead]
+        return outputs.transpose(0, 2, 1)

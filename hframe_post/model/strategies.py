@@ -170,10 +170,11 @@ class _Stage:
     ) -> Array:
         """Return the target by eq. 19, with the lever arm of Remark 2.1, as far as it is known."""
         start, known = self._fed - coupled.late, min(map(len, commands))
+        if last:  # the commands stand still after their end
+            commands = [_longer(each, coupled.late) for each in commands]
+            known += coupled.late
         commands = [each[self._fed : known] for each in commands]
         self._fed = known
-        if last:  # the commands stand still after their end
-            commands = [_standing(each, coupled.late) for each in commands]
         early = min(max(-start, 0), len(commands[X]))  # samples before the path, at its origin
         place = path[max(start, 0) :][: len(commands[X]) - early]
         at_origin = np.zeros((early, 2))
@@ -215,9 +216,9 @@ class _Axis:
         return x_dm[:n]
 
 
-def _standing(u: Array, n: int) -> Array:
+def _longer(u: Array, n: int) -> Array:
     """Return the samples (k,) and n more of the last of them."""
-    return np.pad(u, (0, n), mode="edge") if len(u) else u
+    return np.pad(u, (0, n), mode="edge") if len(u) else np.zeros(n)
 
 
 STRATEGIES = {

@@ -1,0 +1,378 @@
+"""Compensation and prediction with impulse responses: as with transfer functions, and two-sided.
+
+The plants have no lag at constant speed, which a finite response of acceleration cannot hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post import native
+from hframe_post.arrays import Array, Flags, X, Y
+from hframe_post.compensation.compensate import compensate, settling_samples
+from hframe_post.compensation.stops import StopSolvers, hold_at_stops
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.errors import ArgumentError
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.lpfbs import Lpfbs, Window
+from hframe_post.model.plant import Bed, Coupling, Plant, Response, heavier, nozzle, stream_filter
+from hframe_post.model.responses import Plants
+from hframe_post.model.strategies import STRATEGIES, Compensator
+from hframe_post.prediction.predict import judge, predict
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import join, smaller
+from hframe_post.stream.types import Samples
+from hframe_post.studies.simulation.uncertainty import draws, perturbed
+from tests.compensation.test_coupled import ORIGIN, WINDOW, strokes
+from tests.compensation.test_stops import planned
+from tests.gcode_tools import strokes as printed_strokes
+from tests.modes import axis_mode, coupling_mode, deviation_of_mode
+
+LONG = 1900  # samples in which all modes here settle to 1e-11
+SAME = 1e-9  # mm
+
+
+def with_poles() -> Plant:
+    """Return an H-bot that racks, with couplings of every kind, of modes without lag."""
+    cross = (
+        Coupling(X, Y, coupling_mode(33.0, 0.09, 0.03)),
+        Coupling(Y, X, coupling_mode(47.0, 0.1, 2e-4), Y, 90.0),
+    )
+    theta = coupling_mode(38.0, 0.08, 4e-4)
+    return Plant(axis_mode(43.0, 0.08), axis_mode(31.0, 0.09), theta, 140.0, cross)
+
+
+def measured(plant: Plant) -> Plant:
+    """Return the same plant of long impulse responses."""
+
+    def one(G: Linear, rest: float) -> ImpulseResponse:
+        assert not isinstance(G, ImpulseResponse)
+        return ImpulseResponse.from_transfer_function(G, LONG, rest)
+
+    assert plant.Gxtheta is not None
+    cross = tuple(replace(c, G=one(c.G, 0.0)) for c in plant.cross)
+    Gxx, Gyy, Gxtheta = one(plant.Gxx, 1.0), one(plant.Gyy, 1.0), one(plant.Gxtheta, 0.0)
+    return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=cross)
+
+
+def two_sided(hz: float, damping: float, m: int = 300, lead: int = 32) -> ImpulseResponse:
+    """Return a mode whose first part is smeared over time before the command, as if measured."""
+    late = np.convolve(deviation_of_mode(hz, damping, m - lead), np.hanning(2 * lead + 1), "full")
+    return ImpulseResponse(late[:m] / lead * np.linspace(1.0, 0.0, m), lead)
+
+
+def early() -> Plant:
+    """Return a plant of responses with different leads, and transfer functions among them."""
+    plant = with_poles()
+    G_x, G_y = two_sided(33.0, 0.1, 250, 9), two_sided(47.0, 0.1)
+    cross = (
+        replace(plant.cross[0], G=ImpulseResponse(0.02 * G_x.deviation, G_x.lead, 0.0)),
+        replace(plant.cross[1], G=ImpulseResponse(1e-4 * G_y.deviation, G_y.lead, 0.0)),
+    )
+    Gxx, Gyy = two_sided(43.0, 0.06), two_sided(31.0, 0.07, lead=17)
+    return replace(plant, Gxx=Gxx, Gyy=Gyy, cross=cross)
+
+
+@pytest.fixture(scope="module")
+def hbot() -> Printer:
+    return load("paper")
+
+
+def commanded(plant: Plant, cuts: Sequence[int] = (), strategy: str = "racking") -> Array:
+    state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
+    return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
+
+
+def in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "built", lambda: None)
+
+
+# ---------------------------------------------------------------------- filters
+
+
+def by_definition(G: ImpulseResponse, u: Array) -> Array:
+    """Return the response to an input that stands still before and after it."""
+    n, m = len(u), len(G.deviation)
+    c = np.pad(u, m + 2, mode="edge")
+    a = np.pad(np.diff(c, n=2), 1)  # a[k] around c[k]
+    after = np.convolve(a, G.deviation)[G.lead :][: len(c)]
+    return np.asarray((G.rest * c + after)[m + 2 :][:n])
+
+
+@pytest.mark.parametrize("late", [33, 40])
+@pytest.mark.parametrize("rest", [1.0, 0.0])
+def test_a_filter_is_the_definition_wherever_its_input_is_cut(
+    monkeypatch: pytest.MonkeyPatch, rest: float, late: int
+) -> None:
+    rng = np.random.default_rng(2)
+    G = ImpulseResponse(rng.normal(size=150), 32, rest)
+    u = np.cumsum(np.pad(rng.normal(size=900), (100, 200)))
+    cuts = np.sort(rng.integers(0, len(u), 30))
+
+    def run(pieces: list[Array]) -> Array:
+        f = stream_filter(G, late)
+        return np.concatenate([f.run(piece) for piece in pieces])
+
+    whole = run([u])
+    off = whole[late:] - by_definition(G, u)[: len(u) - late]
+    assert np.abs(off).max() < 1e-11  # mm
+    assert np.array_equal(run(np.split(u, cuts)), whole)
+    assert np.array_equal(run(np.split(u, np.arange(1, len(u)))), whole)
+    in_numpy(monkeypatch)
+    assert np.array_equal(run(np.split(u, cuts)), whole)
+
+
+@pytest.mark.parametrize("late", [0, 7])
+@pytest.mark.parametrize("G", [axis_mode(40.0, 0.1), ImpulseResponse(np.ones(99), 0)])
+def test_a_settled_filter_stands_still(G: Linear, late: int) -> None:
+    f = stream_filter(G, late)
+    f.settle(12.5)
+    standing = f.run(np.full(50, 12.5))
+    assert np.abs(standing - 12.5).max() < 1e-12  # mm
+    if isinstance(G, ImpulseResponse):
+        assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly
+
+
+def test_a_transfer_function_can_be_late() -> None:
+    u = np.random.default_rng(0).normal(size=60)
+    prompt, late = (stream_filter(axis_mode(40.0, 0.1), n) for n in (0, 9))
+    delayed = np.concatenate([late.run(piece) for piece in np.split(u, [1, 3, 30])])
+    assert np.array_equal(delayed[9:], prompt.run(u)[:-9])
+    assert not delayed[:9].any()
+
+
+# ---------------------------------------------------------------------- one axis
+
+
+@pytest.mark.parametrize("window", [WINDOW, Window(9, 40, 13, 20.0), Window(4, 70, 69, 5.0, 3)])
+def test_the_command_is_that_of_the_transfer_function(window: Window) -> None:
+    G, x_d = axis_mode(40.0, 0.08), strokes()[:, X]
+    solvers = Lpfbs(G, window), Lpfbs(ImpulseResponse.from_transfer_function(G, LONG, 1.0), window)
+    one, other = (solver.command(x_d) for solver in solvers)
+    assert np.abs(one - other).max() < SAME
+    assert solvers[1].radius < 1.0
+
+
+def test_the_solver_gives_the_same_bits_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    x_d = strokes()[:, X]
+    command = Lpfbs(two_sided(40.0, 0.05), WINDOW).command(x_d)
+    in_numpy(monkeypatch)
+    assert np.array_equal(Lpfbs(two_sided(40.0, 0.05), WINDOW).command(x_d), command)
+
+
+def test_zeros_before_a_response_change_nothing() -> None:
+    G, x_d = two_sided(40.0, 0.05), strokes()[:, X]
+    longer = ImpulseResponse(np.pad(G.deviation, (11, 20)), G.lead + 11)
+    one, other = Lpfbs(G, WINDOW), Lpfbs(longer, WINDOW)
+    assert (longer.ahead, one.lead) == (G.ahead, G.ahead)
+    assert np.abs(one.command(x_d) - other.command(x_d)).max() < SAME
+
+
+def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
+    solver = Lpfbs(two_sided(40.0, 0.05), Window(5, 44, 44, 30.0))
+    x_d = np.pad(strokes()[:, X], 500, mode="edge")
+    assert len(solver.command(x_d)) == len(x_d)
+    plant = replace(early(), Gxtheta=None, cross=())
+    windows = Window(5, 44, 44, 30.0), Window(5, 44, 44, 30.0)
+    for cuts in ((), (1, 2, 900)):
+        state, taken, given = STRATEGIES["fbs"].begin(Compensator(plant, windows), ORIGIN), 0, 0
+        for piece in np.split(strokes(), cuts):
+            taken += len(piece)
+            given += len(state.feed(piece))
+            assert given <= taken
+        assert given + len(state.finish()) == len(strokes())
+
+
+def test_a_response_that_cannot_be_inverted_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"rank deficient|diverges"):
+        Lpfbs(
+            ImpulseResponse(1e6 * np.random.default_rng(0).normal(size=400), 200),
+            Window(5, 12, 11, 0.0),
+        )
+
+
+# ---------------------------------------------------------------------- whole plants
+
+
+def test_the_nozzle_is_that_of_the_transfer_functions() -> None:
+    plant, command = with_poles(), strokes()
+    one, other = (nozzle(p, ORIGIN, command) for p in (plant, measured(plant)))
+    assert np.abs(one - other).max() < SAME
+
+
+@pytest.mark.parametrize("strategy", ["fbs", "racking"])
+def test_the_commands_are_those_of_the_transfer_functions(strategy: str) -> None:
+    plant = with_poles()
+    one, other = (commanded(p, strategy=strategy) for p in (plant, measured(plant)))
+    assert np.abs(one - other).max() < SAME
+
+
+def test_a_mixed_plant_is_one_of_responses() -> None:
+    """Each response comes as late as the one with the longest lead."""
+    mixed = early()
+    assert (mixed.ahead, mixed.Gyy.ahead) == (31, 16)
+    assert mixed.Gxtheta is not None
+    Gxtheta = ImpulseResponse.from_transfer_function(with_poles().Gxtheta, LONG, 0.0)  # type: ignore[arg-type]
+    whole = replace(mixed, Gxtheta=Gxtheta)
+    one, other = (nozzle(p, ORIGIN, strokes()) for p in (mixed, whole))
+    assert np.abs(one - other).max() < SAME
+    commands = commanded(mixed), commanded(whole)
+    assert np.abs(commands[0] - commands[1]).max() < SAME
+
+
+@pytest.mark.parametrize("strategy", ["fbs", "racking"])
+def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
+    plant = early() if strategy == "racking" else early().decoupled()
+    path = np.pad(strokes(), ((300, 300), (0, 0)), mode="edge")
+    state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
+    command = np.concatenate([state.feed(path), state.finish()])
+    off, without = (nozzle(plant, ORIGIN, u) - path for u in (command, path))
+    assert np.sqrt(np.square(without).mean()) > 0.01  # mm
+    assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
+
+
+def test_commands_do_not_depend_on_how_the_path_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = early()
+    whole = commanded(plant)
+    for cuts in ((1,), (10, 20, 21, 500, 1500), tuple(range(0, 2000, 37))):
+        assert np.array_equal(commanded(plant, cuts), whole)
+    in_numpy(monkeypatch)
+    assert np.array_equal(commanded(plant, (300,)), whole)
+
+
+def samples_of(command: Array) -> Samples:
+    n = len(command)
+    xyze = np.column_stack([strokes()[:n], np.zeros(n), np.arange(n) * 0.01])
+    return Samples(
+        0, xyze, np.zeros(n, np.int64), commands={"racking": command, "none": xyze[:, :2]}
+    )
+
+
+@pytest.mark.parametrize("n", [7, 20, 333])
+def test_a_prediction_does_not_depend_on_chunks(n: int) -> None:
+    plant = early()
+    whole = samples_of(commanded(plant)[:1500])
+    ((_, one),) = predict([whole], plant)
+    assert np.array_equal(one["none"], nozzle(plant, ORIGIN, whole.commands["none"]))
+    chunks, pieces = zip(*predict(smaller([whole], n), plant), strict=True)
+    assert sum(map(len, chunks)) == len(whole)
+    for name, places in one.items():
+        assert np.array_equal(np.concatenate([piece[name] for piece in pieces]), places)
+
+
+def test_printers_drawn_from_responses_move_together() -> None:
+    """Each has its own lead, and all are judged at the same sample."""
+    drawn = [early(), *draws(early(), 0.1, 3, seed=1)]
+    assert len({plant.ahead for plant in drawn}) > 1
+    whole = samples_of(strokes()[:900])
+    together = Plants(drawn).at_rest(ORIGIN, 1, 0.0)
+    u = np.pad(whole.commands["none"], ((0, together.late), (0, 0)), mode="edge")
+    places = together.run([u])[:, 0, together.late :]
+    for plant, place in zip(drawn, places, strict=True):
+        assert np.abs(place - nozzle(plant, ORIGIN, whole.commands["none"])).max() < 1e-11  # mm
+
+
+# ---------------------------------------------------------------------- stops
+
+
+def retracting(printer: Printer) -> list[Samples]:
+    return planned(printed_strokes(1, 4), printer)
+
+
+def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
+    compensator = prepared(printer)
+    names = ("fbs", "racking")
+    commands = compensate(chunks, compensator, names)
+    return join(list(hold_at_stops(commands, StopSolvers(compensator, names, printer))))
+
+
+def test_stops_are_those_of_the_transfer_functions(hbot: Printer) -> None:
+    plant = with_poles()
+    chunks = retracting(hbot)
+    one, other = (held(chunks, replace(hbot, plant=p)) for p in (plant, measured(plant)))
+    for name in one.commands:
+        off = np.abs(one.commands[name] - other.commands[name]).max()
+        assert off < 1e-7, f"{name}: {off} mm"  # a stop's weights come of iterations
+
+
+@pytest.mark.parametrize("n", [13, 700])
+def test_stops_do_not_depend_on_chunks(hbot: Printer, n: int) -> None:
+    printer = replace(hbot, plant=early())
+    chunks = retracting(hbot)
+    whole = held(chunks, printer)
+    cut = held(list(smaller(chunks, n)), printer)
+    for name in whole.commands:
+        assert np.array_equal(whole.commands[name], cut.commands[name])
+
+
+def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:
+    printer = replace(hbot, plant=early())
+    block = held(retracting(hbot), printer)
+    (judged,) = judge([block], printer.plant)
+    off = judged.contour["racking"][judged.extruding]
+    assert len(off) > 300
+    assert np.sqrt(np.square(off).mean()) < 5e-3  # mm
+
+
+def test_a_command_of_a_two_sided_plant_settles(hbot: Printer) -> None:
+    printer = replace(hbot, plant=early())
+    found = settling_samples(prepared(printer), printer.limits, printer.travel)
+    assert 10 < found < 1000  # samples
+
+
+# ---------------------------------------------------------------------- other printers
+
+
+@pytest.mark.parametrize("factor", [1.1, 1.3])
+def test_a_heavier_bed_takes_longer(factor: float) -> None:
+    G = heavier(ImpulseResponse(deviation_of_mode(30.0, 0.08, 700), 0), factor)
+    assert isinstance(G, ImpulseResponse)
+    expected = deviation_of_mode(30.0 / np.sqrt(factor), 0.08, len(G.deviation))
+    assert np.abs(G.deviation - expected).max() < 0.1  # µm of 5
+    assert G.ahead == 0
+
+
+def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
+    bed = Bed(0.5, 1e-4)
+    plant = replace(early(), bed=bed)
+    compensator = Compensator(plant, (WINDOW, WINDOW))
+    loaded = compensator.at(2000.0)
+    assert loaded.plant.Gyy.ahead > plant.Gyy.ahead
+    state = STRATEGIES["racking"].begin(loaded, ORIGIN)
+    path = np.pad(strokes(), ((300, 300), (0, 0)), mode="edge")
+    command = np.concatenate([state.feed(path), state.finish()])
+    off = nozzle(loaded.plant, ORIGIN, command) - path
+    assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
+
+
+def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
+    """Frequency and damping of the axes, and the gain of couplings."""
+    plant = measured(with_poles())
+    factors = np.ones((5, 3))
+    factors[:2, :2] = (1.05, 0.8), (0.93, 1.1)
+    moved_plant, omega = perturbed(plant, factors), np.linspace(0.01, 0.5, 200)  # to 80 Hz
+    for G, H in (
+        (moved_plant.Gxx, axis_mode(43.0 * 1.05, 0.08 * 0.8)),
+        (moved_plant.Gyy, axis_mode(31.0 * 0.93, 0.09 * 1.1)),
+    ):
+        off, size = (G.response(omega) - H.response(omega)) / omega**2, H.response(omega) / omega**2
+        assert np.abs(off).max() < 0.03 * np.abs(size).max()  # µm, after 1000 mm/s² for 1 ms
+        assert float(G.response(np.zeros(1))[0].real) == 1.0
+    stronger = np.ones((5, 3))
+    stronger[3, 2] = 1.2
+    moved, own = perturbed(plant, stronger).cross[0].G, plant.cross[0].G
+    assert np.allclose(moved.response(omega), 1.2 * own.response(omega), atol=1e-12)
+
+
+def test_flags_of_extrusion_are_those_of_the_path() -> None:
+    """A response with a lead is late; what is judged is not."""
+    plant = early()
+    whole = samples_of(strokes()[:900])
+    flags: list[Flags] = [j.extruding for j in judge(smaller([whole], 100), plant)]
+    assert np.concatenate(flags).all()
+    assert isinstance(Response(plant, ORIGIN).late, int)
