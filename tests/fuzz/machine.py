@@ -22,7 +22,7 @@ class Stand(NamedTuple):
     """At a mark: its number, places (mm; None: unknown), filament so far, modes, absolute e.
 
     place: of the machine; reported: as the firmware reports it, after G92; moves: number made;
-    way: mm of the next.
+    way, fed: mm of the next, and of its filament.
     """
 
     number: int
@@ -33,6 +33,7 @@ class Stand(NamedTuple):
     e: float
     moves: int = 0
     way: float = 0.0
+    fed: float = 0.0
 
 
 @dataclass
@@ -60,7 +61,7 @@ class Machine:
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     doubted: set[int] = field(default_factory=set)
     renamed: set[int] = field(default_factory=set)
-    waiting: int = 0  # the first stand whose way is not known
+    waiting: int = 0  # the first stand whose next move is not known
     trace: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     feed: float = 25.0  # mm/s
     seconds: float = 0.0
@@ -152,7 +153,7 @@ class Machine:
         self.seconds += (length or abs(fed)) / self.feed
         if words.keys() & set("XYZE"):
             waiting = self.stands[self.waiting :]
-            self.stands[self.waiting :] = [s._replace(way=length) for s in waiting]
+            self.stands[self.waiting :] = [s._replace(way=length, fed=fed) for s in waiting]
             self.waiting = len(self.stands)
             self.trace.append((self.trace[-1][0] + (arc or length), self.filament))
             self.flow = max(self.flow, abs(fed) * self.feed / (length or SHORT))

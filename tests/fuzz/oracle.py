@@ -6,6 +6,7 @@ A defect is an AssertionError, or any exception that is no HframeError.
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -28,7 +29,7 @@ from hframe_post.writers.stream.print_time import DURATION, ELAPSED, DeferredLin
 from tests.conftest import SAMPLES
 from tests.fuzz import files, mutations, settings
 from tests.fuzz.arcs import arcs
-from tests.fuzz.machine import UNSEEN, Machine
+from tests.fuzz.machine import SHORT, UNSEEN, Machine, Stand
 
 FILAMENT = 2e-3  # mm at any mark
 # Marks between which the command goes less than a millisecond or a micrometre are at one place.
@@ -144,8 +145,7 @@ def check_same_print(
         known = FILAMENT + 1e-3 * SHARED * min(asked.flow, MELTED)
         low, high = -known, known
         if firmware == "marlin" and before.number not in at_rest:
-            # a line in motion stands before the segment in which its place is
-            least, most = asked.fed_before(before, LONGER * after.way + BEYOND)
+            least, most = _fed_at_segment(asked, before, after)
             low, high = low + least - before.filament, high + most - before.filament
         assert low < off < high, f"filament at mark {before.number} differs by {off:.5f} mm"
         if before.number in at_rest:
@@ -170,6 +170,23 @@ def check_same_print(
     for line in output.splitlines():
         if line.startswith(b"G1 ") and line not in known_lines:
             assert WRITTEN.fullmatch(line), line
+
+
+def _fed_at_segment(asked: Machine, before: Stand, after: Stand) -> tuple[float, float]:
+    """Return the least and the most filament that may be out at a mark in motion, for Marlin.
+
+    The mark stands before the segment in which its place is. Within that segment lies about as much
+    path as it is long, or, where it cuts off a swing of the command that is too short for a segment
+    of its own, as much path as takes its filament.
+    """
+    least, most = asked.fed_before(before, LONGER * after.way + BEYOND)
+    if after.way < SHORT:  # a retraction: the mark stands at rest
+        return least, most
+    lowest, highest = asked.fed_before(before, math.inf)
+    return (
+        min(least, max(lowest, before.filament - max(after.fed, 0.0))),
+        max(most, min(highest, before.filament - min(after.fed, 0.0))),
+    )
 
 
 def _check_comments(text: bytes, output: bytes) -> None:

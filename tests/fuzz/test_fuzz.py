@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from subprocess import run
 
 import pytest
 
+from hframe_post.conversion.pipeline import Options
 from tests.conftest import ROOT
 from tests.fuzz.cases import KINDS
 from tests.fuzz.machine import Machine
-from tests.fuzz.oracle import check_same_print
+from tests.fuzz.oracle import check_same_print, converted
 from tests.fuzz.targets import FOUND, TARGETS, check, seeds
 
 ORIGINAL = b"G28\nM83\nG1 X10 Y10 Z0.2\nG1 X20 E0.5\n;@1\nG91\nUNHEARD_OF @2\nG90\n;@3\n"
+
+MARK = b"M117 @1\n"
+SWING = (
+    b"""M83
+G0 F9000 X152.081 Y101.17
+G1 F1800 X161.821 Y118.829 E631.26631
+G0 F9000 X161.255 Y118.829
+%bG1 F1800 X143.596 Y101.17 E631.68163
+"""
+    % MARK
+)
 
 
 def fuzzed(*arguments: str) -> None:
@@ -59,6 +72,17 @@ def test_the_oracle_can_fail(change: bytes, to: bytes, message: str) -> None:
     check_same_print(ORIGINAL, ORIGINAL, "klipper")
     with pytest.raises(AssertionError, match=message):
         check_same_print(ORIGINAL, ORIGINAL.replace(change, to), "klipper")
+
+
+@pytest.mark.parametrize("lines", [-1, 0, 2])
+def test_for_marlin_a_mark_stands_before_the_segment_of_its_place(lines: int) -> None:
+    """The command swings by less than a segment's fewest steps: one segment spans the travel."""
+    written = converted(SWING, "marlin", Options("racking")).splitlines(keepends=True)
+    at = written.index(MARK)
+    written.insert(at + lines, written.pop(at))
+    refused = pytest.raises(AssertionError, match="filament at mark 1 differs by")
+    with refused if lines else contextlib.nullcontext():
+        check_same_print(SWING, b"".join(written), "marlin")
 
 
 def test_the_machine_reads_as_firmware_does() -> None:
