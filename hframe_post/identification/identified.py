@@ -13,6 +13,7 @@ from hframe_post.identification.diagnosis.scatter import DAY_TO_DAY, MOST, ModeS
 from hframe_post.identification.fitting.dominant import Excited
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.model.impulse_response import Linear
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 
@@ -58,11 +59,11 @@ class Repetition:
     """What two or more recordings of an axis at one place tell of each other.
 
     share: of the answer that one does not foresee of another, by the root of 2, so that it is
-    what each has of its own. functions: the transfer function of each.
+    what each has of its own. functions: the response of each.
     """
 
     share: float
-    functions: tuple[TransferFunction, ...]
+    functions: tuple[Linear, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +136,8 @@ class Identified:
                 limit = 0.25 if found.residual_over_noise > 2.0 else 0.6
             if found.residual > limit:
                 return (
-                    f"the model of {name} (order {found.order}) leaves {100 * found.residual:.0f} "
-                    f"% of the measurement unexplained: {self._cause}"
+                    f"the model of {name} leaves {100 * found.residual:.0f} % of the measurement "
+                    f"unexplained: {self._cause}"
                 )
         return None
 

@@ -41,10 +41,11 @@ from hframe_post.identification.fitting.dominant import refined, share_left
 from hframe_post.identification.fitting.fit import (
     Fit,
     fit,
-    fit_uncalibrated,
+    fit_response,
     with_common_delay,
     with_gain,
 )
+from hframe_post.identification.fitting.impulse import estimated
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.crossed import Crossed, crossed
@@ -65,6 +66,7 @@ from hframe_post.identification.responses.measured import (
     nozzle_responses,
 )
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
+from hframe_post.model.impulse_response import Linear
 from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
@@ -198,7 +200,7 @@ def _fit_all(
 def _fit(name: str, measured: Measured, settings: Settings, distortion: Distortion | None) -> Fit:
     excited = measured.excited(settings.band_hz)
     if excited is not None:
-        return fit_uncalibrated(excited)
+        return fit_response(excited)
     sensor = None
     if settings.sensor is not None and name in AXIS:
         sensor = settings.sensor[tuple(AXIS).index(name)], GAIN_SD
@@ -245,8 +247,11 @@ def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetitio
         return None
     runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
-    refit = _refit(measured, found, settings)
-    functions = tuple(model.discrete(0.0, model.gain) for model in map(refit, runs))
+    if found.measured is not None:
+        functions: tuple[Linear, ...] = tuple(estimated(run).G for run in runs)
+    else:
+        refit = _refit(measured, found, settings)
+        functions = tuple(model.discrete(0.0, model.gain) for model in map(refit, runs))
     return Repetition(float(np.mean(shares)) / math.sqrt(2.0), functions)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identified import AXIS, Identified
 from hframe_post.identification.identify import Settings, identify
@@ -34,13 +35,19 @@ def functions_table(identified: Identified) -> list[str]:
     for name, found in identified.fits.items():
         measured = identified.measured[name]
         modes = ", ".join(f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in found.modes)
+        order = "–" if found.order is None else str(found.order)
         several = len(measured.places) > 1
         variation = f"{100 * measured.spread:.1f} %" if several else "–"
         lines.append(
-            f"{name:10s}{found.order:6d}{100 * found.residual:9.2f} %{variation:>13s}"
+            f"{name:10s}{order:>6s}{100 * found.residual:9.2f} %{variation:>13s}"
             f"{found.printer_delay * 1e3:7.2f} ms   {modes or 'none'}"
         )
     return lines
+
+
+def kind(found: Fit) -> str:
+    """Return how many poles describe an axis, or that its response is kept as measured."""
+    return "response as measured" if found.order is None else f"order {found.order}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +154,13 @@ class IdentificationReport:
         if "Gxtheta" in self.identified.fits:
             measured = "" if self.identified.x_c is not None else " (not measured)"
             rows.append(("x_c", f"{self.plant.x_c:.2f} mm{measured}"))
+        as_measured = [name for name, one in self.identified.fits.items() if one.order is None]
+        if as_measured:
+            rows.append((
+                "model",
+                f"{' and '.join(as_measured)}: the response as measured, since modes explain too "
+                "little of it; those listed only describe it",
+            ))  # fmt: skip
         rows.append(("sensor", self._sensor()))
         rows += [("uncertainty", text) for text in self._uncertainties()]
         rows += [("repeats", text) for text in self._repetitions()]
@@ -217,7 +231,7 @@ class IdentificationReport:
 
     def origin(self) -> list[str]:
         rows = [
-            f"{name}: order {found.order}, fit error {100 * found.residual:.2f} %, "
+            f"{name}: {kind(found)}, fit error {100 * found.residual:.2f} %, "
             f"{len(self.identified.measured[name].places)} runs"
             for name, found in self.identified.fits.items()
         ]

@@ -13,6 +13,7 @@ from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
 )
+from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import all_of_them, at, at_rest
 from tests.simulator import Axis, Machine, Mode
 
@@ -116,6 +117,7 @@ def test_noisy_responses_of_known_plants_are_recovered(k: int) -> None:
     true = at(G, hz)
     assert np.linalg.norm(found.response(hz) - true) / np.linalg.norm(true) < 0.005
     assert found.G.dc_gain == pytest.approx(at_rest(G), abs=1e-9)
+    assert isinstance(found.G, TransferFunction)
     assert np.abs(found.G.poles).max() < 1.0
 
 

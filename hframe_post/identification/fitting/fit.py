@@ -10,6 +10,7 @@ import numpy as np
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.dominant import Excited, dominant_modes, share_left
+from hframe_post.identification.fitting.impulse import Estimated, estimated
 from hframe_post.identification.fitting.modal import Modal
 from hframe_post.identification.fitting.rocking import (
     Rocking,
@@ -29,23 +30,26 @@ from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
 )
+from hframe_post.model.impulse_response import Linear
 from hframe_post.model.transfer_function import TransferFunction
 
 RINGS = 0.3  # damping ratio below which a mode visibly rings
+MODAL = 0.05  # share that a sum of modes leaves of a printer that is one; others leave 0.1 and more
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """The transfer function ``G`` and how it was found.
+    """The response ``G`` and how it was found.
 
-    order: poles without those of the delay. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted with
+    order: poles without those of the delay; None if G is an impulse response, ``measured``, and
+    the modes of ``model`` only describe it. residual: ‖H − Ĥ‖ / ‖H‖ over the band, weighted with
     input power and coherence; residual_over_noise: the same in units of the noise. gain: of the
     sensor, not part of G. recording_delay: s, not part of G. printer_delay: s, part of G, with
     its bounds. highest_hz: up to which modes were measured. rocking: of the frame, not part of G.
     """
 
-    G: TransferFunction
-    order: int
+    G: Linear
+    order: int | None
     residual: float
     residual_over_noise: float
     gain: float
@@ -56,6 +60,7 @@ class Fit:
     warnings: tuple[str, ...]
     highest_hz: float = np.inf
     rocking: Rocking | None = None
+    measured: Estimated | None = None
 
     @property
     def modes(self) -> list[tuple[float, float]]:
@@ -67,7 +72,24 @@ class Fit:
 
     def response(self, hz: Array) -> Complex:
         """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
-        return self.model.response(hz)
+        return (self.measured or self.model).response(hz)
+
+
+def fit_response(measured: Excited) -> Fit:
+    """Return the response of recordings whose start and gain are unknown: all delay is theirs.
+
+    Where modes leave more than MODAL of it, it is an impulse response. Raises IdentificationError.
+    """
+    found = fit_uncalibrated(measured)
+    if found.residual <= MODAL:
+        return found
+    whole = average(measured.runs)
+    response = estimated(whole)
+    residual = share_left(response.response(whole.hz), whole, whole.power)
+    return replace(
+        found, G=response.G, order=None, residual=residual, gain=response.gain,
+        recording_delay=response.delay, measured=response,
+    )  # fmt: skip
 
 
 def fit(
@@ -139,6 +161,7 @@ def _described(case: Case, model: Modal) -> Fit:
 
 def with_gain(racking: Fit, gain: float) -> Fit:
     """Return racking for a sensor that reads ``gain`` along the axis across."""
+    assert isinstance(racking.G, TransferFunction)
     G = replace(racking.G, gain=racking.G.gain / gain)
     return replace(racking, G=G, gain=gain)
 

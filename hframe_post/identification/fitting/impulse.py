@@ -1,0 +1,136 @@
+"""The impulse response of an axis, from recordings whose start and gain are unknown.
+
+A real printer is no sum of a few modes. Its response h is therefore estimated as it is, by least
+squares with a prior (Pillonetto, Chen, Ljung, Regularized System Identification, 2022)
+
+    ĥ = argmin Σ_f W(f) |H(f) − Σ_k h_k e^{−2πifk}|² + (h − δ)ᵀ K⁻¹ (h − δ),
+    K_jk = c² d^(|j| + |k|) r^|j − k|
+
+H is the measured response, W the command's power over the power that no linear model explains,
+and the kernel K says that h decays, and that neighbouring samples are alike.
+
+Such recordings do not tell the phase below the resonances, since nobody knows when the motion
+began. There the printer is taken to do what its strongest mode alone does, 1/(1 − (f/f₀)²): from
+ASSUMED[0]·f₀ down, and up to ASSUMED[1]·f₀ less and less. The result is written as what
+acceleration does to the nozzle (``ImpulseResponse``), so that its gain at rest is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.responses.frequency_response import BANDWIDTH, FrequencyResponse
+from hframe_post.model.impulse_response import ImpulseResponse
+
+AFTER, BEFORE = 400, 12  # samples of h; band-limited, it begins before the command
+UNEXPLAINED = 0.25  # share of the response that counts as noise, since no linear model explains it
+SIZE, DECAY, ALIKE = 0.06, 0.985, 0.9  # c, d, r of the kernel
+ASSUMED = (0.25, 0.42)  # of f₀: one ideal mode below, the measurement above
+IDEAL_SD = 0.003  # of that mode, up to MEASURED·f₀
+MEASURED = 1.0 / 3.0  # of f₀, from which on the measurement counts
+LOWEST_HZ = 6.0  # below it, table and frame move as much as the axis
+STRONGEST_HZ = (18.0, 95.0)  # in which f₀ is sought
+LEAD, LENGTH = 32, 440  # samples of the result
+FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
+FIT_SIZE = 1e-4  # weight of the result's own kernel
+LEAST_FREQUENCIES = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """The response G, without the sensor's gain and the delay (s) of the recording.
+
+    resonance_hz: f₀.
+    """
+
+    G: ImpulseResponse
+    gain: float
+    delay: float
+    resonance_hz: float
+
+    def response(self, hz: Array) -> Complex:
+        """Return what the sensor shows at ``hz`` (k,), including gain and delay."""
+        turned = np.exp(-2j * np.pi * hz * self.delay)
+        return np.asarray(self.gain * turned * self.G.response(2.0 * np.pi * TS * hz))
+
+
+def estimated(measured: FrequencyResponse) -> Estimated:
+    """Return the response that was measured where it was excited.
+
+    Raises IdentificationError if there are too few frequencies.
+    """
+    hz, size = measured.hz, np.abs(measured.H)
+    if len(hz) < LEAST_FREQUENCIES:
+        raise IdentificationError(f"only {len(hz)} frequencies were excited, too few for a model")
+    near = np.where((hz >= STRONGEST_HZ[0]) & (hz <= STRONGEST_HZ[1]), size, 0.0)
+    f0 = float(hz[np.argmax(near)])
+    gain, delay = _gain_and_delay(measured, f0)
+    in_time = measured.H / gain * np.exp(2j * np.pi * hz * delay)
+    h = _estimate(measured, in_time, f0)
+    return Estimated(_handed_over(h, f0), gain, delay, f0)
+
+
+def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, float]:
+    """Return the gain and delay (s) with which one ideal mode is seen below the resonance."""
+    hz = measured.hz
+    low = (hz >= max(LOWEST_HZ, f0 / 5.0)) & (hz <= f0 / 2.4)
+    H, omega = measured.H[low], 2.0 * np.pi * hz[low]
+    if not low.any():
+        raise IdentificationError(
+            f"nothing was excited between {f0 / 5.0:.0f} and {f0 / 2.4:.0f} Hz, below the "
+            f"resonance at {f0:.0f} Hz: begin the test at a lower frequency"
+        )
+    sign = np.sign(H.sum().real) or 1.0
+    gain = float(sign * np.median(np.abs(H) * np.abs(1.0 - (hz[low] / f0) ** 2)))
+    phase = np.unwrap(np.angle(H / gain))
+    return gain, float(-(omega @ phase) / (omega @ omega))
+
+
+def _estimate(measured: FrequencyResponse, H: Complex, f0: float) -> Array:
+    """Return ĥ (BEFORE + AFTER,) from sample −BEFORE on."""
+    hz, k = measured.hz, np.arange(-BEFORE, AFTER, dtype=float)
+    counts = hz >= max(LOWEST_HZ, MEASURED * f0)
+    power = measured.power[counts] / (measured.power[counts] @ np.abs(H[counts]) ** 2)
+    step = float(np.median(np.diff(hz)))
+    samples = measured.averages * 2.0 / (BANDWIDTH * step * TS)
+    W = samples / UNEXPLAINED**2 * power
+    E = np.exp(-2j * np.pi * TS * np.outer(hz[counts], k))
+    low = np.arange(0.0, MEASURED * f0, 0.5)
+    L = np.exp(-2j * np.pi * TS * np.outer(low, k))
+    P = linalg.inv(_kernel(k, SIZE))
+    weighted, ideal = E.conj().T * W, L.conj().T / IDEAL_SD**2
+    A = (weighted @ E).real + (ideal @ L).real + P
+    b = (weighted @ H[counts]).real + (ideal @ _one_mode(low, f0)).real + P @ (k == 0)
+    return np.asarray(linalg.solve(A, b, assume_a="pos"))
+
+
+def _handed_over(h: Array, f0: float) -> ImpulseResponse:
+    """Return h as what acceleration does, with one ideal mode where the phase is not known."""
+    hz = np.arange(FIT_HZ[1], FIT_HZ[0], FIT_HZ[1])
+    at = np.clip((hz / f0 - ASSUMED[0]) / (ASSUMED[1] - ASSUMED[0]), 0.0, 1.0)
+    known = at * at * (3.0 - 2.0 * at)
+    E = np.exp(-2j * np.pi * TS * np.outer(hz, np.arange(-BEFORE, AFTER)))
+    G = (1.0 - known) * _one_mode(np.minimum(hz, 0.7 * f0), f0) + known * (E @ h)
+    k = np.arange(-LEAD, LENGTH - LEAD, dtype=float)
+    turn = np.exp(-2j * np.pi * TS * np.outer(hz, k))
+    weight = (30.0 / np.maximum(hz, 5.0) ** 1.5)[:, None]
+    X = -weight * (2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2 * turn
+    P = FIT_SIZE * linalg.inv(_kernel(k, 1.0 / (2.0 * np.pi * TS * f0)))
+    A = (X.conj().T @ X).real + P
+    q = linalg.solve(A, (X.conj().T @ (weight[:, 0] * (G - 1.0))).real, assume_a="pos")
+    return ImpulseResponse(np.asarray(q), LEAD)
+
+
+def _kernel(k: Array, size: float) -> Array:
+    sd = size * DECAY ** np.abs(k)
+    K = np.outer(sd, sd) * ALIKE ** np.abs(k[:, None] - k)
+    return np.asarray(K + 1e-9 * size**2 * np.eye(len(k)))
+
+
+def _one_mode(hz: Array, f0: float) -> Array:
+    return np.asarray(1.0 / (1.0 - (hz / f0) ** 2))
