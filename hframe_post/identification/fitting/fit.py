@@ -176,7 +176,7 @@ def with_common_delay(x: Fit, y: Fit) -> tuple[Fit, Fit]:
     """
     low = max(x.printer_delay_bounds[0], y.printer_delay_bounds[0])
     high = min(x.printer_delay_bounds[1], y.printer_delay_bounds[1])
-    if low > high + 5e-5:
+    if low > high + 5e-5 or x.measured or y.measured:
         return x, y
     delay = (low + high) / 2.0
     return _with_delay(x, delay), _with_delay(y, delay)
