@@ -259,6 +259,6 @@ class _Window:
         if track.reached < k - self._remembered:
             track.reached = k - self._remembered
             track.before = track.solver.around.at_rest(track.command[track.reached - self._first])
-        track.before.run(track.command[self._rows(track.reached, k)])
+        track.before.advance(track.command[self._rows(track.reached, k)])
         track.reached = k
         return track.before

@@ -96,8 +96,8 @@ class ImpulseResponse:
         b[k] = c[k] − 2 c[k−1] + c[k−2], so nothing after sample k is needed. late ≥ ahead.
         """
         first = self.lead + 1 - late
-        taps = np.concatenate([np.zeros(max(-first, 0)), self.deviation[max(first, 0) :]])
-        return taps if len(taps) else np.zeros(1)
+        ringing = np.trim_zeros(self.deviation, "b")[max(first, 0) :]
+        return np.concatenate([np.zeros(max(-first, 0 if len(ringing) else 1)), ringing])
 
     def impulse(self, n: int) -> Array:
         """Return the response to a command of 1 at sample 0 only, n samples from −ahead on."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.machinery import PathFinder
@@ -26,11 +26,10 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
-from hframe_post.model.linear import windows_product
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native import Kernel, kernel
 
-BLOCK = 64  # outputs of a finite response that are computed together
+BLOCK = 32  # outputs of a finite response that the compiled loop computes together
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
 
@@ -142,6 +141,9 @@ class StreamFilter(Protocol):
     def run(self, u: Array) -> Array:
         """Return the output (n,) at the next samples of the input u (n,)."""
 
+    def advance(self, u: Array) -> None:
+        """Take the state that the next samples of the input lead to."""
+
     def settle(self, u: float) -> None:
         """Take the state that a constant input leads to."""
 
@@ -170,6 +172,10 @@ class Filter:
         _cascade()(self.sections, signals, self.state[None])
         return np.asarray(signals[0])
 
+    def advance(self, u: Array) -> None:
+        """Take the state that the next samples of the input lead to."""
+        self.run(u)
+
     def settle(self, u: float) -> None:
         """Take the state that a constant input leads to."""
         for (b0, b1, b2, _, a1, a2), state in zip(self.sections.tolist(), self.state, strict=True):
@@ -193,6 +199,9 @@ class LateFilter:
         self._waiting[:] = y[len(u) :]
         return y[: len(u)]
 
+    def advance(self, u: Array) -> None:
+        self.run(u)
+
     def settle(self, u: float) -> None:
         self._filter.settle(u)
         self._waiting[:] = self._dc_gain * u
@@ -205,28 +214,40 @@ class FiniteFilter:
     """
 
     def __init__(self, G: ImpulseResponse, late: int) -> None:
-        taps = G.taps(late)
+        self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
         self._rest, self._late = G.rest, late
-        self.state = np.zeros(max(len(taps) + 1, late))
-        outputs = np.zeros((BLOCK, len(taps) + BLOCK))  # each row a sample later than the one above
-        outputs[:, : len(taps)] = taps[::-1]
-        outputs = outputs.ravel()[:-BLOCK].reshape(BLOCK, -1)
-        self._by_acceleration = np.ascontiguousarray(outputs.T)
+        self.state = np.zeros(max(len(self._taps) + 1, late))
 
     def run(self, u: Array) -> Array:
-        n, known = len(u), np.concatenate([self.state, u])
-        blocks, memory = -(-n // BLOCK), len(self._by_acceleration) - BLOCK
-        acceleration = np.zeros(memory + blocks * BLOCK)
+        n, memory = len(u), len(self._taps) - 1
+        known = np.concatenate([self.state, u])
+        acceleration = np.zeros(memory + -(-n // BLOCK) * BLOCK)
         rate = np.diff(known[len(self.state) - memory - 2 :])
         np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
-        y = windows_product(acceleration, BLOCK, self._by_acceleration).ravel()[:n]
+        y = _sliding_sums(self._taps, acceleration)[:n]
         before = len(self.state) - self._late
         y += self._rest * known[before : before + n]
         self.state[:] = known[n:]
         return y
 
+    def advance(self, u: Array) -> None:
+        n = min(len(u), len(self.state))
+        self.state[: len(self.state) - n] = self.state[n:].copy()
+        self.state[len(self.state) - n :] = u[len(u) - n :]
+
     def settle(self, u: float) -> None:
         self.state[:] = u
+
+
+def _sliding_sums(factors: Array, u: Array) -> Array:
+    """Return the sum of the factors times as many samples of u, from each sample that has them."""
+    sums = np.zeros(len(u) + 1 - len(factors))
+    if (compiled := kernel("sliding_sums")) is not None:
+        compiled(factors, len(factors), u, len(sums) // BLOCK, sums)
+        return sums
+    for k, factor in enumerate(factors.tolist()):
+        sums += factor * u[k : k + len(sums)]
+    return sums
 
 
 @cache
@@ -338,17 +359,33 @@ class Response:
     def settle(self, command: Array) -> None:
         """Come to rest under a command (2,)."""
         u = (command - self._origin).tolist()
-        axes = X, Y, *(coupling.command for coupling in self._filters.couplings)
-        for f, axis in zip(self._filters.each, axes, strict=True):
+        for f, axis in self._commanded():
             f.settle(u[axis])
 
-    def run(self, command: Array) -> Array:
-        """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2)."""
-        return self._motion(command, 0)
+    def advance(self, command: Array) -> None:
+        """Go on to the state after the next samples of the command (n, 2)."""
+        if self._filters.fused:  # the compiled loop is faster than its filters one by one
+            self.run(command)
+            return
+        u = (command - self._origin).T
+        for f, axis in self._commanded():
+            f.advance(u[axis])
+
+    def _commanded(self) -> Iterator[tuple[StreamFilter, int]]:
+        """Yield each filter with the axis of its command."""
+        axes = X, Y, *(coupling.command for coupling in self._filters.couplings)
+        yield from zip(self._filters.each, axes, strict=True)
+
+    def run(self, command: Array, out: Array | None = None) -> Array:
+        """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
+
+        It is in ``out``, if given.
+        """
+        return self._motion(command, np.empty((len(command), 2)) if out is None else out)
 
     def motion(self, command: Array) -> tuple[Array, Array]:
         """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
-        both = self._motion(command, len(self._filters.couplings))
+        both = self._motion(command, np.empty((len(command), 2 + len(self._filters.couplings))))
         return both[:, :2], both[:, 2:]
 
     def imagined(self, command: Array) -> tuple[Array, Array]:
@@ -359,20 +396,23 @@ class Response:
             f.state[:] = state
         return motion
 
-    def _motion(self, command: Array, shown: int) -> Array:
-        filters, n = self._filters, len(command)
+    def _motion(self, command: Array, motion: Array) -> Array:
+        filters, (n, columns) = self._filters, motion.shape
         if (compiled := filters.loop("response")) is not None:
-            command, motion = np.ascontiguousarray(command), np.empty((n, 2 + shown))
-            compiled(*filters.arguments(), self._origin, command, n, motion, 2 + shown)
+            command = np.ascontiguousarray(command)
+            compiled(*filters.arguments(), self._origin, command, n, motion, columns)
             return motion
-        u = command - self._origin
-        Gxx, Gyy, *others = filters.each
-        place = np.column_stack([Gxx.run(u[:, X]), Gyy.run(u[:, Y])]) + self._origin
-        nozzle, outputs = place.copy(), []
-        for coupling, G in zip(filters.couplings, others, strict=True):
-            outputs.append(G.run(u[:, coupling.command]))
-            nozzle[:, coupling.answer] += coupling.lever(place) * outputs[-1]
-        return np.column_stack([nozzle, *outputs[:shown]])
+        u = np.subtract(command.T, self._origin[:, None], order="C")
+        outputs = [f.run(u[axis]) for f, axis in self._commanded()]
+        for axis in (X, Y):
+            np.add(outputs[axis], self._origin[axis], out=motion[:, axis])
+        if filters.couplings:
+            place = motion[:, :2].copy()
+            for coupling, output in zip(filters.couplings, outputs[2:], strict=True):
+                motion[:, coupling.answer] += coupling.lever(place) * output
+        for k, output in enumerate(outputs[2:columns], 2):
+            motion[:, k] = output
+        return motion
 
 
 def nozzle(plant: Plant, origin: Array, command: Array) -> Array:

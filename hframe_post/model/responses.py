@@ -76,8 +76,11 @@ class _OneByOne:
         ]
 
     def run(self, commands: Sequence[Array]) -> Array:
-        pairs = (zip(responses, commands, strict=True) for responses in self._each)
-        return np.array([[response.run(command) for response, command in each] for each in pairs])
+        motion = np.empty((len(self._each), len(commands), len(commands[0]), 2))
+        for responses, of_plant in zip(self._each, motion, strict=True):
+            for response, command, out in zip(responses, commands, of_plant, strict=True):
+                response.run(command, out)
+        return motion
 
 
 class _Lanes:

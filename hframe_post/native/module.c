@@ -43,6 +43,7 @@
     EACH(response)                                                                            \
     EACH(responses)                                                                           \
     EACH(safe)                                                                                \
+    EACH(sliding_sums)                                                                        \
     EACH(stand)                                                                               \
     EACH(too_thick)
 

@@ -137,6 +137,31 @@ INSIDE four minus(four a, four b) { return EACH_OF(DIFFERENCE); }
 INSIDE four times(four a, four b) { return EACH_OF(PRODUCT); }
 #endif
 
+enum { ABREAST = 8 }; /* groups of four sums that are computed together */
+
+/* sums (blocks·ABREAST·LANES): of the m factors in turn, each times a number of u; from one sum to
+ * the next these go on by one. */
+WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double *u, int64_t blocks,
+                                 double *sums)
+{
+    for (int64_t block = 0; block < blocks; block++, u += LANES * ABREAST, sums += LANES * ABREAST) {
+        four sum[ABREAST];
+        for (int k = 0; k < ABREAST; k++)
+            sum[k] = four_of(0.0, 0.0, 0.0, 0.0);
+        for (int64_t i = 0; i < m; i++) {
+            four factor = four_of(factors[i], factors[i], factors[i], factors[i]);
+            for (int k = 0; k < ABREAST; k++)
+                sum[k] = plus(sum[k], times(factor, *(const four *)(u + i + LANES * k)));
+        }
+        for (int k = 0; k < ABREAST; k++)
+            *(four *)(sums + LANES * k) = sum[k];
+    }
+    return blocks;
+}
+
+LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + LANES * ABREAST * COUNT(3)),
+     COUNT(3), OUT_FLOATS(4, LANES * ABREAST * COUNT(3)))
+
 /* As ``next``, for a cascade in each lane: sections (count, 6) and their state (count, 2). */
 INSIDE four next_of_four(const four *c, int64_t count, four *s, four value)
 {
