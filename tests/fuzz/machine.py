@@ -41,7 +41,8 @@ class Machine:
     """A machine that plays lines. ``least``, ``greatest``: of all places asked for, x y z.
 
     doubted: axes that a macro may have moved since; renamed: those whose place G92 then named, of
-    which nobody knows any more where the bed is.
+    which nobody knows any more where the bed is. named: those, and axes that G92 named before any
+    move, as after homing.
     seconds: what its moves and pauses last at their feed rates, at least. standing: filament fed
     while it stood, mm; nearly: between ends no further apart than SHORT; sharpest: filament per
     mm of any straight move or arc; steepest: of those that feed more than UNSEEN; flow: the fastest
@@ -61,6 +62,7 @@ class Machine:
     greatest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     doubted: set[int] = field(default_factory=set)
     renamed: set[int] = field(default_factory=set)
+    named: set[int] = field(default_factory=set)
     waiting: int = 0  # the first stand whose next move is not known
     trace: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])
     feed: float = 25.0  # mm/s
@@ -223,6 +225,8 @@ class Machine:
             words = dict.fromkeys("XYZE", 0.0)
         for axis, letter in enumerate("XYZ"):
             place = self.place[axis]
+            if letter in words and (place is None or axis in self.doubted):
+                self.named.add(axis)
             if letter in words and place is not None:
                 self.offset[axis] = place - words[letter] * self.unit
                 self.renamed |= {axis} & self.doubted

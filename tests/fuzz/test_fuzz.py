@@ -11,6 +11,7 @@ import pytest
 from hframe_post.conversion.pipeline import Options
 from tests.conftest import ROOT
 from tests.fuzz.cases import KINDS
+from tests.fuzz.klipper import play_both
 from tests.fuzz.machine import Machine
 from tests.fuzz.oracle import check_same_print, converted
 from tests.fuzz.targets import FOUND, TARGETS, check, seeds
@@ -83,6 +84,15 @@ def test_for_marlin_a_mark_stands_before_the_segment_of_its_place(lines: int) ->
     refused = pytest.raises(AssertionError, match="filament at mark 1 differs by")
     with refused if lines else contextlib.nullcontext():
         check_same_print(SWING, b"".join(written), "marlin")
+
+
+@pytest.mark.parametrize("place", [b"G28\n", b"G28\nG1 X0 Y0 Z0.2\nUNHEARD_OF\n"])
+def test_what_g92_makes_of_an_unknown_place_is_not_compared_with_klipper(place: bytes) -> None:
+    """The command leads the nozzle past x = 10, where Klipper homed to 0, and would refuse it."""
+    text = place + b"M83\nG92 X10 Y10\nG1 X10 Y10 F6000\nG1 X30 E1.5 F1800\nG1 Y30 E1.5\n"
+    assert play_both(text, converted(text, "klipper", Options("fbs"))) == "not for Klipper"
+    known = b"G28\nG1 X20 Y20 F6000\nG92 X0 Y0\nG1 X5 E1\n"
+    assert not Machine("klipper").play(known).named
 
 
 def test_the_machine_reads_as_firmware_does() -> None:
