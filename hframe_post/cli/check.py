@@ -59,9 +59,9 @@ def check(
 
     The run shakes each axis for 5 s, in the middle of the bed. Its file is written once; where the
     bed moves and one sensor records both axes, there are two, and the sensor is moved in between.
-    The recordings then move the frequencies, damping ratios and contributions of the profile's
-    modes. A recording of another printer is refused with status 1. Without recordings, the age of
-    the model raises its uncertainty.
+    The recordings then move the profile's response, or the frequencies, damping ratios and
+    contributions of its modes. A recording of another printer is refused with status 1. Without
+    recordings, the age of the model raises its uncertainty.
 
     \b
     Example:

@@ -17,7 +17,8 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import HframeError
-from hframe_post.identification.checking.drift import Drift, drifts
+from hframe_post.identification.checking.drift import drifts
+from hframe_post.identification.checking.evidence import Drift
 from hframe_post.identification.checking.motion import runs
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.responses.measured import Run

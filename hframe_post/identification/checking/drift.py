@@ -18,17 +18,30 @@ Delays and racking stay: a short run at one place does not show them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from scipy.fft import irfft, rfft, rfftfreq
 
-from hframe_post.arrays import TS, Array, Complex, X
+from hframe_post.arrays import Array, Complex, X
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.checking import response
+from hframe_post.identification.checking.evidence import (
+    EXCITED,
+    LEAST_EXPLAINED,
+    LEAST_FREQUENCIES,
+    STEPS_DAMPING,
+    STEPS_HZ,
+    UNMOVED,
+    Drift,
+    Moved,
+    Recorded,
+    explained,
+    left_unseen,
+)
 from hframe_post.identification.checking.known import BAND_HZ, Known, as_modes, known_modes
 from hframe_post.identification.diagnosis.scatter import Uncertainty, with_noise
-from hframe_post.identification.fitting.dominant import INDEPENDENT_HZ, share_left
+from hframe_post.identification.fitting.dominant import INDEPENDENT_HZ
 from hframe_post.identification.fitting.fit import RINGS
 from hframe_post.identification.fitting.modal import Data, Modal, columns, refine
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
@@ -41,83 +54,18 @@ from hframe_post.identification.responses.frequency_response import (
     whole_record,
 )
 from hframe_post.identification.responses.measured import Run
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
 SAMPLES = 8  # of the response with noise added, from which uncertainties follow
 LATE = 3e-3  # s by which the delay may differ from that of the phase
-# farthest change: of frequency and damping ratio, relative, and of a mode's contribution
-FARTHEST_HZ, FARTHEST_DAMPING, FARTHEST_SHARE = 0.1, 2.0, 0.3
 MEASURED_HZ = 100.0  # above it `identify` measures no modes, but may need some
 LEAST_DAMPING = 0.0105  # that `identify` finds; with less a mode is at its bound, and none
 OFF_PEAK = 0.4  # of the median answer, that an error is measured by where the answer is smaller
-LEAST_EXPLAINED = 0.3  # of what a linear model can explain, by the moved model
-UNMOVED = 0.5  # the same by the old model, from which on it is that of this printer
-SMOOTHED_HZ = 0.5  # over which a printer's response hardly changes, even at a resonance
 LOWEST = 0.5  # times the lowest mode: below, the whole printer may rock on its table
 HIGHEST = 1.25  # times the highest mode
-LEAST_FREQUENCIES = 50
-EXCITED = 0.1  # of the median power of the command
-NOTICED = 2.0  # standard deviations
-STEPS_HZ, STEPS_DAMPING = 5e-4, 0.01  # relative, by which motor steps shift a mode in every run
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """A mode before and now. sd: of the frequency and the damping ratio, relative."""
-
-    hz: tuple[float, float]
-    damping: tuple[float, float]
-    share: tuple[float, float]
-    sd: tuple[float, float]
-
-    @property
-    def certain(self) -> bool:
-        """Return whether the mode moved by more than its uncertainty."""
-        changes = (now / before - 1.0 for before, now in (self.hz, self.damping))
-        return any(abs(d) > NOTICED * sd for d, sd in zip(changes, self.sd, strict=True))
-
-    @property
-    def too_far(self) -> bool:
-        ratio = self.damping[1] / self.damping[0]
-        return (
-            abs(self.hz[1] / self.hz[0] - 1.0) > FARTHEST_HZ
-            or not 1.0 / FARTHEST_DAMPING <= ratio <= FARTHEST_DAMPING
-            or abs(self.share[1] - self.share[0]) > FARTHEST_SHARE
-        )
-
-    def as_text(self) -> str:
-        (f0, f1), (z0, z1) = self.hz, self.damping
-        return (
-            f"{f0:.2f} → {f1:.2f} Hz ({100 * (f1 / f0 - 1.0):+.1f} ± {200 * self.sd[0]:.1f} %), "
-            f"damping {z0:.3f} → {z1:.3f} (± {2.0 * self.sd[1] * z1:.3f})"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """A transfer function as it is now.
-
-    modes: those that ring. left: share of the unseen answer that the old and the new
-    model leave. uncertainty: of the new one, as ``plant.uncertainty``.
-    """
-
-    G: TransferFunction
-    modes: list[Moved]
-    left: tuple[float, float]
-    uncertainty: float
-
-    @property
-    def seen(self) -> bool:
-        """Return whether a mode moved, as far as the fitted motion shows."""
-        return any(mode.certain for mode in self.modes)
-
-    @property
-    def certain(self) -> bool:
-        """Return whether the new model is also better where it was not fitted."""
-        return self.seen and self.left[1] < self.left[0]
 
 
 @one_blas_thread()
@@ -136,14 +84,6 @@ def drifts(plant: Plant, runs: Sequence[Run]) -> dict[str, Drift]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """A motion along an axis: the response to fit, and command and answer (n,), mm/s², to judge."""
-
-    response: FrequencyResponse
-    unseen: tuple[Array, Array]
-
-
 def _recorded(run: Run) -> Recorded:
     """Return what is before the second mark, when the sine's answer has died away, and the mark."""
     u = acceleration(run.command[:, run.axis])
@@ -158,10 +98,14 @@ def _recorded(run: Run) -> Recorded:
 
 
 def drift(G: Linear, recorded: Recorded) -> Drift:
-    """Return how a transfer function changed.
+    """Return how an axis' response changed.
 
     Raises IdentificationError if the recording is not of its printer.
     """
+    return response.drift(G, recorded) if isinstance(G, ImpulseResponse) else _modes(G, recorded)
+
+
+def _modes(G: TransferFunction, recorded: Recorded) -> Drift:
     old = as_modes(G)
     rings = known_modes(G)
     if not rings:
@@ -179,20 +123,10 @@ def drift(G: Linear, recorded: Recorded) -> Drift:
         replace(mode, sd=(float(omega[k]), float(zeta[k])))
         for k, mode in _changes(old, new).items()
     ]
-    u, a = recorded.unseen
-    left = [_left(model, u, a, (part.hz[0], part.hz[-1])) for model in (old, new)]
-    return Drift(new.discrete(old.delay, new.gain), modes, (left[0], left[1]), share)
-
-
-def _left(model: Modal, u: Array, a: Array, band_hz: tuple[float, float]) -> float:
-    """Return the share of the answer a (n,) to u (n,) that a model leaves.
-
-    The model's answer is cut off where the recording ends.
-    """
-    n = 4 * len(u)
-    answer = irfft(model.response(rfftfreq(n, TS)) * rfft(u, n), n)[: len(u)]
-    measured, modelled = (whole_record(u, one, 0.0).within(band_hz) for one in (a, answer))
-    return share_left(modelled.H, measured, measured.power)
+    band = float(part.hz[0]), float(part.hz[-1])
+    left = [left_unseen(model.response, recorded.unseen, band) for model in (old, new)]
+    seen = any(mode.certain for mode in modes)
+    return Drift(new.discrete(old.delay, new.gain), seen, (left[0], left[1]), share, modes)
 
 
 def _pair(old: Array, new: Array, k: int, unit: float = 1.0) -> tuple[float, float]:
@@ -218,8 +152,8 @@ def _plausible(old: Modal, part: FrequencyResponse) -> tuple[Modal, Array, Known
 
     Raises IdentificationError if the recording is of another printer.
     """
-    explained = _explained(part)
-    same = explained(old) > UNMOVED
+    share = explained(part)
+    same = share(old.response(part.hz)) > UNMOVED
     hz = old.parameters.omega / (2.0 * np.pi)
     held = (hz > MEASURED_HZ) | (old.parameters.zeta < LEAST_DAMPING)
     ways = (part.power[:, None] * np.abs(_contributions(old, part.hz)) ** 2).sum(axis=0)
@@ -237,9 +171,10 @@ def _plausible(old: Modal, part: FrequencyResponse) -> tuple[Modal, Array, Known
             break
         held = held.copy()
         held[list(far)] = True
-    if not same and explained(new) < LEAST_EXPLAINED:
+    shown = share(new.response(part.hz))
+    if not same and shown < LEAST_EXPLAINED:
         raise IdentificationError(
-            f"the profile's modes explain {100 * max(explained(new), 0.0):.0f} % of what they "
+            f"the profile's modes explain {100 * max(shown, 0.0):.0f} % of what they "
             "could of this recording: it is of another printer, or of one that was rebuilt. "
             "Identify again"
         )
@@ -252,29 +187,6 @@ def _contributions(model: Modal, hz: Array) -> Complex:
     each = columns(np.asarray(2j * np.pi * hz), model.structure, model.parameters)
     by_speed = each[:, n : 2 * n] * model.d if model.structure.speed else 0.0
     return np.asarray(each[:, :n] * model.c + by_speed)
-
-
-def _explained(part: FrequencyResponse) -> Callable[[Modal], float]:
-    """Return the function that tells how much a model explains of a response.
-
-    It is 0 for a printer that follows its command exactly, and 1 for the response itself without
-    what differs from one frequency to the next, as noise and harmonics do.
-    """
-    stiff: Complex = (np.sinc(part.hz * TS) ** 2).astype(complex)
-    late = float(np.subtract(*delays([part, replace(part, H=stiff)])))
-    in_time = part.H * np.exp(2j * np.pi * part.hz * late)
-    step = float(np.median(np.diff(part.hz)))
-    reach = np.arange(-3.0 * SMOOTHED_HZ, 3.0 * SMOOTHED_HZ + step, step)
-    weight = np.exp(-((reach / SMOOTHED_HZ) ** 2) / 2.0)
-    smooth = np.convolve(in_time * part.power, weight, "same")
-    smooth = smooth / np.convolve(part.power, weight, "same")
-
-    def left(H: Complex) -> float:
-        return share_left(H, part, part.power) ** 2
-
-    least = left(smooth * np.exp(-2j * np.pi * part.hz * late))
-    most = max(left(stiff), least + 1e-9)
-    return lambda model: (most - left(model.response(part.hz))) / (most - least)
 
 
 def _moved(known: Known, part: FrequencyResponse) -> tuple[Modal, Array]:

@@ -11,7 +11,6 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.fitting.fit import RINGS
 from hframe_post.identification.fitting.modal import Data, Modal, Parameters, Structure, refine
 from hframe_post.identification.responses.frequency_response import EXACT
-from hframe_post.model.impulse_response import Linear
 from hframe_post.model.transfer_function import TransferFunction, upper_and_real
 
 BAND_HZ = (2.0, 120.0)  # in which the modes must give the transfer function
@@ -23,24 +22,19 @@ CHANGE_HZ, CHANGE_DAMPING, CHANGE_SHARE = 0.05, 0.3, 0.05
 HELD = 0.01  # share of these by which a mode may change that no recording can move
 
 
-def known_modes(linear: Linear) -> list[float]:
-    """Return the frequencies (Hz) of the modes that ring, within BAND_HZ.
-
-    Raises IdentificationError if the model is a measured response.
-    """
-    G = _with_modes(linear)
+def known_modes(G: TransferFunction) -> list[float]:
+    """Return the frequencies (Hz) of the modes that ring, within BAND_HZ."""
     s = np.log(upper_and_real(G.poles)[0]) / TS
     rings = -s.real < RINGS * np.abs(s)
     hz = np.abs(s[rings]) / (2.0 * np.pi)
     return sorted(hz[hz < BAND_HZ[1]].tolist())
 
 
-def as_modes(linear: Linear) -> Modal:
+def as_modes(G: TransferFunction) -> Modal:
     """Return a transfer function that `identify` found as the modes that it was made of.
 
     Raises IdentificationError if it is not a sum of modes behind a delay.
     """
-    G = _with_modes(linear)
     upper, real = upper_and_real(G.poles)
     lags = real[real.real > DELAY].real
     s, corners = np.log(upper) / TS, -np.log(lags) / TS
@@ -59,15 +53,6 @@ def as_modes(linear: Linear) -> Modal:
             "so none can be moved. Identify the printer again"
         )
     return found
-
-
-def _with_modes(G: Linear) -> TransferFunction:
-    if isinstance(G, TransferFunction):
-        return G
-    raise IdentificationError(
-        "the model in this profile is a measured response, which has no modes to move: record the "
-        "printer again with 'hframe-post sweep' or TEST_RESONANCES, and type 'hframe-post identify'"
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hframe_post.identification.checking.known import known_modes
+from hframe_post.identification.checking.response import highest_hz
 from hframe_post.identification.recordings import sweep
 from hframe_post.identification.recordings.sweep import Run
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.settings import Printer
 
 SECONDS = 4.8  # of the sine: 20 s for both axes, with the time in which the sensors are set up
@@ -30,8 +32,12 @@ def runs(printer: Printer, axes: Sequence[int]) -> list[Run]:
 
 def _run(printer: Printer, axis: int) -> Run:
     settings = printer.sweep
-    highest = max(known_modes((printer.plant.Gxx, printer.plant.Gyy)[axis]), default=0.0)
-    end = min(max(BEYOND * highest, LEAST_HZ), settings.end_hz)
+    G = (printer.plant.Gxx, printer.plant.Gyy)[axis]
+    if isinstance(G, ImpulseResponse):
+        shown = highest_hz(G)
+    else:
+        shown = BEYOND * max(known_modes(G), default=0.0)
+    end = min(max(shown, LEAST_HZ), settings.end_hz)
     rate = (end - settings.start_hz) / SECONDS
     short = replace(settings, end_hz=end, rate_hz_per_s=rate, quiet=QUIET)
     x, y = (round(sum(ends) / 2.0, 3) for ends in (printer.travel.x, printer.travel.y))

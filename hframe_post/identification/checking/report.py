@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
-from hframe_post.identification.checking.drift import Drift
+from hframe_post.identification.checking.evidence import Drift
 from hframe_post.identification.identified import AXIS, LEAST_CHANGE
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import Linear
 from hframe_post.printer.settings import Printer
 
 
@@ -27,8 +27,8 @@ class CheckReport:
         return self.found.keys() >= AXIS.keys()
 
     @property
-    def moved(self) -> dict[str, TransferFunction]:
-        """Return the new transfer function of each axis that drifted beyond its uncertainty."""
+    def moved(self) -> dict[str, Linear]:
+        """Return the new response of each axis that drifted beyond its uncertainty."""
         return {name: one.G for name, one in self.found.items() if one.certain}
 
     @property
@@ -44,7 +44,7 @@ class CheckReport:
     def as_text(self) -> str:
         rows = []
         for name, one in self.found.items():
-            rows += [(AXIS[name], mode.as_text()) for mode in one.modes]
+            rows += [(AXIS[name], change.as_text()) for change in one.changes]
             old, new = (f"{100 * left:.0f} %" for left in one.left)
             kept = ""
             if not one.certain:
@@ -67,10 +67,8 @@ class CheckReport:
                 name: {
                     "drifted": one.certain,
                     "unexplained": [round(left, 4) for left in one.left],
-                    "modes": [
-                        {"hz": list(mode.hz), "damping": list(mode.damping), "sd": list(mode.sd)}
-                        for mode in one.modes
-                    ],
+                    "modes": [mode.as_json() for mode in one.modes],
+                    **({"resonance": one.peak.as_json()} if one.peak else {}),
                 }
                 for name, one in self.found.items()
             },

@@ -13,7 +13,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.checking.drift import Drift, Recorded, drift
+from hframe_post.identification.checking.drift import drift
+from hframe_post.identification.checking.evidence import Drift, Recorded
 from hframe_post.identification.identified import AXIS
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.responses.frequency_response import whole_record
@@ -56,9 +57,9 @@ def as_text(found: Mapping[str, Drift]) -> str:
     if not found:
         return "drift       none: no other modes foresee this motion better"
     lines = [
-        f"drift       {AXIS[name]} {mode.as_text()}"
+        f"drift       {AXIS[name]} {change.as_text()}"
         for name, one in found.items()
-        for mode in one.modes
+        for change in one.changes
     ]
     for name, one in found.items():
         old, new = (f"{100 * left:.0f} %" for left in one.left)
