@@ -17,8 +17,9 @@ from hframe_post.arrays import TS, Array, X
 from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.checking.motion import runs
-from hframe_post.identification.recordings.accelerometer import oriented
+from hframe_post.identification.recordings.accelerometer import Recording, oriented
 from hframe_post.identification.verification import motion as verification
+from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.verdict import judge
 from hframe_post.model.impulse_response import ImpulseResponse, transfer_function
 from hframe_post.model.transfer_function import TransferFunction
@@ -174,15 +175,27 @@ def test_a_check_writes_the_new_response(tmp_path: Path) -> None:
     assert done.output.count("nothing drifted") == 2, done.output
 
 
+def verified(machine: Machine, printer: Printer) -> list[tuple[Array, Recording]]:
+    """Return the plain and the compensated motion of a verification, and their recordings."""
+    return [
+        (run.command, oriented(CHIP.record(machine, run.command, 5 + k), quiet=0.5))
+        for k, run in enumerate(verification.runs(printer))
+    ]
+
+
 @pytest.mark.parametrize("lead", [0, 32])
 def test_verify_measures_the_reduction(lead: int) -> None:
-    plain, compensated = (run.command for run in verification.runs(profile(lead)))
-    recorded = [
-        (command, oriented(CHIP.record(MACHINE, command, 5 + k), quiet=0.5))
-        for k, command in enumerate((plain, compensated))
-    ]
-    found = judge(profile(lead), *recorded)
+    both = verified(MACHINE, profile(lead))
+    found = judge(profile(lead), *both)
+    (plain, _), (compensated, _) = both
     true = 1.0 - traced(MACHINE, plain, compensated) / traced(MACHINE, plain, plain)
     assert found.fault is None
     assert found.reduction == pytest.approx(true, rel=0.1)
     assert true > 0.5
+
+
+def test_verify_finds_what_drifted() -> None:
+    now = moved(0.97, 1.1)
+    found = drifted(profile(), *verified(now, profile()))
+    assert set(found) == {"Gxx"}
+    assert off(measured(found["Gxx"].G), now) < 0.06

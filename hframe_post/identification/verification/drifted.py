@@ -1,6 +1,6 @@
-"""Whether the modes have moved, by the plain motion of a verification and the compensated one.
+"""Whether the model has moved, by the plain motion of a verification and the compensated one.
 
-The known modes are fitted to the plain motion, as by `check`. An axis has drifted if that foresees
+The model is moved to the plain motion, as by `check`. An axis has drifted if that foresees
 the compensated motion, which was not fitted, clearly better. The profile stays as it is: a print
 moves in strokes, and on a printer that is not linear a model of this motion can make others worse.
 """
@@ -30,7 +30,7 @@ GAINED = 0.97  # of what the old model leaves, that the new one leaves at most
 
 @one_blas_thread()
 def drifted(printer: Printer, plain: Run, compensated: Run) -> dict[str, Drift]:
-    """Return the axes whose modes have moved, by Gxx and Gyy.
+    """Return the axes whose model has moved, by Gxx and Gyy.
 
     Modes may move along x, so only a motion near its middle tells, where the model holds.
     """
@@ -55,7 +55,7 @@ def drifted(printer: Printer, plain: Run, compensated: Run) -> dict[str, Drift]:
 def as_text(found: Mapping[str, Drift]) -> str:
     """Return what has moved, and how much of the compensated motion is not foreseen."""
     if not found:
-        return "drift       none: no other modes foresee this motion better"
+        return "drift       none: no moved model foresees this motion better"
     lines = [
         f"drift       {AXIS[name]} {change.as_text()}"
         for name, one in found.items()
