@@ -158,8 +158,8 @@ class IdentificationReport:
         if as_measured:
             rows.append((
                 "model",
-                f"{' and '.join(as_measured)}: the response as measured, since modes explain too "
-                "little of it; those listed only describe it",
+                f"{' and '.join(as_measured)}: the response as measured, since modes miss much "
+                "of it; those listed only describe it",
             ))  # fmt: skip
         rows.append(("sensor", self._sensor()))
         rows += [("uncertainty", text) for text in self._uncertainties()]
