@@ -36,6 +36,7 @@ from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import STOPS, Printer, Speed
@@ -127,7 +128,7 @@ def convert(
     predict: Iterable[str] | None = None,
     limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
-    clamp: bool = False,
+    clamp: bool = True,
     tolerance: float | None = TOLERANCE,
     retract: Retract = "standing",
     speed: Speed | None = None,
@@ -154,7 +155,7 @@ def convert(
     How the source is read: limits says which of its limits are obeyed, extrusion what E is before
     the first M82 or M83.
 
-    clamp: compensate less where a command would exceed a limit, instead of raising LimitError.
+    clamp: compensate less where a command would exceed a limit; else LimitError is raised there.
     force: compensate even though the profile's plant is not measured. speed: trade accuracy for
     speed, ``Speed()`` to do so never; the source is then read several times, so it must be a path
     or a list.
@@ -220,7 +221,7 @@ def first_line(
     *,
     strategy: str | None = None,
     limits: LimitSource = "file",
-    clamp: bool = False,
+    clamp: bool = True,
 ) -> bytes:
     """Return the first line of the G-code that ``convert`` writes with these arguments.
 
@@ -243,7 +244,7 @@ def simulate(
     steps: bool = False,
     limits: LimitSource = "file",
     extrusion: Extrusion | None = None,
-    clamp: bool = False,
+    clamp: bool = True,
     page: str | Path | None = None,
     title: str = "",
     notes: Iterable[str] = (),
@@ -267,6 +268,7 @@ def simulate(
         {share: drawn(actual.plant, share, draws, seed) for share in dict.fromkeys(model_error)},
         printer.steps if steps else None,
         actual.name,
+        Doubts.from_plant(actual.plant, actual.uncertainty),
     )
     options = Options("racking", tuple(STRATEGIES), limits, clamp, extrusion=extrusion)
     if page is not None:
@@ -311,7 +313,8 @@ def tune(
 
     knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
     the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
-    default ``model_uncertainty``. Recommended is the gentlest of those that are about as good as
+    default ``model_uncertainty``. A model that says how well it is known needs none of them, unless
+    model_error is given. Recommended is the gentlest of those that are about as good as
     the best that the motors can follow. Raises HframeError, OSError.
     """
     from hframe_post.studies.simulation.uncertainty import draws as drawn
@@ -320,6 +323,7 @@ def tune(
     grid = tuning.candidates(
         printer.compensation, knots or tuning.KNOTS, tuple(efforts or tuning.EFFORTS)
     )
+    draws = 0 if model_error is None and is_doubtful(printer) else draws
     share = model_uncertainty(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
     options = Options("racking", limits=limits, extrusion=extrusion)
@@ -329,6 +333,11 @@ def tune(
         trials = tuning.tune(lines, printer, grid, plants, options, stops)
     tried = tuple(trial for trial in stops if trial.samples)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
+
+
+def is_doubtful(printer: Printer) -> bool:
+    """Return whether the model itself says how well it is known: drift, or what is unknown."""
+    return Doubts.from_plant(printer.plant) is not None
 
 
 def model_uncertainty(printer: Printer) -> float:

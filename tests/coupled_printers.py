@@ -16,7 +16,6 @@ import numpy as np
 from scipy import signal
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.fitting.modal import Modal, Parameters, Structure
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.responses.measured import Run
 from hframe_post.model.plant import Coupling, Plant
@@ -96,12 +95,21 @@ class CoupledMachine:
         return Plant(Gxx, Gyy, None, MIDDLE, tuple(cross))
 
     def _discrete(self, shares: Sequence[float], zeros_at_rest: int) -> TransferFunction:
-        taken = [(mode, share) for mode, share in zip(self.modes, shares, strict=True) if share]
-        omega, zeta = (np.array([getattr(m, name) for m, _ in taken]) for name in ("hz", "damping"))
-        parameters = Parameters(2.0 * np.pi * omega, zeta, np.zeros(0), self.delay)
-        structure = Structure(len(taken), False, 0, zeros_at_rest)
-        coefficients = np.array([share for _, share in taken])
-        return Modal(structure, parameters, coefficients, 0.0, (0.0, 0.0)).discrete(self.delay, 1.0)
+        assert not self.delay
+        taken = [
+            (mode.discrete(1.0 / TS), share)
+            for mode, share in zip(self.modes, shares, strict=True)
+            if share
+        ]
+        num: Array = np.zeros(1)
+        den: Array = np.ones(1)
+        for (position, _, own), share in taken:
+            num = np.asarray(np.polyadd(np.polymul(num, own), share * np.polymul(den, position)))
+            den = np.asarray(np.polymul(den, own))
+        num = np.asarray(np.trim_zeros(num, "f"))
+        zeros = np.roots(num).astype(complex)
+        zeros[np.argsort(np.abs(zeros - 1.0))[:zeros_at_rest]] = 1.0
+        return TransferFunction(zeros, np.roots(den).astype(complex), float(num[0]))
 
     def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
         """Return x, y, their accelerations, and twice 0, as ``Machine.played`` does."""

@@ -22,6 +22,12 @@ def axis_mode(hz: float, damping: float) -> TransferFunction:
     return TransferFunction(_roots(numerator), _roots(denominator), float(numerator[0]))
 
 
+def damped_by_the_frame(hz: float, damping: float) -> TransferFunction:
+    """Return that mode with its damper between axis and frame: it lags, and by a delay of 2 ms."""
+    poles = _roots(_resonance(hz, damping)[0])
+    return TransferFunction(np.zeros(0, complex), poles, float(np.prod(1.0 - poles).real))
+
+
 def coupling_mode(hz: float, damping: float, gain: float) -> TransferFunction:
     """Return gain times what that mode adds to an axis."""
     denominator, size = _resonance(hz, damping)

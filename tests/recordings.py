@@ -1,8 +1,7 @@
 """Sweeps, and their recordings by accelerometers with all their faults.
 
-The nozzle moves as eq. 1 and 2 say; an end of the bridge, at x = x_P, moves in y only, by
-y' + (x_P − x_c) θ. Between the 1 ms samples the motion is a spline, whose second derivative a
-sensor samples at its own, uneven times.
+The nozzle moves as eq. 1 and 2 say. Between the 1 ms samples the motion is a spline, whose second
+derivative a sensor samples at its own, uneven times.
 """
 
 from __future__ import annotations
@@ -85,9 +84,9 @@ def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
     return spline(Filter(plant.Gxx).run(swept), arm * theta)
 
 
-def bridge_end(Gxtheta: TransferFunction, swept: Array, arm: float) -> BSpline:
-    """Return the motion of an end of the bridge, which cannot move in x, in a run of x."""
-    return spline(np.zeros(len(swept)), arm * Filter(Gxtheta).run(swept))
+def in_y_alone(G: TransferFunction, swept: Array, size: float) -> BSpline:
+    """Return a motion in y, ``size`` times what G makes of ``swept`` (m,)."""
+    return spline(np.zeros(len(swept)), size * Filter(G).run(swept))
 
 
 def spline(x: Array, y: Array) -> BSpline:
@@ -95,17 +94,9 @@ def spline(x: Array, y: Array) -> BSpline:
     return make_interp_spline(np.arange(len(x)) * TS, motion, 9)
 
 
-def moved(plant: Plant, command: Array, at: float | None) -> BSpline:
-    """Return the motion of a sensor while the printer plays ``command`` (m, 2) mm.
-
-    at: None on the nozzle, otherwise the x (mm) of its place on the bridge.
-    """
-    nozzle, turns = Response(plant, command[0]).motion(command)
-    if at is None:
-        return spline(*nozzle.T)
-    without = Response(plant.decoupled(), command[0]).run(command)
-    y = without[:, 1] + (at - plant.x_c) * turns[:, 0]
-    return spline(np.zeros(len(y)), y)
+def moved(plant: Plant, command: Array) -> BSpline:
+    """Return the motion of the nozzle while the printer plays ``command`` (m, 2) mm."""
+    return spline(*Response(plant, command[0]).motion(command)[0].T)
 
 
 def write_klipper(path: Path, recording: Recording) -> Path:

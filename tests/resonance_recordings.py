@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hframe_post.arrays import Array
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
@@ -75,6 +76,13 @@ def drawn_sensor(seed: int, kind: str) -> Chip:
         drift=float(rng.uniform(-0.02, 0.02)),
         jitter=1e-5,
     )
+
+
+def wandering(t: Array, size: float, seed: int = 0) -> Array:
+    """Return how late a program's stamps of samples at t (s) are: it follows jumps slowly."""
+    jumps = np.random.default_rng(seed).normal(0.0, 1.0, int(t[-1] / 0.5) + 4)
+    late = np.interp(t, np.arange(len(jumps)) * 0.5, jumps) * size
+    return np.asarray(late - 5.0 * size * np.exp(-t / 1.5))
 
 
 def linear_printer(seed: int) -> Machine:

@@ -171,7 +171,7 @@ class Machine:
         out = np.zeros(((m - 1) * per // keep, 6))
         both = (_Axis * 2)(*(_packed(axis, self.along) for axis in (self.x, self.y)))
         number = ctypes.c_double
-        _library().simulate(
+        compiled(SOURCE).simulate(
             _pointer(u), ctypes.c_long(m), per, number(1.0 / RATE), both,
             number(2.0 * np.pi * self.racking_mode.hz), number(self.racking_mode.damping),
             number(self.racking), number(self.x_c), number(start[0]), number(self.middle),
@@ -272,9 +272,10 @@ def _pointer(values: Array) -> ctypes.c_void_p:
 
 
 @functools.cache
-def _library() -> ctypes.CDLL:
+def compiled(source: str) -> ctypes.CDLL:
+    """Return the functions of a C source."""
     folder = Path(tempfile.mkdtemp(prefix="simulator"))
-    (folder / "simulator.c").write_text(SOURCE)
+    (folder / "simulator.c").write_text(source)
     target = folder / "simulator.so"
     command = ["gcc", "-O2", "-shared", "-fPIC", "-o", str(target), str(folder / "simulator.c")]
     subprocess.run([*command, "-lm"], check=True)

@@ -54,7 +54,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name = f"{axis}-at-{place}"
         command = b"".join(excitation.command_csv(xy))
         (folder / f"sweep.{name}.csv").write_bytes(command)
-        recording = Sensor(noise=0.0).record(moved(plant, xy, None), (len(xy) - 1) * 1e-3, seed)
+        recording = Sensor(noise=0.0).record(moved(plant, xy), (len(xy) - 1) * 1e-3, seed)
         write_klipper(folder / f"adxl345-{name}.csv", recording)
     return folder
 

@@ -83,7 +83,8 @@ def test_what_the_motors_cannot_follow_is_reported_with_line_and_cause(
     (tmp_path / "weak.toml").write_text(WEAK)
     source = tmp_path / "part.gcode"
     source.write_text(SPANS)
-    done = run(source, "-p", tmp_path / "weak.toml", "-o", tmp_path / "out.gcode", "--jobs", jobs)
+    how = ("-p", tmp_path / "weak.toml", "--on-limit", "error", "--jobs", jobs)
+    done = run(source, *how, "-o", tmp_path / "out.gcode")
     assert done.returncode == 1
     assert done.stderr.startswith(b"Error: line 10: belt acceleration (mm/s\xc2\xb2) would be ")
     assert done.stderr.count(b"\n") == 1

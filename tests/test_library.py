@@ -15,11 +15,15 @@ import pytest
 import hframe_post as hp
 from hframe_post.arrays import TS, Array
 from hframe_post.library import first_line
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.plant import Plant
 from hframe_post.paper.results import path
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.writers.files import Outputs
 from tests.conftest import MEASURED, SAMPLES
+from tests.modes import deviation_of_mode
 
 DESCRIPTORS = (property, classmethod, staticmethod)
 VERBS = """Add Certify Check Compensate Compute Convert Find Identify Load Predict Raise Read
@@ -309,3 +313,16 @@ def test_tune_recommends_among_what_it_tried(paper: Printer) -> None:
     assert tuned.best in tuned.trials
     weak = replace(paper, motors=replace(paper.motors, belt_velocity=10.0))
     assert hp.tune(RECTANGLE, weak, knots=(5,), efforts=(96.0,), draws=0).best is None
+
+
+def test_tune_needs_no_random_printers_where_the_model_says_how_well_it_is_known() -> None:
+    """Its median and worst are then those of the range, unless a model error is asked for."""
+    printer = load("example-corexy")
+    x, y = (ImpulseResponse(deviation_of_mode(hz, 0.08, 400), 0, drift=0.02) for hz in (45.0, 38.0))
+    known = replace(printer, plant=Plant(x, y, None, 0.0))
+    (trial,) = hp.tune(RECTANGLE, known, knots=(5,), efforts=(10.0,)).trials
+    assert not trial.drawn
+    assert trial.contour.rms < trial.robust < trial.worst
+    (asked,) = hp.tune(RECTANGLE, known, knots=(5,), efforts=(10.0,), model_error=0.05).trials
+    assert len(asked.drawn) == 10
+    assert asked.contour.range is None

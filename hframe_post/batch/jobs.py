@@ -71,10 +71,14 @@ class Job:
         """Return the predicted errors without and with compensation, µm RMS, as text."""
         errors = self.summary.get("contour_error_um", {})
         names = ("none", self.summary.get("compensation"))
-        values = [errors[name]["rms"] for name in names if name in errors]
-        if len(values) < 2:
+        found = [errors[name] for name in names if name in errors]
+        if len(found) < 2:
             return ""
-        return f"; contour error {values[-1]:.1f} µm instead of {values[0]:.0f}, predicted"
+        none, ours = found[0], found[-1]
+        text = f"; contour error {ours.get('median', ours['rms']):.1f} µm"
+        if "to" in ours:
+            text += f" (up to {ours['to']:.1f} as the printer changes)"
+        return f"{text} instead of {none['rms']:.0f}, predicted"
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,9 +93,9 @@ def calibrate_print(
 
 def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
     from hframe_post.identification.by_eye.form import form
-    from hframe_post.identification.by_eye.tower import Heat, bands, comb, tower
+    from hframe_post.identification.by_eye.tower import bands, comb, tower
 
-    lines = tower(profile, Heat(*heat))
+    lines = tower(profile, heat)
     empty = form(bands(profile), profile.limits.acceleration, comb(profile))
     target = output.with_name(f"{output.stem}{FORM}")
     with Outputs(files_read(printer)) as outputs:
@@ -120,9 +120,9 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     modes = sheet.modes()
     x, y = modes["x"], modes["y"]
     racking = sheet.racking(modes, middle)
-    plant = Plant(x.function(), y.function(), None, middle)
+    plant = Plant(x.response(), y.response(), None, middle)
     if racking is not None:
-        plant = Plant(x.function(), y.function(), racking.function(x), racking.x_c)
+        plant = Plant(x.response(), y.response(), racking.response(x), racking.x_c)
     off = max(LEAST_UNCERTAINTY, 2.0 * x.uncertainty, 2.0 * y.uncertainty)
     shown = [
         f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
@@ -143,14 +143,14 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
 def _compare(
     by: float, output: Path, printer: str, profile: Printer, heat: tuple[float, float]
 ) -> None:
-    from hframe_post.identification.by_eye.tower import Heat, squares
+    from hframe_post.identification.by_eye.tower import squares
 
     check_identified(profile)
     if not 0.0 < by <= 0.3:
         raise click.UsageError("--compare takes a share above 0% and up to 30%")
     plants = [_shifted(profile.plant, change, change) for change in (-by, 0.0, by)]
     with Outputs(files_read(printer)) as outputs:
-        outputs.open(output).writelines(squares(profile, plants, Heat(*heat)))
+        outputs.open(output).writelines(squares(profile, plants, heat))
     low, high = f"-{100.0 * by:g}%", f"{100.0 * by:g}%"
     say(
         f"Print {output}. Which square has the fewest waves on its right wall (x), which on its "

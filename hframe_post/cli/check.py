@@ -59,8 +59,8 @@ def check(
 
     The run shakes each axis for 5 s, in the middle of the bed. Its file is written once; where the
     bed moves and one sensor records both axes, there are two, and the sensor is moved in between.
-    The recordings then move the profile's response, or the frequencies, damping ratios and
-    contributions of its modes. A recording of another printer is refused with status 1. Without
+    The recordings then update the profile's response; one of poles and zeros becomes a measured
+    one. A recording of another printer is refused with status 1. Without
     recordings, the age of the model raises its uncertainty.
 
     \b
@@ -68,7 +68,7 @@ def check(
       hframe-post check -p my.toml --gcode check.gcode
       hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
     """
-    from hframe_post.identification.checking.motion import runs
+    from hframe_post.identification.checking.run import runs
     from hframe_post.identification.recordings.sweep import moves_sensor
 
     profile = load(printer)

@@ -84,18 +84,9 @@ def _reading(text: str) -> tuple[float, float, float]:
     "of it, where their names do not show that they belong together. May be repeated.",
 )  # fmt: skip
 @click.option(
-    "-b", "--bridge", type=(FILE, FILE, FILE), multiple=True, metavar="COMMAND P1 P2",
-    help="The command of a sweep of x, and the recordings of sensors at the ends of the bridge; P1 "
-    "is at the greater x.",
-)  # fmt: skip
-@click.option(
-    "--bridge-length", "L_G", type=click.FloatRange(1.0), metavar="MM",
-    help="Distance of P1 and P2, needed with --bridge.",
-)  # fmt: skip
-@click.option(
-    "--axes", multiple=True, metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
-    "the recordings show. A second --axes is for the sensors on the bridge.",
+    "--axes", metavar="MAP",
+    help="The printer's axes as the sensor names them, such as x=-y,y=x,z=z. Default: as the "
+    "recordings show.",
 )  # fmt: skip
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
@@ -110,8 +101,6 @@ def _reading(text: str) -> tuple[float, float, float]:
     help="A reading of ACCELEROMETER_QUERY. Give at least six, each axis of the sensor pointing up "
     "once and down once: gravity then calibrates the sensor.",
 )  # fmt: skip
-@click.option("--x-c", type=float, metavar="MM",
-              help="Where racking does not move the nozzle, if no run shows it.")  # fmt: skip
 @click.option(
     "--sensor-offset", "offset", type=_offset, default="0,0", show_default=True, metavar="X,Y[,Z]",
     help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
@@ -126,25 +115,22 @@ def _reading(text: str) -> tuple[float, float, float]:
 )  # fmt: skip
 @old_option("--unit", "gravity in the recording shows its unit",
                  type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
-@old_option("--bridge-axes", "give --axes twice, first the nozzle's, then the bridge's",
-                 metavar="MAP")  # fmt: skip
 @old_option("--figures", "use --report page.html", removed=True)
 @old_option("--estimator", "the estimator is always H1", removed=True)
 @old_option("--order", "the recordings determine the order", removed=True, multiple=True)
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
-    nozzle: tuple[tuple[Path, Path], ...], bridge: tuple[tuple[Path, Path, Path], ...],
-    L_G: float | None, axes: tuple[str, ...], columns: tuple[str, ...] | None,
+    nozzle: tuple[tuple[Path, Path], ...], axes: str | None, columns: tuple[str, ...] | None,
     band: tuple[float, float], readings: tuple[tuple[float, float, float], ...],
-    x_c: float | None, offset: tuple[float, ...], report_file: Path | None,
-    json_file: Path | None, output: Path | None, unit: str | None, bridge_axes: str | None,
+    offset: tuple[float, ...], report_file: Path | None,
+    json_file: Path | None, output: Path | None, unit: str | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from recordings of its accelerometer.
 
-    Give the folder with the recordings: Klipper's (TEST_RESONANCES with OUTPUT=raw_data),
-    Shake&Tune's, or those of `sweep`. One sensor on the nozzle is enough. The summary says what
-    was used, and what was left aside and why. No profile is written if a recording cannot be
-    trusted.
+    Give the folder with the recordings: those of `measure` or `sweep` with their commands,
+    Klipper's (TEST_RESONANCES with OUTPUT=raw_data), or Shake&Tune's. One sensor on the nozzle is
+    enough. The summary says what was used, and what was left aside and why. No profile is written
+    if a recording cannot be trusted.
 
     \b
     Example:
@@ -163,13 +149,13 @@ def identify(
     from hframe_post.identification.recordings.folder import files_in
     from hframe_post.identification.report import conclude
 
-    _check_usage([*recordings, *nozzle], bridge, L_G, band, axes)
+    _check_usage([*recordings, *nozzle], band)
     config = KlipperConfig(config_file) if config_file is not None else None
     for warning in warnings(config) if config is not None else ():
         click.echo(f"WARNING      {warning}", err=True)
     source, text = _profile_source(printer, config, output)
     profile = load(source) if text is None else parse(text, "printer", source)
-    pairs = [path for files in (*nozzle, *bridge) for path in files]
+    pairs = [path for files in nozzle for path in files]
     sources = [*files_read(source, *files_in(recordings)), *pairs]
     with Outputs(sources) as profiles:
         old = Path(source) if text is None else None
@@ -180,16 +166,15 @@ def identify(
             gathered = Gathered([], [], [])
             if recordings:
                 gathered += from_folders(recordings, config, profile.travel, columns)
-            for command, *paths in (*nozzle, *bridge):
-                gathered += from_pair(command, paths, profile.travel, columns, unit)
-            second = bridge_axes or (axes[1] if len(axes) > 1 else SAME_AXES)
-            gathered = along_printer(gathered, axes[0] if axes else None, second)
-            settings = _settings(profile, config if text else None, band, L_G, offset)
+            for command, path in nozzle:
+                gathered += from_pair(command, path, profile.travel, columns, unit)
+            gathered = along_printer(gathered, axes)
+            settings = _settings(profile, config if text else None, band, offset)
             if readings:
                 gains = accelerometer.gains_at_rest(np.array(readings))
-                along = accelerometer.gains_along_printer(gains, axes[0] if axes else SAME_AXES)
+                along = accelerometer.gains_along_printer(gains, axes or SAME_AXES)
                 settings = replace(settings, sensor=along)
-            report = conclude(gathered, profile, settings, x_c)
+            report = conclude(gathered, profile, settings)
             write_json(report.as_json())
             if html is not None:
                 html.write(identification_page(report, profile.description or profile.name))
@@ -222,28 +207,23 @@ def _profile_source(
 
 
 def _settings(
-    profile: Printer, config: KlipperConfig | None, band: tuple[float, float],
-    L_G: float | None, offset: tuple[float, ...],
-) -> Settings:  # fmt: skip
+    profile: Printer,
+    config: KlipperConfig | None,
+    band: tuple[float, float],
+    offset: tuple[float, ...],
+) -> Settings:
     from hframe_post.identification.identify import Settings
 
     # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
     height = offset[2] if len(offset) > 2 else None
     bed_moves = profile.kinematics.bed_moves
-    settings = Settings(band, L_G, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
+    settings = Settings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
 
 
-def _check_usage(
-    given: Sequence[object], bridge: Sequence[object], L_G: float | None,
-    band: tuple[float, float], axes: Sequence[str],
-) -> None:  # fmt: skip
+def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:
     if not given:
         raise click.UsageError("give the folder with the recordings, or --nozzle COMMAND RECORDING")
-    if bridge and L_G is None:
-        raise click.UsageError("--bridge needs --bridge-length")
     if not 0.0 < band[0] < band[1] < 500.0:
         raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
-    if len(axes) > 2:
-        raise click.UsageError("give --axes at most twice: the nozzle's, then the bridge's")

@@ -90,9 +90,9 @@ extrusion_option = click.option(
 )  # fmt: skip
 
 on_limit_option = click.option(
-    "--on-limit", type=click.Choice(["error", "clamp"]), default="error", show_default=True,
+    "--on-limit", type=click.Choice(["error", "clamp"]), default="clamp", show_default=True,
     help="If the compensated motion would leave the bed or exceed a motor's limits: stop with an "
-    "error, or compensate less there.",
+    "error, or compensate less there and say so.",
 )  # fmt: skip
 
 

@@ -175,13 +175,12 @@ class _Klipper:
             )
         if not profile.invented:
             return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
-        places = ", at three places 60 mm apart" if profile.kinematics.racks else ""
         return f"""
 Next:
   1. {first}
-  2. Restart Klipper, home, and run on its console TEST_RESONANCES AXIS=X OUTPUT=raw_data{places};
-     then the same with AXIS=Y. docs/start.md has the commands, also for a bed that moves.
-  3. Fetch raw_data_*.csv from /tmp of Klipper's host into a folder recordings, and run
+  2. Restart Klipper, and run hframe-post measure -o measure.gcode. It says what to print and what
+     to fetch then. Recordings of TEST_RESONANCES (OUTPUT=raw_data) do, too.
+  3. With all recordings in a folder recordings, and measure.*.csv with them, run
      hframe-post identify recordings --printer-cfg {quoted(self.path)} -o {quoted(target)}"""
 
 

@@ -95,11 +95,13 @@ def write_for_marlin(
 
 
 def next_steps(
-    command: str, target: Path, printer: str, planned: list[Run], jobs: Sequence[Path] = ()
-) -> str:
+    command: str, target: Path, printer: str, planned: list[Run], jobs: Sequence[Path] = (),
+    recorded: str = "",
+) -> str:  # fmt: skip
     """Return what to do with a file of runs: print it, fetch what was recorded, and judge that.
 
-    jobs: the two files of a printer whose sensor is moved to the bed between them.
+    command: that judges. jobs: the two files of a printer whose sensor is moved to the bed between
+    them. recorded: how the runs' names begin, if not with the command.
     """
     print_it = f"print {target.name}, and"
     if jobs:
@@ -110,13 +112,14 @@ def next_steps(
         )
     folder = target.parent
     inside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
-    both = (f"{inside}*{run.name}.csv" for run in planned)  # the command and the recording
+    ends = "*.csv" if any(run.timed for run in planned) else ".csv"
+    both = (f"{inside}*{run.name}{ends}" for run in planned)  # the command and the recording
     profile = Path(printer if Path(printer).is_file() else "printer.toml")
     return "\n".join(
         [
             *(f"{run.name}: {run.seconds:.1f} s" for run in planned),
             f"Next, home the printer, {print_it} fetch what Klipper recorded:",
-            f'  scp "pi@printer.local:/tmp/*-{command}-*.csv" {quoted(folder)}',
+            f'  scp "pi@printer.local:/tmp/*-{recorded or command}-*.csv" {quoted(folder)}',
             "Then type",
             f"  hframe-post {command} -p {quoted(printer)} {' '.join(both)} -o {quoted(profile)}",
         ]

@@ -109,6 +109,7 @@ def tune(
       hframe-post tune in.gcode -p my.toml -o my.toml
     """
     profile = library.load_printer(printer)
+    draws = 0 if model_error is None and library.is_doubtful(profile) else draws
     model_error = library.model_uncertainty(profile) if model_error is None else model_error
     reads = files_read(source, printer)
     if shaper:

@@ -1,8 +1,9 @@
-"""The clamp: it reduces the compensation where a command would leave the bed or outrun a motor.
+"""The clamp: it gives less where a command would leave the bed or outrun a motor.
 
-The reduction is smooth and only where needed, until the belts can follow; at the edge of the bed
-the command is cut off. Where the belts cannot follow the reduction itself, all of the compensation
-is removed over a longer time.
+Near the edge of the bed, and where the belts would be too fast, the compensation is reduced; at the
+edge itself the command is cut off. Where the belts would accelerate too hard, as they do in the
+first milliseconds of a corner, the command is averaged over a longer and longer time. Both begin
+and end smoothly, and a command that must stand still does so.
 """
 
 from __future__ import annotations
@@ -12,17 +13,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Z
+from hframe_post.arrays import TS, Array, Flags, Z
 from hframe_post.compensation.guard import SLACK
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import join, neighbours, stretches
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.types import Pause, Samples, frozen
 
-REACH = 80  # samples over which a clamp fades in and out
-LONGER_REACHES = (2 * REACH, 4 * REACH)  # tried where the belts cannot follow that
-AROUND = REACH + sum(LONGER_REACHES) + 6  # samples to either side that a clamp depends on
+REACH = 80  # samples over which a reduction fades in and out
+LONGER_REACHES = (2 * REACH, 4 * REACH)  # where that itself would be too fast: all is removed
+# Samples to either side that the command is averaged over, one after the other where the belts
+# still cannot follow; and over which that fades in and out. A corner at 20 mm/s that is averaged
+# over 33 ms is cut by 0.1 mm; what needs more is a path that the motors cannot follow
+AVERAGED, FADE = (1, 2, 4, 8, 16), 40
+AROUND = REACH + 2 * sum(LONGER_REACHES) + sum(AVERAGED) + (len(AVERAGED) + 2) * (FADE + 2)
 MARGIN = 0.9  # share of the admissible compensation that a clamp keeps
 
 
@@ -55,12 +60,14 @@ class Clamp:
         for stretch in stretches(chunks):
             for before, chunk, after in neighbours(stretch, AROUND, AROUND):
                 around = [*before, chunk, *after]
-                if self._all_safe(around, strategy):
+                if not len(chunk) or self._all_safe(around, strategy):
                     yield chunk
                     continue
                 wide, start = join(around), sum(map(len, before))
                 command, where = wide.commands[strategy], slice(start, start + len(chunk))
-                safe = self._reduced(wide.xyze[:, :Z], command)
+                path = wide.xyze[:, :Z]
+                safe = self._averaged(self._reduced(path, command), _standing(wide))
+                safe = self._removed(path, safe)
                 changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
@@ -84,45 +91,113 @@ class Clamp:
         return True
 
     def _reduced(self, path: Array, command: Array) -> Array:
-        """Return the command (n, 2) as bed and belts allow it, the belts if at all possible."""
+        """Return the command (n, 2) with less compensation at the bed's edge and at full speed."""
         travel = self._travel
         edges = (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1])
+
+        def with_share(share: Array) -> Array:
+            return np.clip(path + share[:, None] * (command - path), *edges)
+
         share = _faded(self._admissible(path, command), REACH)
         for reach in LONGER_REACHES:
-            safe = np.clip(path + share[:, None] * (command - path), *edges)
-            if (share == 1.0).all():
-                return safe
-            exceeded = self._admissible(path, safe) < 1.0
+            exceeded = self._admissible(path, with_share(share)) < 1.0
             if not exceeded.any():
-                return safe
+                break
             share = np.minimum(share, _faded(np.where(exceeded, 0.0, 1.0), reach))
-        return np.clip(path + share[:, None] * (command - path), *edges)
+        return with_share(share)
 
     def _admissible(self, path: Array, command: Array) -> Array:
-        """Return the share of the compensation that bed and belts allow at each sample, (n,)."""
-        share, motors, belts = np.ones(len(path)), self._motors, self._kinematics.belts
+        """Return the share of the compensation that bed and speed allow at each sample, (n,)."""
+        share, limit, belts = np.ones(len(path)), self._motors.belt_velocity, self._kinematics.belts
         for axis, (low, high) in enumerate((self._travel.x, self._travel.y)):
             bed = _share_within(path[:, axis], command[:, axis], low, high, 1.0)
             share = np.minimum(share, bed)
-        for order, limit in ((1, motors.belt_velocity), (2, motors.belt_acceleration)):
-            path_rate = np.diff(belts(*path.T), n=order) / TS**order
-            command_rate = np.diff(belts(*command.T), n=order) / TS**order
-            for of_path, of_command in zip(path_rate, command_rate, strict=True):
-                belt = _share_within(of_path, of_command, -limit, limit, MARGIN)
-                share[order:] = np.minimum(share[order:], belt)
+        of_path, of_command = (np.diff(belts(*xy.T)) / TS for xy in (path, command))
+        for pair in zip(of_path, of_command, strict=True):
+            share[1:] = np.minimum(share[1:], _share_within(*pair, -limit, limit, MARGIN))
         return share
+
+    def _averaged(self, command: Array, standing: Flags) -> Array:
+        """Return the command (n, 2) averaged where the belts would accelerate too hard.
+
+        standing (n,): samples that must stay. Means of places on the bed are on it, too.
+        """
+        free = 1.0 - _near(standing)
+        for reach in AVERAGED:
+            hard = self._too_hard(command)
+            if not hard.any():
+                break
+            share = free * _near(hard)
+            command = command + share[:, None] * (_mean(command, reach) - command)
+        return command
+
+    def _removed(self, path: Array, command: Array) -> Array:
+        """Return the command (n, 2) without compensation where the belts still are too hard.
+
+        That is next to samples at which the machine stands, which are not averaged.
+        """
+        for reach in LONGER_REACHES:
+            hard = self._too_hard(command)
+            if not hard.any():
+                break
+            share = _faded(np.where(hard, 0.0, 1.0), reach)
+            command = path + share[:, None] * (command - path)
+        return command
+
+    def _too_hard(self, command: Array) -> Flags:
+        """Flag the samples (n,) at which a belt accelerates harder than it may."""
+        belts = self._kinematics.belts(*command.T)
+        hard = np.zeros(len(command), dtype=bool)
+        hard[2:] = (np.abs(np.diff(belts, n=2)) > self._limits[-1] * TS**2).any(axis=0)
+        return hard
+
+
+def _standing(chunk: Samples) -> Flags:
+    """Return at which samples (n,) the machine stands, at pauses and at the ends of a stretch."""
+    standing = np.zeros(len(chunk), dtype=bool)
+    standing[[0, -1]] = True
+    for event in chunk.events:
+        if isinstance(event, Pause):
+            at = event.index - chunk.first
+            standing[max(at - 1, 0) : max(at + event.samples, 0)] = True
+    return standing
+
+
+def _near(flags: Flags) -> Array:
+    """Return a smooth share (n,), 1 where flagged and 0 from FADE samples away on."""
+    at, k = np.flatnonzero(flags), np.arange(len(flags))
+    if not len(at):
+        return np.zeros(len(flags))
+    following = np.searchsorted(at, k)
+    after = at[np.minimum(following, len(at) - 1)]
+    away = np.minimum(np.abs(after - k), np.abs(k - at[np.maximum(following - 1, 0)]))
+    return np.where(away > FADE, 0.0, _ramp(FADE)[FADE + np.minimum(away, FADE)])
+
+
+def _mean(command: Array, reach: int) -> Array:
+    """Return the mean (n, 2) of samples −reach … reach around each."""
+    n = len(command)
+    longer = np.concatenate([command[:1].repeat(reach, 0), command, command[-1:].repeat(reach, 0)])
+    total = np.zeros_like(command)
+    for k in range(2 * reach + 1):  # not as a difference of sums, which depend on where they begin
+        total += longer[k : k + n] - command
+    return command + total / (2 * reach + 1)
 
 
 def _faded(needed: Array, reach: int) -> Array:
     """Return a smooth share (n,) that is nowhere above ``needed`` and fades over ``reach``."""
-    share = np.ones(len(needed))
-    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
-    ramp = ramp.round(12)  # the last digit of a cosine depends on the processor
+    share, ramp = np.ones(len(needed)), _ramp(reach)
     for k in np.flatnonzero(needed < 1.0).tolist():  # few: only where a limit is exceeded
         low, high = max(k - reach, 0), min(k + reach + 1, len(share))
         removed = (1.0 - needed[k]) * ramp[low - k + reach : high - k + reach]
         share[low:high] = np.minimum(share[low:high], 1.0 - removed)
     return share
+
+
+def _ramp(reach: int) -> Array:
+    """Return a smooth rise to 1 and fall, (2·reach + 1,)."""
+    ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
+    return np.asarray(ramp.round(12))  # the last digit of a cosine depends on the processor
 
 
 def _share_within(path: Array, command: Array, low: float, high: float, margin: float) -> Array:

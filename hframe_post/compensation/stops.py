@@ -192,7 +192,10 @@ class _Window:
         self._extruding = np.zeros(BEFORE, dtype=bool)
         self._tracks = {
             name: _Track(
-                solver, np.zeros((BEFORE, 2)), solver.around.at_rest(np.zeros(2)), self._first
+                solver,
+                np.zeros((BEFORE, 2)),
+                solver.around.at_rest(np.zeros(2), self._origin),
+                self._first,
             )
             for name, solver in solvers.items()
         }
@@ -258,7 +261,8 @@ class _Window:
         """Return the response of a track's plant before sample k, before which all is final."""
         if track.reached < k - self._remembered:
             track.reached = k - self._remembered
-            track.before = track.solver.around.at_rest(track.command[track.reached - self._first])
+            command = track.command[track.reached - self._first]
+            track.before = track.solver.around.at_rest(command, self._origin)
         track.before.advance(track.command[self._rows(track.reached, k)])
         track.reached = k
         return track.before

@@ -14,6 +14,7 @@ from hframe_post.arrays import TS, Array, E, Flags, lengths
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.model.plant import Plant
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Limits
@@ -289,20 +290,25 @@ class FilamentMeter:
 class ErrorMeter:
     """Predicts how far the nozzle is off the path at some samples: ``contour``, by strategy.
 
-    picture: also collects them, if given.
+    doubts: what is not known of the plant. picture: also collects them, if given.
     """
 
     def __init__(
-        self, plant: Plant, every: int = JUDGED_EVERY, picture: Picture | None = None
-    ) -> None:
-        self._plant, self._every, self.picture = plant, every, picture
+        self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
+        picture: Picture | None = None,
+    ) -> None:  # fmt: skip
+        self._plant, self._every, self._doubts = plant, every, doubts
+        self.picture = picture
         self.contour: dict[str, ContourErrors] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        for judgement in judge(chunks, self._plant, self._every):
+        for judgement in judge(chunks, self._plant, self._every, self._doubts):
             for name, errors in judgement.contour.items():
                 contour = self.contour.setdefault(name, ContourErrors())
                 contour.add(errors, judgement.extruding)
+                if name in judgement.products:
+                    extruding = judgement.extruding[judgement.doubtful]
+                    contour.doubt(judgement.products[name], extruding)
             if self.picture is not None:
                 self.picture.add(judgement)
             yield judgement.chunk

@@ -33,6 +33,7 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.chunks import ended, successive
@@ -137,7 +138,8 @@ class Stages:
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock = Clock()
         picture = _picture(printing or Place()) if options.picture else None
-        self._errors = ErrorMeter(printer.plant, picture=picture)
+        doubts = Doubts.from_plant(printer.plant, printer.uncertainty)
+        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:

@@ -2,8 +2,8 @@
 
     folders, pairs → runs → with recordings along the printer's axes
 
-The motion of a sweep is in its command's file. That of a test of resonances follows from
-[resonance_tester] of printer.cfg, corrected by what the recording shows.
+The motion of a sweep, or of strokes, is in its command's file. That of a test of resonances
+follows from [resonance_tester] of printer.cfg, corrected by what the recording shows.
 """
 
 from __future__ import annotations
@@ -16,11 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.recordings.folder import Aside, Measurement, contents, digest_of
+from hframe_post.identification.recordings.folder import (
+    Aside,
+    Command,
+    Measurement,
+    contents,
+    digest_of,
+)
+from hframe_post.identification.recordings.known_start import known_start, on_command_clock
+from hframe_post.identification.recordings.names import parsed
 from hframe_post.identification.recordings.orientation import (
     QUIET,
     has_marks,
@@ -42,9 +49,18 @@ SAME_AXES = "x=x,y=y,z=z"
 ALIKE = 0.9  # cosine between two sensors' views of one axis, from which they are mounted alike
 
 
+EXCHANGED = (
+    "the tests of x and y show each other's axis: either the sensor is turned against its axes_map "
+    "in printer.cfg, which does no harm, or the names of the two files are exchanged"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Used:
-    """A recording that is used: of which motion, and what was unusual about it."""
+    """A recording that is used: of which motion, and what was unusual about it.
+
+    axis (3,): the direction of a test of resonances, as the sensor shows it.
+    """
 
     label: str
     motion: str
@@ -52,6 +68,7 @@ class Used:
     path: Path
     session: int = 1
     notes: tuple[str, ...] = ()
+    axis: Array | None = None
 
     def as_text(self) -> str:
         repeated = f", session {self.session}" if self.session > 1 else ""
@@ -112,10 +129,14 @@ def from_folders(
             made.append((one, replace(run, second=_at_once(one, held.second)), record))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
+    made = _exchanged(made)
     swept = {one.direction for one, run, _ in made if run.calibrated}
+    struck = {axis for _, run, _ in made if run.start for axis in run.axes}
     runs, used = [], []
     for one, run, record in made:
-        if one.direction in swept and not run.calibrated:
+        if not run.start and struck.intersection(run.axes):
+            aside.append(Aside(one.label, "strokes along the same axis are more like a print"))
+        elif one.direction in swept and not (run.calibrated or run.start):
             aside.append(Aside(one.label, "our own sweep along the same axis tells more"))
         else:
             runs.append(run)
@@ -126,6 +147,20 @@ def from_folders(
         more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
         raise IdentificationError(f"no recording can be used. {reasons}{more}")
     return Gathered(runs, used, aside)
+
+
+def _exchanged(
+    made: Sequence[tuple[Measurement, Run, Used]],
+) -> list[tuple[Measurement, Run, Used]]:
+    """Return the same, with a note where the tests of x and y show each other's axis."""
+    shown = {one.direction: used.axis for one, _, used in made if used.axis is not None}
+    x, y = (shown.get(direction) for direction in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    if x is None or y is None or min(abs(x[Y]), abs(y[X])) < ALIKE:
+        return list(made)
+    return [
+        (one, run, replace(used, notes=(*used.notes, EXCHANGED)) if used.axis is not None else used)
+        for one, run, used in made
+    ]
 
 
 def _at_once(one: Measurement, second: Sequence[Measurement]) -> accelerometer.Recording | None:
@@ -139,21 +174,29 @@ def _at_once(one: Measurement, second: Sequence[Measurement]) -> accelerometer.R
 
 
 def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tuple[Run, Used]:
-    if one.command is not None:
-        if one.command.direction is None:
-            raise IdentificationError("a motion of both axes; 'hframe-post verify' judges it")
-        motion, rough = one.command.motion, None
+    """Return the run of a recording, and what to tell of it. Raises HframeError."""
+    label, recording, command = one.label, one.recording, one.command
+    notes, axis = accelerometer.diagnose(recording, QUIET), None
+    if command is None:
+        found = find(recording, _expected(one, config, travel))
+        shown, motion, axis = _described(found.test, config), found.test.command(), found.axis
+        rough = found.start - float(recording.t[0]), found.drift
+        seen = _in_sensor_axes(one, config)
+        run = Run(label, motion, seen, calibrated=False, rough_clock=rough)
+    elif command.of_strokes:
+        motion, shown = command.motion, f"strokes {command.path.name}"
         check_travel(motion, travel)
-        shown = f"sweep {one.command.path.name}"
+        start, unusual = known_start(recording, len(motion), one.name.ended)
+        run = Run(label, motion, recording, calibrated=False, start=start)
+        on_command_clock(motion, recording, start)  # raises if another motion was recorded
+        notes = [*unusual, *notes]
     else:
-        found = find(one.recording, _expected(one, config, travel))
-        motion, shown = found.test.command(), _described(found.test, config)
-        rough = (found.start - float(one.recording.t[0]), found.drift)
-    calibrated = rough is None and has_marks(motion)
-    nozzle = one.recording if calibrated else _in_sensor_axes(one, config)
-    run = Run(one.label, motion, nozzle, calibrated=calibrated, rough_clock=rough)
-    notes = tuple(accelerometer.diagnose(one.recording, QUIET))
-    return run, Used(one.label, shown, one.digest, one.path, one.session, notes)
+        motion, shown = command.motion, f"sweep {command.path.name}"
+        check_travel(motion, travel)
+        calibrated = has_marks(motion)
+        seen = recording if calibrated else _in_sensor_axes(one, config)
+        run = Run(label, motion, seen, calibrated=calibrated)
+    return run, Used(label, shown, one.digest, one.path, one.session, tuple(notes), axis)
 
 
 def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerometer.Recording:
@@ -161,9 +204,10 @@ def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerom
 
     Owners' maps often mirror, and then gravity does not tell on which side the other axis lies.
     """
+    if config is None:
+        return one.recording
     assert one.direction is not None
-    chip = "" if config is None else _chip(config, "x" if one.direction[0] else "y")
-    given = "" if config is None else config.text(chip, "axes_map")
+    given = config.text(_chip(config, "x" if one.direction[0] else "y"), "axes_map")
     if not given:
         return one.recording
     named = ",".join(f"{axis}={seen}" for axis, seen in zip("xyz", given.split(","), strict=False))
@@ -176,7 +220,7 @@ def check_travel(motion: Array, travel: Travel) -> None:
     for axis, at, (low, high) in zip("xy", motion.T, (travel.x, travel.y), strict=True):
         if at.min() < low or at.max() > high:
             raise IdentificationError(
-                f"its sweep goes from {at.min():.1f} to {at.max():.1f} mm in {axis}, but the "
+                f"its motion goes from {at.min():.1f} to {at.max():.1f} mm in {axis}, but the "
                 f"profile's travel from {low:g} to {high:g} mm. Was it played on another printer?"
             )
 
@@ -186,8 +230,9 @@ def _expected(one: Measurement, config: KlipperConfig | None, travel: Travel) ->
     assert one.direction is not None
     middle = (sum(travel.x) / 2.0, sum(travel.y) / 2.0)
     if config is None or not config.has(SECTION):
-        test = DEFAULTS["klipper"]
-        return ResonanceTest(one.direction, one.name.point or middle, **test, around_point=False)
+        return ResonanceTest(
+            one.direction, one.name.point or middle, **DEFAULTS, around_point=False
+        )
     point = one.name.point or probe_points(config)[0]
     # Shake&Tune tests in the middle where the point is -1, -1
     return ResonanceTest.from_config(config, one.direction, middle if min(point) < 0.0 else point)
@@ -202,9 +247,11 @@ def _described(test: ResonanceTest, config: KlipperConfig | None) -> str:
     shown = []
     for key in keys:
         value = float(getattr(test, key))
-        given = value if config is None else config.number(SECTION, key, value)
+        usual = value if config is None or test.around_point else DEFAULTS[key]
+        given = usual if config is None else config.number(SECTION, key, usual)
+        known = "printer.cfg" if config is not None and config.text(SECTION, key) else "default"
         differs = abs(given - value) > 0.1 * value
-        shown.append(f"{key} {value:g}" + (f" (printer.cfg: {given:g})" if differs else ""))
+        shown.append(f"{key} {value:g}" + (f" ({known}: {given:g})" if differs else ""))
     old = " of Klipper before December 2024" if test.around_point else ""
     x, y = test.point
     return f"TEST_RESONANCES{old} of {axis} at {x:g},{y:g}: {', '.join(shown)}"
@@ -226,51 +273,36 @@ def _chip(config: KlipperConfig, axis: str) -> str:
 
 
 def from_pair(
-    command: Path, files: Sequence[Path], travel: Travel, columns: Sequence[str] | None,
-    unit: str | None,
-) -> Gathered:  # fmt: skip
-    """Return the run of a command and one recording of the nozzle, or two of the bridge's ends.
+    command: Path, path: Path, travel: Travel, columns: Sequence[str] | None, unit: str | None
+) -> Gathered:
+    """Return the run of a command and its recording, which is in the sensor's axes.
 
-    The recordings are in the sensors' axes. travel: of the printer. Raises OSError and
-    IdentificationError.
+    travel: of the printer. Raises OSError and IdentificationError.
     """
-    recordings = [accelerometer.read(path, columns, unit) for path in files]
-    used = [
-        Used(
-            path.name,
-            f"sweep {command.name}",
-            digest_of(path),
-            path,
-            notes=tuple(accelerometer.diagnose(recording, QUIET)),
-        )
-        for path, recording in zip(files, recordings, strict=True)
-    ]
-    name, motion = ", ".join(path.name for path in files), read_command(command)
+    recording = accelerometer.read(path, columns, unit)
+    one = Measurement(
+        path.name, path, recording, parsed(path.name), digest_of(path), Command.read(command)
+    )
     try:
-        check_travel(motion, travel)
+        run, record = _run(one, None, travel)
     except IdentificationError as error:
-        raise IdentificationError(f"{name}: {error}") from None
-    ends = (recordings[0], recordings[1]) if len(recordings) == 2 else None
-    nozzle = recordings[0] if ends is None else None
-    return Gathered([Run(name, motion, nozzle, ends, calibrated=has_marks(motion))], used, [])
+        raise IdentificationError(f"{path.name}: {error}") from None
+    return Gathered([run], [record], [])
 
 
 # ---------------------------------------------------------------------- axes
 
 
-def along_printer(
-    gathered: Gathered, axes: str | None = None, bridge_axes: str = SAME_AXES
-) -> Gathered:
+def along_printer(gathered: Gathered, axes: str | None = None) -> Gathered:
     """Return the same with the recordings of our own sweeps along the printer's axes.
 
-    axes: map of the nozzle's sensor, by default what the recordings show. In a run of x the sign
-    of y is that which a run of y by the same sensor shows, and the other way round: an owner may
-    have mirrored an axis in printer.cfg. bridge_axes: map of the sensors on the bridge. Raises
-    IdentificationError.
+    axes: map of the sensor, by default what the recordings show. In a run of x the sign of y is
+    that which a run of y by the same sensor shows, and the other way round: an owner may have
+    mirrored an axis in printer.cfg. Raises IdentificationError.
     """
     found = {}
     for run in gathered.runs:
-        if run.nozzle is not None and run.calibrated and axes is None:
+        if run.calibrated and axes is None:
             try:
                 found[run.name] = sensor_axes(run.command, run.nozzle)
             except IdentificationError as error:
@@ -281,7 +313,7 @@ def along_printer(
         if run.name in found:
             across = 1 - run.axis
             maps[run.name] = nearest_map(_mirrored(found[run.name], across, shown.get(across)))
-    runs = [_along(run, axes or maps.get(run.name), bridge_axes) for run in gathered.runs]
+    runs = [_along(run, axes or maps.get(run.name)) for run in gathered.runs]
     return replace(gathered, runs=runs)
 
 
@@ -294,11 +326,8 @@ def _mirrored(axes: Array, across: int, shown: Array | None) -> Array:
     return turned
 
 
-def _along(run: Run, axes: str | None, bridge_axes: str) -> Run:
-    if run.bridge is not None:
-        P1, P2 = (accelerometer.oriented(one, bridge_axes, QUIET) for one in run.bridge)
-        return replace(run, bridge=(P1, P2))
-    if axes is None or run.nozzle is None:
+def _along(run: Run, axes: str | None) -> Run:
+    if axes is None:
         return run
     try:
         return replace(run, nozzle=accelerometer.oriented(run.nozzle, axes, QUIET))

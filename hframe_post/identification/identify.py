@@ -6,7 +6,7 @@ runs → frequency responses → transfer functions, sensor gains and x_c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -28,30 +28,37 @@ from hframe_post.identification.diagnosis.nonlinearity import (
     find_nonlinearity,
 )
 from hframe_post.identification.diagnosis.scatter import (
+    ModeShift,
     Refit,
     Uncertainty,
     find_mode_shift,
     lever_arm_uncertainty,
     model_uncertainty,
     position_spread,
-    refit_calibrated,
+    refit,
     session_uncertainty,
 )
-from hframe_post.identification.fitting.dominant import refined, share_left
+from hframe_post.identification.fitting.along_x import (
+    at_common_frequencies,
+    fit_places,
+    racking_along_x,
+)
 from hframe_post.identification.fitting.fit import (
     Fit,
     fit,
-    fit_response,
+    fit_known_start,
+    fit_unknown_start,
+    response_again,
     with_common_delay,
     with_gain,
 )
-from hframe_post.identification.fitting.impulse import estimated
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
     average,
+    share_left,
     spread,
 )
 from hframe_post.identification.responses.measured import (
@@ -60,13 +67,14 @@ from hframe_post.identification.responses.measured import (
     RunGroup,
     RunResponse,
     Settings,
-    bridge_responses,
     centre,
     line,
     nozzle_responses,
 )
+from hframe_post.identification.responses.strokes import stroke_responses
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
@@ -82,42 +90,44 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     Raises IdentificationError.
     """
     groups = _groups(runs, settings)
-    bridge = bridge_responses([run for run in runs if run.bridge], settings)
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits, nonlinearity = _fit_axes(groups, measured, settings)
     fits = {name: _compared(found, groups[name]) for name, found in fits.items()}
-    mode_shift, arm = None, None
+    shifts = _mode_shifts(measured, fits, settings)
+    if nonlinearity is None:
+        fits |= _along_x(shifts, measured, fits, settings)
+    arm, moves = None, _moves(fits)
     x_runs = groups["Gxx"].runs if "Gxx" in groups else []
     if x_runs:
-        refit = _refit(measured["Gxx"], fits["Gxx"], settings)
-        mode_shift = find_mode_shift(fits["Gxx"], measured["Gxx"].places, refit)
-        arm = _lever_arm(x_runs, settings, mode_shift is not None)
+        x_runs = x_runs if moves is None else [_unmoved(run, moves) for run in x_runs]
+        arm = _lever_arm(x_runs, settings, "Gxx" in shifts)
+        arm = arm if arm is None or moves is None else _by_the_middle(arm, x_runs)
     least = 1.0 if arm and arm.beyond_noise <= OFF_LINE else 3.0
     racking = arm if arm and arm.over_noise > least else None
-    if bridge.runs:
-        measured["Gxtheta"] = _measured(bridge, settings)
-    elif racking:
+    if racking:
         # made of the same recordings as Gxx, so their delay is known by now
         delay = fits["Gxx"].recording_delay
         measured["Gxtheta"] = Measured(racking.by_place, racking.slope, racking.off, (delay, delay))
     if "Gxtheta" in measured:
         distortion = nonlinearity.distortions.get("x") if nonlinearity else None
-        low = 0.0 if bridge.runs else groups["Gxx"].excited_hz
-        band = max(settings.band_hz[0], low), settings.band_hz[1]
+        band = max(settings.band_hz[0], groups["Gxx"].excited_hz), settings.band_hz[1]
         found = _fit("Gxtheta", measured["Gxtheta"], replace(settings, band_hz=band), distortion)
-        if not bridge.runs:
-            # an unknown excitation is wrong in x alone, an unknown sensor where it measures
-            calibrated = "Gyy" in fits and groups["Gxx"].resonance_hz is None
-            found = with_gain(found, fits["Gyy" if calibrated else "Gxx"].gain)
-        fits["Gxtheta"] = found
+        # an unknown excitation is wrong in x alone, an unknown sensor where it measures
+        calibrated = "Gyy" in fits and groups["Gxx"].resonance_hz is None
+        fits["Gxtheta"] = with_gain(found, fits["Gyy" if calibrated else "Gxx"].gain)
     x_c = lever_arm_sd = None
     if racking:
-        along = measured["Gxx"].mean
+        along = average([run.response for run in x_runs])
         places, ys = [run.place for run in x_runs], [run.y for run in x_runs]
         x_c, _ = centre(racking, along.H)
         lever_arm_sd = lever_arm_uncertainty(places, ys, along)
-    warnings = _disagreement(arm, measured["Gxtheta"]) if arm and bridge.runs else []
-    warnings += _unknown_start(measured)
+    if moves is not None and x_c is not None:
+        turned = [(run.place, run.place - x_c, run.y) for run in x_runs]
+        found = fits["Gxtheta"]
+        assert isinstance(found.G, TransferFunction)
+        G = racking_along_x(found.G, moves, measured["Gxtheta"].mean, turned)
+        fits["Gxtheta"] = replace(found, G=G)
+    warnings = _unknown_start(measured)
     uncertainties = {
         name: _uncertainty(measured[name], found, settings) for name, found in fits.items()
     }
@@ -129,21 +139,68 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     seen = [one for one in pitches if one is not None]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
-        mode_shift, nonlinearity, uncertainties, lever_arm_sd, repetitions,
+        shifts.get("Gxx"), nonlinearity, uncertainties, lever_arm_sd, repetitions,
         [one for one in couplings if one is not None], [pitch_note(seen)] if seen else [],
     )  # fmt: skip
 
 
+def _mode_shifts(
+    measured: Mapping[str, Measured], fits: Mapping[str, Fit], settings: Settings
+) -> dict[str, ModeShift]:
+    """Return how modes shift along x, by the axes whose modes do."""
+    shifts = {
+        name: find_mode_shift(fits[name], one.places, _refit(one, fits[name], settings))
+        for name, one in measured.items()
+    }
+    return {name: shift for name, shift in shifts.items() if shift is not None}
+
+
+def _along_x(
+    shifts: Iterable[str],
+    measured: Mapping[str, Measured],
+    fits: Mapping[str, Fit],
+    settings: Settings,
+) -> dict[str, Fit]:
+    """Return the fits of axes that shift, with the response of each place, if starts are known."""
+    known = [name for name in shifts if measured[name].resonance_hz is None]
+    found = {}
+    for name in known:
+        places = [(x, run.within(settings.band_hz)) for x, run in measured[name].places]
+        found[name] = fit_places(fits[name], places, _sensor(name, settings))
+    return found
+
+
+def _moves(fits: Mapping[str, Fit]) -> ImpulseResponse | None:
+    """Return the response along x, if it changes along x."""
+    G = fits["Gxx"].G if "Gxx" in fits else None
+    return G if isinstance(G, ImpulseResponse) and G.elsewhere else None
+
+
+def _unmoved(run: RunResponse, moves: ImpulseResponse) -> RunResponse:
+    """Return the run as if its frequencies were those where the response itself holds."""
+    response, y = (at_common_frequencies(one, moves, run.place) for one in (run.response, run.y))
+    return replace(run, response=response, y=y)
+
+
+def _by_the_middle(arm: Line, runs: Sequence[RunResponse]) -> Line:
+    """Return the line with what was measured nearest the middle instead of the mean.
+
+    Where modes move, the outer places may rack differently, and would pull x_c to one side.
+    """
+    run = min(runs, key=lambda run: abs(run.place - arm.middle))
+    return replace(arm, middle=run.place, at_middle=run.y.H)
+
+
 def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
-    """Return the runs of each axis; those of our own sweep, which tell more, if there are any."""
-    nozzle = [run for run in runs if run.nozzle]
-    groups = dict[str, RunGroup]()
-    calibrated = [run for run in nozzle if run.calibrated]
+    """Return the runs of each axis: of strokes, of our own sweep, or of others, the first found."""
+    strokes = stroke_responses([run for run in runs if run.start], settings)
+    groups = {tuple(AXIS)[axis]: group for axis, group in strokes.items()}
+    calibrated = [run for run in runs if run.calibrated]
     for axis, name in enumerate(AXIS):
         chosen = [run for run in calibrated if run.axis == axis]
-        if chosen:
+        if chosen and name not in groups:
             groups[name] = nozzle_responses(chosen, settings)
-    others = [run for run in nozzle if not run.calibrated]
+    others = [run for run in runs if not (run.calibrated or run.start)]
     for axis, group in uncalibrated_responses(others, settings).items():
         groups.setdefault(tuple(AXIS)[axis], group)
     if not groups:
@@ -158,7 +215,7 @@ def _measured(group: RunGroup, settings: Settings) -> Measured:
     low = max(settings.band_hz[0], group.excited_hz)
     return Measured(
         places, average(responses), differ, group.delay_bounds, low, group.resonance_hz,
-        group.lowest_hz,
+        group.known_start,
     )  # fmt: skip
 
 
@@ -173,7 +230,7 @@ def _fit_axes(
         differing = {
             name: one
             for name, one in measured.items()
-            if one.spread > 0.1 and one.resonance_hz is None
+            if one.spread > 0.1 and one.resonance_hz is None and not one.known_start
         }
         spreads = {name: position_spread(one.runs) for name, one in differing.items()}
         fits |= _fit_all(differing, settings, spreads)
@@ -192,38 +249,48 @@ def _fit_axes(
 def _fit_all(
     measured: Mapping[str, Measured], settings: Settings, distortions: Mapping[str, Distortion]
 ) -> dict[str, Fit]:
-    return {
-        name: _fit(name, one, settings, distortions.get(name)) for name, one in measured.items()
-    }
+    excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
+    fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
+    for name, one in measured.items():
+        if name not in fits:
+            fits[name] = _fit(name, one, settings, distortions.get(name))
+    return {name: fits[name] for name in measured}
 
 
 def _fit(name: str, measured: Measured, settings: Settings, distortion: Distortion | None) -> Fit:
-    excited = measured.excited(settings.band_hz)
-    if excited is not None:
-        return fit_response(excited)
-    sensor = None
-    if settings.sensor is not None and name in AXIS:
-        sensor = settings.sensor[tuple(AXIS).index(name)], GAIN_SD
+    """Return the response of recordings that tell start and gain."""
+    sensor = _sensor(name, settings)
+    if measured.known_start:
+        return fit_known_start(measured.mean.within(settings.band_hz), sensor)
     return fit(
         measured.runs, measured.mean, name == "Gxtheta", settings.band_hz, measured.delay_bounds,
         distortion, sensor,
     )  # fmt: skip
 
 
+def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
+    """Return mean and standard deviation of the sensor's gain along an axis, if calibrated."""
+    if settings.sensor is None or name not in AXIS:
+        return None
+    return settings.sensor[tuple(AXIS).index(name)], GAIN_SD
+
+
 def _refit(measured: Measured, found: Fit, settings: Settings) -> Refit:
-    """Return the function that refines the model on another response."""
+    """Return the function that refines the modes on another response."""
     excited = measured.excited(settings.band_hz)
-    if excited is None:
-        return lambda response: refit_calibrated(found.model, response.within(settings.band_hz))
-    band = excited.runs[0].hz[[0, -1]]
-    return lambda response: refined(response.within((band[0], band[1])), excited, found.model)
+    low, high = settings.band_hz if excited is None else excited.runs[0].hz[[0, -1]].tolist()
+    return lambda response: refit(found.model, response.within((low, high)))
 
 
 def _uncertainty(measured: Measured, found: Fit, settings: Settings) -> Uncertainty:
     if measured.resonance_hz is None:
-        return model_uncertainty(found, measured.runs, settings.band_hz)
-    refit = _refit(measured, found, settings)
-    return session_uncertainty(found.model, [refit(run) for run in measured.runs])
+        runs, G = measured.runs, found.G
+        if found.order is None and isinstance(G, ImpulseResponse) and G.elsewhere:
+            # those of other places differ by more than the scatter
+            runs = [run for place, run in measured.places if abs(place - G.x) < SAME_PLACE]
+        return model_uncertainty(found, runs, settings.band_hz)
+    again = _refit(measured, found, settings)
+    return session_uncertainty(found.model, [again(run) for run in measured.runs])
 
 
 def _compared(found: Fit, group: RunGroup) -> Fit:
@@ -247,11 +314,7 @@ def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetitio
         return None
     runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
-    if found.measured is not None:
-        functions: tuple[Linear, ...] = tuple(estimated(run).G for run in runs)
-    else:
-        refit = _refit(measured, found, settings)
-        functions = tuple(model.discrete(0.0, model.gain) for model in map(refit, runs))
+    functions = tuple(response_again(found, run) for run in runs)
     return Repetition(float(np.mean(shares)) / math.sqrt(2.0), functions)
 
 
@@ -265,14 +328,13 @@ def _coupling(
     name: str, group: RunGroup, fits: Mapping[str, Fit], x_c: float | None, settings: Settings
 ) -> MeasuredCoupling | None:
     """Return what a command in an axis does to the other, if its recordings tell."""
-    if group.resonance_hz is None:
+    along = fits[name].measured
+    if group.resonance_hz is None or along is None:
         return None
     runs, known = crossed(tuple(AXIS).index(name), group, settings.band_hz), 0
     if name == "Gxx" and x_c is not None:
         runs, known = [_without_racking(run, fits["Gxtheta"], x_c) for run in runs], 1
-    other = fits.get("Gyy" if name == "Gxx" else "Gxx")
-    models = [one.model for one in (fits[name], other) if one is not None]
-    return find_coupling(AXIS[name], runs, models, known) if runs else None
+    return find_coupling(AXIS[name], runs, along, known) if runs else None
 
 
 def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
@@ -319,24 +381,6 @@ def _lever_arm(runs: list[RunResponse], settings: Settings, changes: bool) -> Li
         f"{100 * found.beyond_noise:.0f} % of it deviate from a straight line. "
         "Are files of two places exchanged, or was the sensor moved between runs?"
     )
-
-
-def _disagreement(arm: Line, bridge: Measured) -> list[str]:
-    by_bridge, by_arm = bridge.mean.H, arm.slope.H
-    weight = arm.slope.power * arm.slope.coherence
-    size = float((weight * np.abs(by_arm) ** 2).sum())
-    ratio = float((weight * by_bridge * by_arm.conj()).sum().real) / size
-    if ratio < 0.0:
-        raise IdentificationError(
-            "the bridge's sensors see the gantry turn the other way than the nozzle's sensor: P1 "
-            "must be the one at the greater x, and both need their own --axes"
-        )
-    off = math.sqrt(float((weight * np.abs(by_bridge - by_arm) ** 2).sum()) / size)
-    message = (
-        f"racking by the bridge's sensors is {ratio:.2f} times that by the nozzle's at several "
-        f"places, and {100 * off:.0f} % off: check --bridge-length"
-    )
-    return [message] if off > 0.2 else []
 
 
 def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:

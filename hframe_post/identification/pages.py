@@ -11,6 +11,7 @@ from hframe_post.identification.identified import AXIS, Measured
 from hframe_post.identification.report import IdentificationReport, kind
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verification.verdict import Verdict
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.page.measured import Card, Chart, Line, Section, page
 from hframe_post.plotting import decibel, degrees
 
@@ -19,6 +20,7 @@ TITLES = {
     "Gyy": "y: from the motors to the nozzle (Gyy)",
     "Gxtheta": "Racking: from x to the rotation of the gantry (Gxθ)",
 }
+LEAST_SHOWN = 1e-3  # of |G|
 RELIABLE = 0.5  # coherence below which the phase of a response is noise
 
 
@@ -32,13 +34,19 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
         lead += "No profile can be made from these recordings."
     else:
         none, racking = (report.compensation.rms(strategy) for strategy in ("none", "racking"))
+        most = report.compensation.most
         cards.append(Card("Predicted, rectangle", f"{racking:.1f}", "µm RMS",
-                          f"{none:.0f} µm without compensation", "best"))  # fmt: skip
+                          f"up to {most:.1f} as the printer changes, {none:.0f} µm without "
+                          "compensation", "best"))  # fmt: skip
         lead += (
-            f"With compensation the nozzle would stay within {racking:.1f} µm (RMS) of a 120 × 20 "
-            f"mm rectangle, instead of {none:.0f} µm."
+            f"With compensation the nozzle would be {racking:.1f} µm (RMS) off a 120 × 20 mm "
+            f"rectangle, up to {most:.1f} as the printer changes, instead of {none:.0f} µm."
         )
-    sections = [Section(TITLES[G], _charts(G, measured[G], found)) for G, found in fits.items()]
+    plant = report.plant
+    profiles = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta}
+    sections = [
+        Section(TITLES[G], _charts(G, measured[G], found, profiles[G])) for G, found in fits.items()
+    ]
     sections += [
         Section(f"Coupling: what {one.axis} does to {one.other}", [_coupling_chart(one)])
         for one in identified.couplings
@@ -78,8 +86,11 @@ def _fact(measured: Measured, found: Fit) -> str:
     )
 
 
-def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
-    """Return charts of the responses without the sensor's gain and the recording's delay."""
+def _charts(name: str, measured: Measured, found: Fit, held: Linear | None) -> list[Chart]:
+    """Return charts of the responses without the sensor's gain and the recording's delay.
+
+    held: the response in the profile, which may say how well it is known.
+    """
     mean, hz = measured.mean, measured.mean.hz
     several = len(measured.places) > 1
     runs = [(f"x = {at:.0f} mm", run, "") for at, run in measured.places]
@@ -100,6 +111,11 @@ def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
     phases = [Line(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
     for lines, of in ((magnitudes, decibel), (phases, degrees)):
         lines.append(Line("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
+    if isinstance(held, ImpulseResponse) and held.doubts:
+        sd = uncertain(held, hz)
+        for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
+            edge = np.maximum(np.abs(model(hz)) + size * sd, LEAST_SHOWN)
+            magnitudes.append(Line(label, hz, decibel(edge.astype(complex)), "var(--racking)"))
     coherence = Line("coherence", hz, mean.coherence, "var(--ink)")
     residual = Line("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
@@ -112,16 +128,25 @@ def _charts(name: str, measured: Measured, found: Fit) -> list[Chart]:
     ]
 
 
+def uncertain(G: ImpulseResponse, hz: Array) -> Array:
+    """Return the standard deviation of |G| at ``hz`` (k,), by drift and by what is not known."""
+    doubts = [np.abs(one.response(2.0 * np.pi * TS * hz)) ** 2 for one in G.doubts]
+    return np.asarray(np.sqrt(np.sum(doubts, axis=0)))
+
+
 def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
     """Return the recorded couplings, and at each place what is compensated, if anything is."""
-    hz, gain = coupling.runs[0].across.hz, coupling.along.gain
+    hz, gain = coupling.runs[0].across.hz, coupling.gain
     at = [f"at x = {run.place[X]:.0f}, y = {run.place[Y]:.0f} mm" for run in coupling.runs]
     lines = [
         Line(f"recording {k} {where}", hz, decibel(run.across.H / gain))
         for k, (where, run) in enumerate(zip(at, coupling.runs, strict=True), 1)
     ]
     for where, run in dict(zip(at, coupling.runs, strict=True)).items():
-        parts = [term.response(hz, run.place) / gain for term in coupling.terms]
+        place = np.array([run.place])
+        parts = [
+            term.lever(place) * term.G.response(2.0 * np.pi * TS * hz) for term in coupling.terms
+        ]
         if parts:
             known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
             lines.append(Line(f"compensated {where}", hz, known, colour, strong=True, dashed=True))

@@ -10,6 +10,7 @@ from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identified import AXIS, Identified
 from hframe_post.identification.identify import Settings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 
@@ -50,6 +51,13 @@ def kind(found: Fit) -> str:
     return "response as measured" if found.order is None else f"order {found.order}"
 
 
+def _moves(name: str, G: ImpulseResponse) -> str:
+    """Return how a response changes along x."""
+    known = sorted([(G.x, 1.0), *((one.x, one.frequency) for one in G.elsewhere)])
+    changes = ", ".join(f"{100.0 * (f - 1.0):+.1f} % at {x:.0f} mm" for x, f in known if x != G.x)
+    return f"{name}: frequencies change by {changes}, from x = {G.x:.0f} mm; the profile follows"
+
+
 @dataclass(frozen=True, slots=True)
 class IdentificationReport:
     """Everything that is reported to the user.
@@ -78,12 +86,13 @@ class IdentificationReport:
             share = identified.nonlinearity.share
             messages.append(identified.nonlinearity.message + self._uncompensated(share))
         along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
-        if identified.mode_shift is not None:
+        moves = "Gxx" in identified.along_x
+        if identified.mode_shift is not None and not moves:
             messages.append(
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
                 + self._error_at_ends()
             )
-        elif along_x > 0.2 and "Gxx" not in identified.repetitions:
+        elif along_x > 0.2 and not moves and "Gxx" not in identified.repetitions:
             messages.append(
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)
@@ -137,6 +146,14 @@ class IdentificationReport:
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
         notes = list(self.identified.notes)
+        at = (
+            {place for place, _ in self.identified.measured["Gyy"].places} if not missing else set()
+        )
+        if self.identified.along_x and len(at) == 1:
+            notes.append(
+                "modes of x move along x. Those of y were recorded at one place: where they move, "
+                "too, record y at three places (--position), and what y keeps falls"
+            )
         if missing:
             notes.append(f"{missing[0]} was not recorded, so the profile compensates nothing in it")
         elif self.identified.racking_below_noise:
@@ -154,7 +171,13 @@ class IdentificationReport:
         if "Gxtheta" in self.identified.fits:
             measured = "" if self.identified.x_c is not None else " (not measured)"
             rows.append(("x_c", f"{self.plant.x_c:.2f} mm{measured}"))
-        as_measured = [name for name, one in self.identified.fits.items() if one.order is None]
+        moving = self.identified.along_x
+        rows += [("along x", _moves(name, G)) for name, G in moving.items()]
+        as_measured = [
+            name
+            for name, one in self.identified.fits.items()
+            if one.order is None and name not in moving
+        ]
         if as_measured:
             rows.append((
                 "model",

@@ -4,18 +4,27 @@
 symbol      meaning                                                                unit
 ==========  =====================================================================  ==========
 ``c``       command                                                                mm
+``v``       its velocity, v[k] = c[k] − c[k−1]                                     mm/sample
 ``a``       its acceleration, a[k] = c[k+1] − 2 c[k] + c[k−1]                      mm/sample²
 ``q``       deviation that a pulse of a = 1 causes, at j = −lead … m − 1 − lead    samples²
 ==========  =====================================================================  ==========
 
-The nozzle is at rest·c + q ∗ a, so G(z) = rest + (z − 2 + 1/z)·Q(z). At rest a is zero and G is
-``rest`` exactly; at low speed there is no lag. One mode of ω rad/sample has q = −sin(ω j)/ω.
+The nozzle is at rest·c − lag·v + q ∗ a, so G(z) = rest − lag·(1 − 1/z) + (z − 2 + 1/z)·Q(z). At
+rest v and a are zero and G is ``rest`` exactly; at a constant speed the nozzle is ``lag`` samples
+late, by a damper between axis and frame or by a delay. One mode of ω rad/sample has
+q = −sin(ω j)/ω.
+
+A response may change along x, as a belt's free length does. It is then measured at several places,
+and in between each neighbour is stretched to the frequency there before both are mixed: a mode
+moves, and does not become two.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -26,47 +35,96 @@ from hframe_post.model.transfer_function import TransferFunction
 
 LONGEST = 2000  # samples of a response
 AROUND = 4  # samples on either side from which one in between is interpolated
+MOST_PLACES = 16
+FARTHEST = 2.0  # factor between the frequencies of two places, at most
+FINE = 0.01  # relative change of frequencies from node to node; mixing two costs 3 % of a peak
+FEWEST = 4  # nodes from one place to the next
+BEYOND = 60.0  # mm beyond the outermost places to which their change goes on
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A response at another x (mm), and its frequencies relative to those at the first place."""
+
+    x: float
+    frequency: float
+    G: ImpulseResponse
 
 
 @dataclass(frozen=True)
 class ImpulseResponse:
-    """A linear response that ends: G(z) = rest + (z − 2 + 1/z)·Σ deviation[i] z^(lead − i).
+    """A linear response that ends: its deviation, its lag, and how well they are known.
 
     deviation (m,): what a pulse of acceleration of 1 mm/sample² adds to the nozzle's place, mm,
     from ``lead`` samples before it; in µm, for 1000 mm/s² during 1 ms, these are the same numbers.
-    rest: gain at rest, 1 for an axis and 0 for a coupling. Raises ArgumentError unless the numbers
-    are finite, 1 ≤ m ≤ LONGEST and 0 ≤ lead < m.
+    rest: gain at rest, 1 for an axis and 0 for a coupling. lag: samples. drift: standard deviation
+    of the factor by which all frequencies will have changed when something is printed. unknown
+    (k,): a filter like ``deviation`` without lead, whose gain at each frequency is the standard
+    deviation of what is not known of Q there. x, elsewhere: where it holds (mm), and what it is at
+    other x, if it changes along x; see ``nodes``. All else but these two holds at x. Raises
+    ArgumentError unless the numbers are finite, 1 ≤ m ≤ LONGEST, k ≤ LONGEST, 0 ≤ lead < m,
+    0 ≤ drift < 1, and places differ by a millimetre at least.
     """
 
     deviation: Array
     lead: int
     rest: float = 1.0
+    lag: float = 0.0
+    drift: float = 0.0
+    unknown: Array = field(default_factory=lambda: np.zeros(0))
+    x: float = 0.0
+    elsewhere: tuple[Elsewhere, ...] = ()
 
     def __post_init__(self) -> None:
-        deviation = np.array(self.deviation, dtype=float)
-        deviation.flags.writeable = False
-        object.__setattr__(self, "deviation", deviation)
-        if deviation.ndim != 1 or not 1 <= len(deviation) <= LONGEST:
-            raise ArgumentError(
-                f"deviation must be 1 to {LONGEST} numbers, its shape is {deviation.shape}"
-            )
-        if not (np.isfinite(deviation).all() and np.isfinite(self.rest)):
-            raise ArgumentError("deviation and rest must be finite")
+        for name, least in (("deviation", 1), ("unknown", 0)):
+            numbers = np.array(getattr(self, name), dtype=float)
+            numbers.flags.writeable = False
+            object.__setattr__(self, name, numbers)
+            if numbers.ndim != 1 or not least <= len(numbers) <= LONGEST:
+                raise ArgumentError(
+                    f"{name} must be {least} to {LONGEST} numbers, its shape is {numbers.shape}"
+                )
+            if not np.isfinite(numbers).all():
+                raise ArgumentError(f"{name} must be finite")
+        deviation = self.deviation
+        if not np.isfinite([self.rest, self.lag]).all():
+            raise ArgumentError("rest and lag must be finite")
+        if not 0.0 <= self.drift < 1.0:
+            raise ArgumentError(f"drift must be a share from 0 to below 1, it is {self.drift:g}")
         if not 0 <= self.lead < len(deviation):
             raise ArgumentError(
                 f"lead must be from 0 to {len(deviation) - 1}, the last sample of the response; "
                 f"it is {self.lead}"
             )
+        self._check_places()
+
+    def _check_places(self) -> None:
+        if len(self.elsewhere) > MOST_PLACES:
+            raise ArgumentError(f"a response is known at {MOST_PLACES} other places at most")
+        places = sorted([self.x, *(one.x for one in self.elsewhere)])
+        if self.elsewhere and not np.diff(places).min() >= 1.0:
+            raise ArgumentError("the x of two places must differ by 1 mm at least")
+        for one in self.elsewhere:
+            if not 1.0 / FARTHEST <= one.frequency <= FARTHEST:
+                raise ArgumentError(
+                    f"frequency must be {1.0 / FARTHEST:g} to {FARTHEST:g} times that of the first "
+                    f"place, it is {one.frequency:g}"
+                )
+            if one.G.elsewhere or one.G.rest != self.rest:
+                raise ArgumentError("a place has one response, with the same gain at rest")
 
     @classmethod
     def from_transfer_function(cls, G: TransferFunction, m: int, rest: float) -> ImpulseResponse:
         """Return the first m samples of a causal response as they act on acceleration.
 
-        rest: its gain at rest. The response is only complete if it settles within m samples.
+        rest: its gain at rest. The lag is the response's own. It is only complete if it settles
+        within m samples.
         """
+        lag = G.lag
         h = G.impulse(max(m - 1, 0))
-        h[:1] -= rest
-        return cls(np.concatenate([[0.0], np.cumsum(np.cumsum(h))]), 0, rest)
+        h[:1] += lag - rest
+        h[1:2] -= lag
+        return cls(np.concatenate([[0.0], np.cumsum(np.cumsum(h))]), 0, rest, lag)
 
     @cached_property
     def ahead(self) -> int:
@@ -75,23 +133,85 @@ class ImpulseResponse:
         The acceleration of a sample contains the next one, so this is one more than the lead,
         unless the deviation begins with zeros.
         """
+        if self.elsewhere:
+            return max(G.ahead for _, G in self.nodes)
         moving = np.flatnonzero(self.deviation)
         return max(self.lead + 1 - int(moving[0]), 0) if len(moving) else 0
+
+    @cached_property
+    def nodes(self) -> tuple[tuple[float, ImpulseResponse], ...]:
+        """Return responses that are the same all along x, by ascending x (mm).
+
+        Between two nodes, their outputs are mixed in proportion; beyond the outermost the response
+        stays. A response that does not change along x has one.
+        """
+        if not self.elsewhere:
+            return ((self.x, self),)
+        known = [Elsewhere(self.x, 1.0, replace(self, elsewhere=()))]
+        for one in self.elsewhere:
+            unknown = one.G.unknown if len(one.G.unknown) else self.unknown
+            known.append(replace(one, G=replace(one.G, drift=self.drift, unknown=unknown)))
+        known.sort(key=lambda one: one.x)
+        nodes = []
+        for k, (left, right) in enumerate(pairwise(known)):
+            change = abs(np.log(right.frequency / left.frequency))
+            count = max(int(np.ceil(change / FINE)), FEWEST)
+            step = (right.x - left.x) / count
+            beyond = int(BEYOND / step) if step < BEYOND else 1
+            first = -beyond if k == 0 else 0
+            last = count + beyond + 1 if k == len(known) - 2 else count
+            nodes += [_between(left, right, j / count) for j in range(first, last)]
+        return tuple(nodes)
+
+    def at(self, x: float) -> ImpulseResponse:
+        """Return the response of the node that is nearest to x (mm)."""
+        return self.nodes[self.node(x)][1]
+
+    def node(self, x: float) -> int:
+        """Return the number of the node that is nearest to x (mm)."""
+        return int(np.searchsorted(self._borders, x))
+
+    @cached_property
+    def _borders(self) -> Array:
+        """Return the x (mm) at which the nearest node changes."""
+        x = np.array([place for place, _ in self.nodes])
+        return np.asarray((x[1:] + x[:-1]) / 2.0)
 
     @property
     def dc_gain(self) -> float:
         """Return the gain at rest, G(z = 1)."""
         return self.rest
 
+    @property
+    def doubts(self) -> tuple[ImpulseResponse, ...]:
+        """Return responses whose outputs, squared, are the expected squared errors of this one.
+
+        The first is for ``drift``: what ``stretched`` changes, per factor, times the drift, where
+        d/df of f·q(t/f) is q − t·dq/dt at f = 1. The second is for ``unknown``.
+        """
+        doubts = []
+        if self.drift:
+            q, t = self.deviation, np.arange(len(self.deviation)) - self.lead
+            changed = q - t * np.gradient(q) if len(q) > 1 else q
+            doubts.append(replace(
+                self, deviation=self.drift * changed, rest=0.0, lag=self.drift * self.lag,
+                drift=0.0, unknown=np.zeros(0), elsewhere=(),
+            ))  # fmt: skip
+        if len(self.unknown):
+            doubts.append(ImpulseResponse(self.unknown, 0, rest=0.0))
+        return tuple(doubts)
+
     def response(self, omega: Array) -> Complex:
         """Return the complex frequency response at ``omega`` (rad/sample), same shape."""
         omega = np.asarray(omega, dtype=float)
         at = np.arange(len(self.deviation)) - self.lead
         Q = np.exp(-1j * omega.reshape(-1, 1) * at) @ self.deviation
-        return np.asarray(self.rest - (2.0 * np.sin(omega / 2.0)) ** 2 * Q.reshape(omega.shape))
+        by_velocity = self.lag * (1.0 - np.exp(-1j * omega))
+        by_acceleration = (2.0 * np.sin(omega / 2.0)) ** 2 * Q.reshape(omega.shape)
+        return np.asarray(self.rest - by_velocity - by_acceleration)
 
     def taps(self, late: int) -> Array:
-        """Return the r for which r ∗ b + rest·c(k − late) is the response ``late`` samples later.
+        """Return the r for which r ∗ b is what q ∗ a is ``late`` samples later.
 
         b[k] = c[k] − 2 c[k−1] + c[k−2], so nothing after sample k is needed. late ≥ ahead.
         """
@@ -102,32 +222,71 @@ class ImpulseResponse:
     def impulse(self, n: int) -> Array:
         """Return the response to a command of 1 at sample 0 only, n samples from −ahead on."""
         h = np.diff(np.pad(self.taps(self.ahead), 2), n=2)
-        h = np.pad(h, (0, max(n - len(h), self.ahead + 1 - len(h), 0)))
-        h[self.ahead] += self.rest
+        h = np.pad(h, (0, max(n - len(h), self.ahead + 2 - len(h), 0)))
+        h[self.ahead] += self.rest - self.lag
+        h[self.ahead + 1] += self.lag
         return h[:n]
 
     def stretched(self, factor: float) -> ImpulseResponse:
         """Return the response of a printer whose frequencies are 1/factor times as high.
 
-        q(t/factor)·factor, by polynomials through 2·AROUND samples: G at f is then what it was
-        at factor·f. Damping ratios stay.
+        q(t/factor)·factor and factor·lag: G at f is then what it was at factor·f. Damping ratios
+        stay.
         """
         if factor == 1.0:
             return self
-        lead = int(np.ceil(self.lead * factor))
-        last = int((len(self.deviation) - 1 - self.lead) * factor)
-        t = np.arange(-lead, min(last, LONGEST - 1 - lead) + 1) / factor + self.lead
-        whole = np.floor(t).astype(np.int64)
-        q = np.pad(self.deviation, AROUND + 1)
-        nodes, part = range(1 - AROUND, AROUND + 1), t - whole
-        stretched = np.zeros(len(t))
-        for node in nodes:
-            weight = np.full(len(t), factor)
-            for other in nodes:
-                if other != node:
-                    weight *= (part - other) / (node - other)
-            stretched += weight * q[whole + node + AROUND + 1]
-        return replace(self, deviation=stretched, lead=lead)
+        if self.elsewhere:
+            return self.everywhere(lambda G: G.stretched(factor))
+        deviation, lead = _stretched(self.deviation, self.lead, factor)
+        unknown = _stretched(self.unknown, 0, factor)[0] if len(self.unknown) else self.unknown
+        lag = factor * self.lag
+        return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown)
+
+    def everywhere(self, change: Callable[[ImpulseResponse], ImpulseResponse]) -> ImpulseResponse:
+        """Return the response with the same change at all its places."""
+        elsewhere = tuple(replace(one, G=change(one.G)) for one in self.elsewhere)
+        return replace(change(replace(self, elsewhere=())), elsewhere=elsewhere)
+
+
+def _between(left: Elsewhere, right: Elsewhere, share: float) -> tuple[float, ImpulseResponse]:
+    """Return the node at a share of the way from one place to another, which may be beyond them.
+
+    Beyond, it is the nearer place's, stretched. A lag is a damper's or a delay's, and stays.
+    """
+    x = left.x + share * (right.x - left.x)
+    frequency = left.frequency + share * (right.frequency - left.frequency)
+    frequency = min(max(frequency, 0.5 * left.frequency), 2.0 * left.frequency)
+    part = min(max(share, 0.0), 1.0)
+    nearer = left.G if part < 0.5 else right.G
+    if part in (0.0, 1.0):
+        place = left if part == 0.0 else right
+        return x, replace(place.G.stretched(place.frequency / frequency), lag=place.G.lag, x=x)
+    both = [one.G.stretched(one.frequency / frequency) for one in (left, right)]
+    lead = max(G.lead for G in both)
+    shifted = [np.pad(G.deviation, (lead - G.lead, 0)) for G in both]
+    m = max(map(len, shifted))
+    first, second = (np.pad(q, (0, m - len(q))) for q in shifted)
+    deviation = ((1.0 - part) * first + part * second)[:LONGEST]
+    lag = (1.0 - part) * left.G.lag + part * right.G.lag
+    return x, replace(nearer, deviation=deviation, lead=lead, lag=lag, x=x)
+
+
+def _stretched(q: Array, lead: int, factor: float) -> tuple[Array, int]:
+    """Return q(t/factor)·factor and its lead, by polynomials through 2·AROUND samples."""
+    new = int(np.ceil(lead * factor))
+    last = int((len(q) - 1 - lead) * factor)
+    t = np.arange(-new, min(last, LONGEST - 1 - new) + 1) / factor + lead
+    whole = np.floor(t).astype(np.int64)
+    q = np.pad(q, AROUND + 1)
+    nodes, part = range(1 - AROUND, AROUND + 1), t - whole
+    stretched = np.zeros(len(t))
+    for node in nodes:
+        weight = np.full(len(t), factor)
+        for other in nodes:
+            if other != node:
+                weight *= (part - other) / (node - other)
+        stretched += weight * q[whole + node + AROUND + 1]
+    return stretched, new
 
 
 Linear: TypeAlias = TransferFunction | ImpulseResponse

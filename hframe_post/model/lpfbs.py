@@ -7,7 +7,7 @@ symbol          meaning                                                      sou
 ``n_C, n_up``   coefficients solved in a window, and those kept of them      App. B
 ``L_C``         samples in a window, n_C·L                                   App. B
 ``N_C, N_P``    splines that begin in the window, and before it              eq. 38
-``N_filtered``  the same through the plant, Ñ                                eq. 8
+``N_filtered``  the same through the plant, Ñ, and its doubts                eq. 8
 ``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
 ``effort``      λ, weight on the command's second difference                 —
 ``s``           the past, as the next window needs it: (plant state, p_P)    —
@@ -20,7 +20,9 @@ recursion is a constant linear map of (s, window of x_d).
 
 A finite impulse response has no state: the past is then all control points that it reaches. If it
 begins before the command, the solver sees the plant and its target ``lead`` samples late: the
-command comes at its right time, and the preview is shorter by the lead.
+command comes at its right time, and the preview is shorter by the lead. Where the response says
+how well it is known, the command has the least expected squared error: its doubts are more filters
+whose output shall be zero. This takes more rows of the same matrix, and the maps stay as large.
 """
 
 from __future__ import annotations
@@ -110,11 +112,17 @@ class Lpfbs:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
     """
 
-    def __init__(self, G: Linear, window: Window) -> None:
-        self.window, self.lead = window, G.ahead
-        self._basis = uniform_basis(window.L, window.degree)
-        gains = _solve_finite(G, window) if isinstance(G, ImpulseResponse) else _solve(G, window)
-        K_target, self._K_past, z_target, self._step_past = gains
+    def __init__(self, G: Linear, window: Window, lead: int = 0, reach: int = 0) -> None:
+        """Solve the window, with at least this lead and so many control points of the past."""
+        self.window, self.lead = window, max(G.ahead, lead)
+        self._basis = np.asfortranarray(uniform_basis(window.L, window.degree))
+        if isinstance(G, ImpulseResponse):
+            gains = _solve_finite(G, window, self.lead, reach)
+        else:
+            gains = _solve(G, window)
+        K_target, K_past, z_target, step_past = gains
+        # their transposes are multiplied, window by window, and need no copy then
+        self._K_past, self._step_past = np.asfortranarray(K_past), np.asfortranarray(step_past)
         self._by_target = np.ascontiguousarray(np.vstack([K_target, z_target]).T)
         self.rest = np.zeros(len(self._step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
@@ -198,18 +206,24 @@ def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
     return K_target, K_past, z_target, np.vstack([z_past, np.vstack([old, K_past])[-past:]])
 
 
-def _solve_finite(G: ImpulseResponse, w: Window) -> tuple[Array, Array, Array, Array]:
-    """Return what ``_solve`` does, for a plant without state: s = p_P, all points in its reach."""
+def _solve_finite(
+    G: ImpulseResponse, w: Window, lead: int, reach: int
+) -> tuple[Array, Array, Array, Array]:
+    """Return what ``_solve`` does, for a plant without state: s = p_P, all points in its reach.
+
+    The rows of the plant come first, then those of its doubts.
+    """
     _, _, D_P, D_C = window_splines(w)
     first = bsplines(
         w.L * np.arange(w.degree + 2, dtype=float), w.degree, np.arange(w.L * (w.degree + 1.0))
     )
-    plant = FiniteFilter(G, G.ahead)
-    filtered = plant.run(np.pad(first[:, 0], (0, len(plant.state))))
-    past = max(-(-len(filtered) // w.L) - 1, w.degree + 1)
+    filters = [FiniteFilter(each, max(each.ahead, lead)) for each in (G, *G.doubts)]
+    filtered = [f.run(np.pad(first[:, 0], (0, len(f.state)))) for f in filters]
+    longest = max(map(len, filtered))
+    past = max(-(-longest // w.L) - 1, w.degree + 1, reach)
     since = np.arange(w.L_C)[:, None] - w.L * np.arange(-past, w.n_C)
-    inside = (since >= 0) & (since < len(filtered))
-    N_filtered = np.where(inside, filtered[np.where(inside, since, 0)], 0.0)
+    since[(since < 0) | (since > longest)] = longest  # before a spline begins, as after its end
+    N_filtered = np.vstack([np.pad(f, (0, longest + 1 - len(f)))[since] for f in filtered])
     D_past = np.pad(D_P, ((0, 0), (past - w.degree - 1, 0)))
     K_target, K_past = _gains(N_filtered[:, past:], D_C, N_filtered[:, :past], D_past, w)
     step_past = np.vstack([np.eye(past), K_past])[-past:]

@@ -30,6 +30,8 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native import Kernel, kernel
 
 BLOCK = 32  # outputs of a finite response that the compiled loop computes together
+PIECE = 8 * BLOCK  # outputs for which the nodes of a response along x are chosen together
+STIFF = ImpulseResponse(np.zeros(1), 0)
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
 
@@ -89,6 +91,25 @@ class Plant:
         each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
         return max(G.ahead for G in each)
 
+    @property
+    def along_x(self) -> bool:
+        """Return whether a response changes along x."""
+        return len(self.places) > 1
+
+    @property
+    def places(self) -> tuple[float, ...]:
+        """Return x (mm) of all nodes between which responses change; one, if none changes."""
+        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
+        moving = [G for G in each if isinstance(G, ImpulseResponse) and G.elsewhere]
+        return tuple(sorted({x for G in moving for x, _ in G.nodes})) or (0.0,)
+
+    def at(self, x: float) -> Plant:
+        """Return the plant as it is near this x (mm), all along x."""
+        Gxtheta = None if self.Gxtheta is None else there(self.Gxtheta, x)
+        cross = tuple(replace(each, G=there(each.G, x)) for each in self.cross)
+        Gxx, Gyy = there(self.Gxx, x), there(self.Gyy, x)
+        return replace(self, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=cross)
+
     def decoupled(self) -> Plant:
         """Return the plant without couplings."""
         return replace(self, Gxtheta=None, cross=())
@@ -107,10 +128,20 @@ class Plant:
         return replace(self, Gyy=heavier(self.Gyy, math.exp(HEAVIER * load)), bed=None)
 
 
+def varies(G: Linear) -> bool:
+    """Return whether a response changes along x."""
+    return isinstance(G, ImpulseResponse) and bool(G.elsewhere)
+
+
+def there(G: Linear, x: float) -> Linear:
+    """Return the response as it is near this x (mm), all along x."""
+    return G.at(x) if isinstance(G, ImpulseResponse) else G
+
+
 def heavier(G: Linear, factor: float) -> Linear:
     """Return G with ``factor`` times the mass behind its modes.
 
-    A measured response takes √factor times as long.
+    A measured response takes √factor times as long; its lag stays.
 
     Of a transfer function's s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first
     term grows: ω and ζ fall by √factor, and G at rest and the lag at low speed stay. So do real
@@ -118,7 +149,8 @@ def heavier(G: Linear, factor: float) -> Linear:
     """
 
     if isinstance(G, ImpulseResponse):
-        return G.stretched(math.sqrt(factor))
+        longer = math.sqrt(factor)
+        return G.everywhere(lambda one: replace(one.stretched(longer), lag=one.lag))
 
     def moved(root: complex) -> complex:
         if root.imag == 0.0 or root.real <= 0.0:
@@ -150,6 +182,8 @@ class StreamFilter(Protocol):
 
 def stream_filter(G: Linear, late: int) -> StreamFilter:
     """Return the filter of G whose output comes ``late`` samples late, at least G.ahead."""
+    if isinstance(G, ImpulseResponse) and G.elsewhere:
+        return FilterAlongX(G, late)
     if isinstance(G, ImpulseResponse):
         return FiniteFilter(G, late)
     return LateFilter(G, late) if late else Filter(G)
@@ -215,8 +249,8 @@ class FiniteFilter:
 
     def __init__(self, G: ImpulseResponse, late: int) -> None:
         self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
-        self._rest, self._late = G.rest, late
-        self.state = np.zeros(max(len(self._taps) + 1, late))
+        self._rest, self._lag, self._late = G.rest, G.lag, late
+        self.state = np.zeros(max(len(self._taps) + 1, late + (1 if G.lag else 0)))
 
     def run(self, u: Array) -> Array:
         n, memory = len(u), len(self._taps) - 1
@@ -224,9 +258,11 @@ class FiniteFilter:
         acceleration = np.zeros(memory + -(-n // BLOCK) * BLOCK)
         rate = np.diff(known[len(self.state) - memory - 2 :])
         np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
-        y = _sliding_sums(self._taps, acceleration)[:n]
+        y = sliding_sums(self._taps, acceleration)[:n]
         before = len(self.state) - self._late
         y += self._rest * known[before : before + n]
+        if self._lag:
+            y -= self._lag * np.diff(known[before - 1 : before + n])
         self.state[:] = known[n:]
         return y
 
@@ -239,8 +275,60 @@ class FiniteFilter:
         self.state[:] = u
 
 
-def _sliding_sums(factors: Array, u: Array) -> Array:
-    """Return the sum of the factors times as many samples of u, from each sample that has them."""
+class FilterAlongX(FiniteFilter):
+    """A response that changes along x, applied to a stream, its output ``late`` samples late.
+
+    The nodes' responses to the whole past are mixed, each as if it had always been there.
+    """
+
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
+        self._x = np.array([x for x, _ in G.nodes])
+        self._lags = np.array([node.lag for _, node in G.nodes])
+        each = [node.taps(late)[::-1] for _, node in G.nodes]
+        m = max(map(len, each))
+        self._each = [np.pad(taps, (m - len(taps), 0)) for taps in each]
+        self._rest, self._late = G.rest, late
+        self.state = np.zeros(max(m + 1, late + 1))
+
+    def along(self, u: Array, x: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,).
+
+        x (n,): place of the nozzle at the outputs, mm.
+        """
+        n, memory = len(u), len(self._each[0]) - 1
+        known = np.concatenate([self.state, u])
+        acceleration = np.zeros(memory + -(-n // PIECE) * PIECE)
+        rate = np.diff(known[len(self.state) - memory - 2 :])
+        np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
+        x = np.clip(x, self._x[0], self._x[-1])
+        left = np.clip(np.searchsorted(self._x, x, "right") - 1, 0, len(self._x) - 2)
+        share = (x - self._x[left]) / (self._x[left + 1] - self._x[left])
+        y = np.zeros(n)
+        for a in range(0, n, PIECE):
+            piece = slice(a, min(a + PIECE, n))
+            nodes, part = left[piece], share[piece]
+            for k in range(int(nodes.min()), int(nodes.max()) + 2):
+                weight = np.where(nodes == k, 1.0 - part, np.where(nodes == k - 1, part, 0.0))
+                sums = sliding_sums(self._each[k], acceleration[a : a + memory + PIECE])
+                y[piece] += weight * sums[: len(part)]
+        before = len(self.state) - self._late
+        y += self._rest * known[before : before + n]
+        lag = (1.0 - share) * self._lags[left] + share * self._lags[left + 1]
+        y -= lag * np.diff(known[before - 1 : before + n])
+        self.state[:] = known[n:]
+        return y
+
+
+def _output(f: StreamFilter, u: Array, x: Array) -> Array:
+    """Return the output (n,) of a filter, which may change along x (n,), mm."""
+    return f.along(u, x) if isinstance(f, FilterAlongX) else f.run(u)
+
+
+def sliding_sums(factors: Array, u: Array) -> Array:
+    """Return the sum of the factors times as many samples of u, from each sample that has them.
+
+    Only whole BLOCKs of sums are sure to be computed.
+    """
     sums = np.zeros(len(u) + 1 - len(factors))
     if (compiled := kernel("sliding_sums")) is not None:
         compiled(factors, len(factors), u, len(sums) // BLOCK, sums)
@@ -276,7 +364,7 @@ def _by_scipy_signal(sections: Array, signals: Array, states: Array) -> None:
 
 
 class Filters:
-    """Filters side by side, each ``late`` samples late.
+    """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
 
     If all are transfer functions and none is late they are ``fused``, in one block of memory for
     the compiled loops: sections (k, 6), state (k, 2): of all of them, in turn; counts: how many
@@ -288,6 +376,7 @@ class Filters:
         functions = (*direct, *(coupling.G for coupling in couplings))
         self.each = [stream_filter(G, late) for G in functions]
         self.couplings, self.late = couplings, late
+        self.along_x = any(map(varies, functions))
         fused = [f for f in self.each if isinstance(f, Filter)]
         self.fused = len(fused) == len(self.each)
         if not self.fused:
@@ -340,7 +429,8 @@ class Coupled:
             return added
         place, commands = path + self._origin, (x_dm, y_dm)
         for coupling, G in zip(filters.couplings, filters.each, strict=True):
-            added += coupling.lever(place) * G.run(commands[coupling.command])
+            output = _output(G, commands[coupling.command], place[:, X])
+            added += coupling.lever(place) * output
         return added
 
 
@@ -348,13 +438,19 @@ class Response:
     """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
 
     late: samples by which the motion comes later than the command, at least and by default the
-    plant's ``ahead``.
+    plant's ``ahead``. away: mm of x from where places are counted, for responses that change along
+    x and a command that is counted from elsewhere.
     """
 
-    def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
+    def __init__(
+        self, plant: Plant, origin: Array, late: int | None = None, away: float = 0.0
+    ) -> None:
         self.late = plant.ahead if late is None else late
         self._filters = Filters.of_plant(plant, self.late)
         self._origin = origin
+        # where responses change along x, the command tells x: the nozzle is within half a mm of it
+        self._x = FiniteFilter(STIFF, self.late) if self._filters.along_x else None
+        self._from_x = float(origin[X]) + away
 
     def settle(self, command: Array) -> None:
         """Come to rest under a command (2,)."""
@@ -375,6 +471,8 @@ class Response:
         """Yield each filter with the axis of its command."""
         axes = X, Y, *(coupling.command for coupling in self._filters.couplings)
         yield from zip(self._filters.each, axes, strict=True)
+        if self._x is not None:
+            yield self._x, X
 
     def run(self, command: Array, out: Array | None = None) -> Array:
         """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
@@ -390,9 +488,10 @@ class Response:
 
     def imagined(self, command: Array) -> tuple[Array, Array]:
         """Return what ``motion`` would, and keep the state."""
-        states = [f.state.copy() for f in self._filters.each]
+        filters = [f for f, _ in self._commanded()]
+        states = [f.state.copy() for f in filters]
         motion = self.motion(command)
-        for f, state in zip(self._filters.each, states, strict=True):
+        for f, state in zip(filters, states, strict=True):
             f.state[:] = state
         return motion
 
@@ -403,7 +502,9 @@ class Response:
             compiled(*filters.arguments(), self._origin, command, n, motion, columns)
             return motion
         u = np.subtract(command.T, self._origin[:, None], order="C")
-        outputs = [f.run(u[axis]) for f, axis in self._commanded()]
+        x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
+        axes = X, Y, *(coupling.command for coupling in filters.couplings)
+        outputs = [_output(f, u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
         for axis in (X, Y):
             np.add(outputs[axis], self._origin[axis], out=motion[:, axis])
         if filters.couplings:

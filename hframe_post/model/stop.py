@@ -39,7 +39,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS, Array, X
 from hframe_post.model.linear import product
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant, Response
@@ -91,7 +91,8 @@ class StopSolver:
         path = around.path[rows.index] + around.origin
         known, levers = self.around.known(before, command[2:], path, n)
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
-        splines = self._splines(*reach, stop.movable, n)
+        node = self.around.node(float(around.path[stop.a, X] + around.origin[X]))
+        splines = self._splines(*reach, stop.movable, n, node)
         # with two samples more on either side for second differences, and a shortened hold
         hold = command[BESIDE + 2 :][: min(n, HOLD_ROWS)]
         later = command[BESIDE + 2 + n :][: BESIDE + 2]
@@ -108,7 +109,7 @@ class StopSolver:
         command[BESIDE + n :] = sequence[-BESIDE - 2 : -2]
         return command
 
-    def _usable_splines(self, before: int, after: int, movable: bool, n: int) -> Splines:
+    def _usable_splines(self, before: int, after: int, movable: bool, n: int, node: int) -> Splines:
         """Return the splines of a stop.
 
         before, after: how many it may use on either side; movable: whether its own place may
@@ -123,7 +124,8 @@ class StopSolver:
         N[2 + BESIDE + hold : -2, k + 1 :] = self._N_after
         limit = np.full(len(N) - 2, self._limit)
         limit[BESIDE:-BESIDE] *= AT_HOLD
-        return Splines.from_matrices(N[:, columns], self.around.by_splines(n)[..., columns], limit)
+        by_p = self.around.by_splines(n, node)
+        return Splines.from_matrices(N[:, columns], by_p[..., columns], limit)
 
 
 def _graded_splines() -> tuple[Array, Array]:

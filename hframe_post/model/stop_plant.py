@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array, Integers, X
 from hframe_post.model.plant import Plant, Response, stream_filter
 from hframe_post.model.stop_cost import BESIDE, BEYOND, judged
 
@@ -27,13 +27,17 @@ class AroundStops:
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
         self._plant, self._N_before, self._N_after = plant, N_before, N_after
         self.ahead = plant.ahead
+        self._places = np.array(plant.places)
         axes = [(coupling.answer, coupling.command) for coupling in plant.couplings]
         self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
-    def at_rest(self, command: Array) -> Response:
-        """Return the response, ``ahead`` samples late, after a long rest at a command (2,)."""
-        response = Response(self._plant, np.zeros(2))
+    def at_rest(self, command: Array, origin: Array) -> Response:
+        """Return the response, ``ahead`` samples late, after a long rest at a command (2,).
+
+        Commands and motion are counted from the origin (2,), mm.
+        """
+        response = Response(self._plant, np.zeros(2), away=float(origin[X]))
         response.settle(command)
         return response
 
@@ -52,14 +56,19 @@ class AroundStops:
                 lever[:] = coupling.lever(path)
         return nozzle, levers
 
-    def _by_splines(self, n: int) -> Array:
+    def node(self, x: float) -> int:
+        """Return the number of the place near x (mm) for which matrices are computed."""
+        return int(np.argmin(np.abs(self._places - x)))
+
+    def _by_splines(self, n: int, node: int) -> Array:
         """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a hold of n."""
+        plant = self._plant.at(float(self._places[node])) if self._plant.along_x else self._plant
         k, end = self._N_before.shape[1], BESIDE + n
         commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND + self.ahead))
         commands[:k, :BESIDE] = self._N_before.T
         commands[k, BESIDE:end] = 1.0
         commands[k + 1 :, end : end + BESIDE] = self._N_after.T
-        functions = self._plant.Gxx, self._plant.Gyy, *(c.G for c in self._plant.couplings)
+        functions = plant.Gxx, plant.Gyy, *(c.G for c in plant.couplings)
         filters = [stream_filter(G, self.ahead) for G in functions]
         outputs = np.zeros((len(filters), 2 * k + 1, len(judged(n))))
         for f, of_filter in zip(filters, outputs, strict=True):

@@ -43,6 +43,7 @@ class TransferFunction:
     poles: Complex
     gain: float
     ahead: ClassVar[int] = 0  # samples of the command after a sample that its output depends on
+    doubts: ClassVar[tuple[TransferFunction, ...]] = ()  # its poles do not say how well it is known
 
     def __post_init__(self) -> None:
         for name in ("zeros", "poles"):
@@ -69,6 +70,19 @@ class TransferFunction:
     def dc_gain(self) -> float:
         """Return the gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)
+
+    @property
+    def lag(self) -> float:
+        """Return how much the output falls behind at a constant speed of 1 per sample, samples.
+
+        With a gain of 0 at rest it is how far the speed moves the output, backwards.
+        """
+        to_zeros, to_poles = 1.0 - self.zeros, 1.0 - self.poles
+        without_one = sum(
+            (np.prod(np.delete(to_zeros, k)) for k in range(len(to_zeros))), start=0.0 + 0.0j
+        )
+        slope = without_one - np.prod(to_zeros) * (1.0 / to_poles).sum()
+        return float((-self.gain * slope / np.prod(to_poles)).real) + 0.0
 
     def response(self, omega: Array) -> Complex:
         """Return the complex frequency response at ``omega`` (rad/sample), same shape."""

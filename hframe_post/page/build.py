@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Any
 
@@ -15,11 +16,12 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
+from hframe_post.model.error_range import SUMS, error_range
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
 from hframe_post.prediction.picture import Picture, Pieces
-from hframe_post.prediction.statistics import TRAVEL
+from hframe_post.prediction.statistics import DECIMALS, TRAVEL
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
@@ -92,15 +94,22 @@ def _compressed(lines: Iterable[bytes]) -> bytes:
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:
-    um = report.contour[name].micrometres()
-    return {"name": name, "label": SHOWN[name], "rms": um["rms"], "p95": um["p95"]}
+    contour = report.contour[name]
+    known, p95 = contour.range, contour.micrometres()["p95"]
+    rms, lines = 1e3 * contour.expected, 1e3 * report.lines_error(name)
+    shown = {"name": name, "label": SHOWN[name], "p95": p95}
+    shown["rms"] = round(math.hypot(rms, lines), DECIMALS)
+    if known is not None:
+        ends = (1e3 * known.low, 1e3 * known.high)
+        shown["range"] = [round(math.hypot(um, lines), DECIMALS) for um in ends]
+    return shown
 
 
 def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[str, Any]]:
     """Return name, number of pieces and errors of each layer with pieces, in order."""
     printed, moved = defaultdict[int, Any](float), defaultdict[int, Any](float)
     travel = picture.labels.features.index(TRAVEL)
-    for (layer, feature), sums in picture.sums.items():
+    for (layer, feature), sums in _sums(picture):
         (moved if feature == travel else printed)[layer] += sums
     numbers, counts = np.unique(pieces.layer, return_counts=True)
     return [
@@ -116,22 +125,35 @@ def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[s
 def _by_feature(picture: Picture, columns: list[int]) -> list[dict[str, Any]]:
     """Return for each feature its share of the time and the errors of each strategy."""
     groups = defaultdict[int, Any](float)
-    for (_, feature), sums in picture.sums.items():
+    for (_, feature), sums in _sums(picture):
         groups[feature] += sums
-    whole = sum(sums[0] for sums in groups.values())
+    whole = sum(sums[0, 0] for sums in groups.values())
     return [
         {
             "name": picture.labels.features[feature],
-            "share": sums[0] / whole,
+            "share": sums[0, 0] / whole,
             "rms": _rms(sums, columns),
         }
-        for feature, sums in sorted(groups.items(), key=lambda each: -each[1][0])
+        for feature, sums in sorted(groups.items(), key=lambda each: -each[1][0, 0])
     ]
 
 
+def _sums(picture: Picture) -> Iterator[tuple[tuple[int, int], Array]]:
+    """Yield layer and feature, with a row for each strategy: number, squares, and doubts."""
+    for key, (count, *squares) in picture.sums.items():
+        doubts = picture.doubts.get(key, np.zeros((len(squares), SUMS)))
+        yield key, np.column_stack([np.full(len(squares), count), squares, doubts])
+
+
 def _rms(sums: Array, columns: list[int]) -> list[float]:
-    """Return the RMS errors in µm; sums: number of samples, and sums of squares in mm²."""
-    return [round(1e3 * float(np.sqrt(sums[1 + k] / sums[0])), 3) for k in columns]
+    """Return the RMS errors in µm, medians if anything is not known; sums: as of ``_sums``."""
+    return [round(1e3 * _expected(sums[k]), 3) for k in columns]
+
+
+def _expected(row: Array) -> float:
+    count, square, *doubts = row.tolist()
+    mean = square / count
+    return error_range(np.array(doubts), mean).median if doubts[0] else float(np.sqrt(mean))
 
 
 def _worst(pieces: Pieces, column: int) -> list[int]:

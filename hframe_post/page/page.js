@@ -237,7 +237,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if
 
 function cards() {
   const whole = Object.fromEntries(data.strategies.map((each) => [each.name, each])), before = whole.none, shaper = whole.shaper, chosen = whole[data.chosen];
-  for (const each of data.strategies) card(each.label, micrometres(each.rms), "µm RMS", `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
+  for (const each of data.strategies) card(each.label, micrometres(each.rms), "µm RMS", each.range ? `${each.range.map(micrometres).join(" to ")} as the printer changes` : `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
   const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
   card("Print time", clock(compensated), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`, "");
   card("Belts at most", String(data.belts.speed[0]), `of ${data.belts.speed[1]} mm/s`, `${data.belts.acceleration.join(" of ")} mm/s²`, "");

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -20,6 +20,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants, Responses
 from hframe_post.model.stop_cost import NEAREST
 from hframe_post.native import kernel
+from hframe_post.prediction.doubts import Doubts, JudgedDoubts
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import neighbours, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
@@ -95,6 +96,9 @@ class Judgement:
     at (k,): indices of these; extruding (k,): which of them extrude. contour: strategy → (k,),
     distance to the path; off: strategy → (k, 2), the way to the nozzle from the nearest place on
     the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
+
+    Of some of these samples, numbered by doubtful (d,), strategy → ``products`` (d, SUMS) say what
+    is not known of the error; without doubts they are empty.
     """
 
     chunk: Samples
@@ -103,26 +107,38 @@ class Judgement:
     contour: dict[str, Array]
     off: dict[str, Array]
     motion: dict[str, Array]
+    doubtful: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    products: dict[str, Array] = field(default_factory=dict)
 
     def tracking(self, strategy: str) -> Array:
         """Return the deviation from the desired place at the same time, (k, 2), mm."""
         return np.asarray(self.motion[strategy][self.at] - self.chunk.xyze[self.at, :Z])
 
 
-def judge(chunks: Iterable[Samples], plant: Plant, every: int = 1) -> Iterator[Judgement]:
-    """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves."""
-    for (judgement,) in judge_each(chunks, Plants([plant]), every):
+def judge(
+    chunks: Iterable[Samples], plant: Plant, every: int = 1, doubts: Doubts | None = None
+) -> Iterator[Judgement]:
+    """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves.
+
+    doubts: what is not known of the plant.
+    """
+    for (judgement,) in judge_each(chunks, Plants([plant]), every, doubts):
         yield judgement
 
 
 def judge_each(
-    chunks: Iterable[Samples], plants: Plants, every: int = 1
+    chunks: Iterable[Samples], plants: Plants, every: int = 1, doubts: Doubts | None = None
 ) -> Iterator[list[Judgement]]:
-    """Yield the judgements of each chunk, one per plant, as ``judge`` gives them for one."""
+    """Yield the judgements of each chunk, one per plant, as ``judge`` gives them for one.
+
+    doubts: of the first plant.
+    """
+    following = max(NEAREST + 1, doubts.ahead if doubts is not None else 0)
     for stretch in stretches(chunks):
         waiting: deque[list[dict[str, Array]]] = deque()
+        doubted = None if doubts is None else JudgedDoubts(doubts)
         for before, chunk, after in neighbours(
-            _noted(_predict(stretch, plants), waiting), NEAREST, NEAREST + 1
+            _noted(_predict(stretch, plants), waiting), NEAREST, following
         ):
             motions, start = waiting.popleft(), sum(map(len, before))
             xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])
@@ -133,6 +149,10 @@ def judge_each(
                 off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
                 contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
                 judgements.append(Judgement(chunk, at - start, extruding, contour, off, motion))
+            if doubted is not None:
+                own = judgements[0]
+                which, products = doubted.feed(chunk, after, own.at, own.off)
+                judgements[0] = replace(own, doubtful=which, products=products)
             yield judgements
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, E, Flags, Integers
+from hframe_post.model.error_range import SUMS, ErrorRange, error_range
 from hframe_post.stream.features import Place
 from hframe_post.stream.types import Mark, Passthrough, Pause, Samples
 
@@ -86,12 +87,16 @@ def _index(names: list[str], name: str) -> int:
 
 @dataclass
 class ErrorStatistics:
-    """RMS, percentiles and peak of a stream of errors (mm)."""
+    """RMS, percentiles and peak of a stream of errors (mm), and their range.
+
+    doubts (SUMS,): sums of ``products`` of some of these errors; zeros if the model is exact.
+    """
 
     count: int = 0
     squares: float = 0.0
     peak: float = 0.0
     histogram: NDArray[np.int32] = field(default_factory=lambda: np.zeros(BINS, np.int32))
+    doubts: Array = field(default_factory=lambda: np.zeros(SUMS))
 
     def add(self, errors: Array) -> None:
         """Add the next errors, (n,), none negative."""
@@ -108,10 +113,22 @@ class ErrorStatistics:
         self.squares += other.squares
         self.peak = max(self.peak, other.peak)
         self.histogram += other.histogram
+        self.doubts = self.doubts + other.doubts
 
     @property
     def rms(self) -> float:
         return float(np.sqrt(self.squares / self.count)) if self.count else 0.0
+
+    @property
+    def range(self) -> ErrorRange | None:
+        """Return the range of the RMS error; None if the model counts as exact."""
+        known = self.count and self.doubts[0]
+        return error_range(self.doubts, self.squares / self.count) if known else None
+
+    @property
+    def expected(self) -> float:
+        """Return the median of the range of the RMS error, or the RMS error, mm."""
+        return self.rms if self.range is None else self.range.median
 
     def percentile(self, share: float) -> float:
         """Return the error in mm that a given share of samples stays below, accurate to 1 %."""
@@ -123,6 +140,8 @@ class ErrorStatistics:
 
     def micrometres(self) -> dict[str, float]:
         values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
+        if (found := self.range) is not None:
+            values |= {"median": found.median, "from": found.low, "to": found.high}
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
 
 
@@ -141,6 +160,11 @@ class ContourErrors:
         self.extruding.add(errors[extruding])
         self.all.add(errors)
 
+    def doubt(self, products: Array, extruding: Flags) -> None:
+        """Add what is not known of some errors, (n, SUMS)."""
+        self.extruding.doubts = self.extruding.doubts + products[extruding].sum(axis=0)
+        self.all.doubts = self.all.doubts + products.sum(axis=0)
+
     def join(self, other: ContourErrors) -> None:
         self.extruding.join(other.extruding)
         self.all.join(other.all)
@@ -153,6 +177,14 @@ class ContourErrors:
     @property
     def rms(self) -> float:
         return self.shown.rms
+
+    @property
+    def range(self) -> ErrorRange | None:
+        return self.shown.range
+
+    @property
+    def expected(self) -> float:
+        return self.shown.expected
 
     def micrometres(self) -> dict[str, Any]:
         return {**self.shown.micrometres(), "all": self.all.micrometres()}

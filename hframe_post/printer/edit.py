@@ -14,13 +14,21 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Item, Table
 
-from hframe_post.arrays import TS, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.profile import AXES, MICRORAD, model_digest, parse, shipped, text_of
+from hframe_post.printer.profile import (
+    AXES,
+    FUNCTION,
+    MICRORAD,
+    model_digest,
+    parse,
+    shipped,
+    text_of,
+)
 from hframe_post.printer.setup import AS_BEFORE, Known, Tables
 
 Windows = tuple[Window, Window]
@@ -63,7 +71,7 @@ def with_plant(
 
 def with_check(
     name_or_path: str,
-    moved: Mapping[str, Linear],
+    moved: Mapping[str, ImpulseResponse],
     uncertainty: float,
     measured: date | None,
 ) -> str:
@@ -85,16 +93,20 @@ def with_check(
     return changed.replace("\n", newline)
 
 
-def _functions(moved: Mapping[str, Linear]) -> dict[str, Any]:
+def _functions(moved: Mapping[str, ImpulseResponse]) -> dict[str, Any]:
     tables = dict[str, Any]()
     for name, G in moved.items():
-        if isinstance(G, ImpulseResponse):
-            tables[name] = {"lead": G.lead, "deviation": _rounded(G, angle=False)}
-            continue
-        roots = {"zeros": G.zeros + 0.0, "poles": G.poles + 0.0}
-        lists = {key: np.column_stack([r.real, r.imag]).tolist() for key, r in roots.items()}
-        tables[name] = {"gain": G.gain, **lists}
+        tables[name] = _response(G)
+        if G.elsewhere:
+            tables[name]["x"] = G.x
+            tables[name]["places"] = [
+                {"x": one.x, "frequency": one.frequency, **_response(one.G)} for one in G.elsewhere
+            ]
     return tables
+
+
+def _response(G: ImpulseResponse) -> dict[str, Any]:
+    return {"lead": G.lead, "deviation": _rounded(G.deviation, 1.0), **_known(G, 1.0)}
 
 
 def with_verification(name_or_path: str, date: str, reduction: float) -> str:
@@ -173,10 +185,18 @@ def _edited(text: str, tables: Settings, appended: str, dropped: Sequence[str]) 
 def _set(table: Any, settings: Mapping[str, Any]) -> None:
     for key, value in settings.items():
         if isinstance(value, dict) and key in table:
+            if "deviation" in value:  # takes the place of poles and zeros
+                for old in set(FUNCTION).intersection(table[key]):
+                    table[key].remove(old)
             _set(table[key], value)
         elif isinstance(value, list) and len(table.get(key, ())) == len(value):
             for k, one in enumerate(value):  # one by one, so that comments between them stay
-                table[key][k] = one
+                if isinstance(one, dict):
+                    _set(table[key][k], one)
+                else:
+                    table[key][k] = one
+        elif key == "deviation":
+            table[key] = tomlkit.array(f"[\n{_rows(value)}]")
         else:
             table[key] = value
 
@@ -196,7 +216,8 @@ def _plant(
     known += "" if plant.bed is None else f"moving_mass = {plant.bed.mass!r}\n"
     head = f"[plant]\n{comments}invented = false\n{known}Ts = {TS}\nx_c = {plant.x_c!r}\n"
     tables = [
-        f"\n[plant.{name}]\n{_linear(G, angle=name == 'Gxtheta')}" for name, G in functions.items()
+        f"\n[plant.{name}]\n{_linear(G, f'plant.{name}', angle=name == 'Gxtheta')}"
+        for name, G in functions.items()
     ]
     return "".join([head, *tables, *map(_coupling, plant.cross)])
 
@@ -206,27 +227,58 @@ def _coupling(coupling: Coupling) -> str:
     axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
     if coupling.along is not None:
         axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
-    return f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, coupling.along is not None)}"
+    return (
+        f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, 'plant.cross', coupling.along is not None)}"
+    )
 
 
-def _linear(G: Linear, angle: bool) -> str:
-    """Return the lines of a transfer function, or of a response; angle: one in rad."""
+def _linear(G: Linear, table: str, angle: bool) -> str:
+    """Return the lines of a transfer function, or of a response; angle: one in rad.
+
+    table: its name in the profile.
+    """
     if isinstance(G, ImpulseResponse):
-        shown = [f"{value:.{DIGITS}f}" for value in _rounded(G, angle)]
-        rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
-        deviation = "".join(f"    {row},\n" for row in rows)
-        unit = "µrad" if angle else "µm"
-        comment = f"  # {unit} at each ms, by a pulse of 1000 mm/s² for 1 ms"
-        return f"lead = {G.lead}\ndeviation = [{comment}\n{deviation}]\n"
+        unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
+        comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+        lines = f"lead = {G.lead}\n"
+        for key, value in _known(G, unit).items():
+            if isinstance(value, list):
+                lines += _list(key, value, "standard deviation of what is not known, likewise")
+            else:
+                late = f"{name} behind at 1 mm/s"
+                meaning = late if key == "lag" else "standard deviation of all frequencies"
+                lines += f"{key} = {value!r}  # {meaning}\n"
+        lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
+        lines += _list("deviation", _rounded(G.deviation, unit), comment)
+        for one in G.elsewhere:
+            lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
+            lines += _linear(one.G, table, angle)
+        return lines
     roots = {"zeros": G.zeros, "poles": G.poles}
     lists = "".join(f"{key} = [{_pairs(values)}]\n" for key, values in roots.items())
     return f"gain = {G.gain!r}\n{lists}"
 
 
-def _rounded(G: ImpulseResponse, angle: bool) -> list[float]:
-    """Return the deviation in the profile's units, to DIGITS."""
-    deviation = np.round(G.deviation / (MICRORAD if angle else 1.0), DIGITS)
-    return [float(value) for value in deviation + 0.0]
+def _known(G: ImpulseResponse, unit: float) -> dict[str, Any]:
+    """Return a response's lag, drift and unknown in the profile's units, those that are not 0."""
+    (lag,) = _rounded(np.array([G.lag]), unit)
+    known = {"lag": lag, "drift": G.drift, "unknown": _rounded(G.unknown, unit)}
+    return {key: value for key, value in known.items() if value}
+
+
+def _rounded(values: Array, unit: float) -> list[float]:
+    """Return values in the profile's units, to DIGITS."""
+    return [float(value) for value in np.round(values / unit, DIGITS) + 0.0]
+
+
+def _list(key: str, values: Sequence[float], comment: str) -> str:
+    return f"{key} = [  # {comment}\n{_rows(values)}]\n"
+
+
+def _rows(values: Sequence[float]) -> str:
+    shown = [f"{value:.{DIGITS}f}" for value in values]
+    rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
+    return "".join(f"    {row},\n" for row in rows)
 
 
 def _pairs(roots: Complex) -> str:

@@ -18,6 +18,8 @@ MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
 S_CURVES = ("2.0", "2.1")  # planners whose S_CURVE_ACCELERATION is modelled
 MACROS = "hframe.cfg"  # what `setup` writes for Klipper
 END_MACRO = "HFRAME_END"  # one of them: restores what printer.cfg sets, whatever the profile says
+RECORDED = "HFRAME_RECORDED"  # another: puts the print time into a recording's name
+UNUSED = "hframe-unused"  # name of the recordings that it throws away
 SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
 SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 

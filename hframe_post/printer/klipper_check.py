@@ -14,7 +14,7 @@ from typing import NamedTuple
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, as_float, extruder, motors
+from hframe_post.printer.setup import Known, as_float, corner_in, extruder, motors
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
@@ -168,7 +168,7 @@ def _above(
 ) -> Iterator[Difference]:
     """Yield limits above those that `setup` derives from max_velocity and max_accel."""
     speed, acceleration = (Known(value, "") for value in _speed_and_acceleration(config))
-    belts = motors(printer.kinematics.type, speed, acceleration)
+    belts = motors(printer.kinematics.type, speed, acceleration, corner_in(config))
     for option, key, known in (
         ("max_velocity", "velocity", speed),
         ("max_accel", "acceleration", acceleration),

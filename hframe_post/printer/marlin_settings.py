@@ -195,19 +195,20 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
     highest = _least(settings, "M201", "XY")
     printing = settings.word("M204", "P")
     acceleration = min(printing, highest, key=as_float)
+    corner = _corner(settings, acceleration)
     tables: Tables = {
         "travel": travel,
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
             **gentle(acceleration),
-            "square_corner_velocity": _corner(settings, acceleration),
+            "square_corner_velocity": corner,
             "z_velocity": settings.word("M203", "Z"),
             "z_acceleration": settings.word("M201", "Z"),
             "extruder_velocity": settings.word("M203", "E"),
             "extruder_acceleration": settings.word("M204", "R"),
         },
-        "motors": motors(kinematics, velocity, acceleration),
+        "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(settings),
         "retraction": _retraction(settings),
         "speed": {"acceleration": acceleration},

@@ -15,7 +15,13 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.errors import ArgumentError, PrinterError, one_line
-from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
+from hframe_post.model.impulse_response import (
+    FARTHEST,
+    LONGEST,
+    Elsewhere,
+    ImpulseResponse,
+    Linear,
+)
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
@@ -42,8 +48,12 @@ PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_ma
 MASS = {"least": 0.05, "most": 50.0}  # kg
 FUNCTION = ("zeros", "poles", "gain")
 RESPONSE = ("deviation", "lead")
+KNOWN = ("lag", "drift", "unknown", "x", "places")  # of a response, too, if they are not 0
+PLACE = ("x", "frequency", *RESPONSE, "lag", "unknown")  # of a response at another x
+FREQUENCY = {"least": 1.0 / FARTHEST, "most": FARTHEST}
 MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
 DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
+LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
 AXES = {"x": X, "y": Y}
 MOST_CROSS = 16
 LARGEST_FILE = 1 << 20  # bytes of a profile
@@ -279,7 +289,7 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
 
 def _scale(G: Linear) -> Array | float:
     """Return what is zero if G is."""
-    return G.gain if isinstance(G, TransferFunction) else G.deviation
+    return G.gain if isinstance(G, TransferFunction) else np.append(G.deviation, G.lag)
 
 
 def _check_at_rest(G: Linear, key: str) -> None:
@@ -300,7 +310,7 @@ def _cross(tables: Any) -> tuple[Coupling, ...]:
 
 def _coupling(table: dict[str, Any], key: str) -> Coupling:
     axis_keys = ("answer", "command", "along", "centre")
-    known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE), key)
+    known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE, *KNOWN), key)
     needed = ("answer", "command", *(("centre",) if "along" in table else ()))
     for name in needed:
         if name not in table:
@@ -331,22 +341,59 @@ def _linear(table: Any, key: str, rest: float, angle: bool) -> Linear:
         raise PrinterError(
             "must be a table of deviation and lead, or of zeros, poles and gain", key
         )
-    known_keys(table, (*FUNCTION, *RESPONSE), key)
-    kind = FUNCTION if not any(name in table for name in RESPONSE) else RESPONSE
+    known_keys(table, (*FUNCTION, *RESPONSE, *KNOWN), key)
+    response = any(name in table for name in (*RESPONSE, *KNOWN))
+    kind, allowed = (RESPONSE, (*RESPONSE, *KNOWN)) if response else (FUNCTION, FUNCTION)
     for name in table:
-        if name not in kind:
+        if name not in allowed:
             cause = "is of a transfer function, and deviation of a response: leave one of them out"
             raise PrinterError(cause, f"{key}.{name}")
     for name in kind:
         if name not in table:
             raise PrinterError("the key is missing", f"{key}.{name}")
     try:
-        if kind is RESPONSE:
-            deviation = numbers(table["deviation"], LONGEST, DEVIATIONS, f"{key}.deviation")
-            lead = checked_value(int, table["lead"], {}, f"{key}.lead")
-            return ImpulseResponse(deviation * (MICRORAD if angle else 1.0), lead, rest)
+        if response:
+            return _response(table, key, rest, MICRORAD if angle else 1.0)
         zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
         gain = checked_value(float, table["gain"], {}, f"{key}.gain")
         return TransferFunction(zeros, poles, gain)
     except ArgumentError as error:
         raise PrinterError(str(error), key) from None
+
+
+def _response(table: dict[str, Any], key: str, rest: float, unit: float) -> ImpulseResponse:
+    deviation = numbers(table["deviation"], LONGEST, DEVIATIONS, f"{key}.deviation")
+    lead = checked_value(int, table["lead"], {}, f"{key}.lead")
+    lag = checked_value(float, table.get("lag", 0.0), LAGS, f"{key}.lag")
+    drift = checked_value(float, table.get("drift", 0.0), SHARE, f"{key}.drift")
+    unknown = np.zeros(0)
+    if "unknown" in table:
+        unknown = numbers(table["unknown"], LONGEST, DEVIATIONS, f"{key}.unknown")
+    if "x" not in table and "places" in table:
+        raise PrinterError("the key is missing: x (mm) of the response itself", f"{key}.x")
+    x = checked_value(float, table.get("x", 0.0), PLACES, f"{key}.x")
+    return ImpulseResponse(
+        deviation * unit, lead, rest, lag * unit, drift, unknown * unit, x,
+        _elsewhere(table.get("places", []), f"{key}.places", rest, unit),
+    )  # fmt: skip
+
+
+def _elsewhere(tables: Any, key: str, rest: float, unit: float) -> tuple[Elsewhere, ...]:
+    """Return the responses at other x."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise PrinterError(f"must be tables, each below [[{key}]]", key)
+    found = []
+    for number, table in enumerate(tables, 1):
+        at = f"{key}[{number}]"
+        known_keys(table, PLACE, at)
+        for name in ("x", "frequency", *RESPONSE):
+            if name not in table:
+                raise PrinterError("the key is missing", f"{at}.{name}")
+        x = checked_value(float, table["x"], PLACES, f"{at}.x")
+        frequency = checked_value(float, table["frequency"], FREQUENCY, f"{at}.frequency")
+        known = {name: value for name, value in table.items() if name not in ("x", "frequency")}
+        try:
+            found.append(Elsewhere(x, frequency, _response(known, at, rest, unit)))
+        except ArgumentError as error:
+            raise PrinterError(str(error), at) from None
+    return tuple(found)

@@ -24,9 +24,12 @@ KINEMATICS = {  # ours, the safest first, by Klipper's name
     "cartesian": ("cartesian",),
 }
 # Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
-# printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel.
+# printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
+# slow printer's owner allows is no limit of its motors: at every corner they change their speed at
+# once. A command that takes CORNER for it, with an effort of 1 to 10, leaves the least error.
 MORE_ACCELERATION = 1.5  # times max_accel, as far as HARD
 HARD = 8000.0  # mm/s²
+CORNER = 0.002  # s
 VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 DEFAULT = "Klipper's default"
@@ -86,18 +89,19 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
     """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
     velocity = _needed(config, "printer", "max_velocity")
     acceleration = _needed(config, "printer", "max_accel")
+    corner = corner_in(config)
     tables: Tables = {
         "travel": {axis: _range(config, axis) for axis in "xy"},
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
             **gentle(acceleration),
-            "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
+            "square_corner_velocity": corner,
             "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
             "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
             **extruder(config, velocity, acceleration),
         },
-        "motors": motors(kinematics, velocity, acceleration),
+        "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(config),
         "retraction": _retraction(config),
         "speed": {"acceleration": acceleration},
@@ -105,7 +109,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "firmware.klipper": {
             "velocity": velocity,
             "acceleration": acceleration,
-            "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
+            "square_corner_velocity": corner,
             "minimum_cruise_ratio": _or(
                 config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
             ),
@@ -128,20 +132,32 @@ def gentle(acceleration: Known) -> dict[str, Known]:
     return {name: Known(value, origin) for name, value in values.items()}
 
 
-def motors(kinematics: str, velocity: Known, acceleration: Known) -> dict[str, Known]:
-    """Return the limits of the belts for a path with these limits in any direction."""
+def corner_in(config: KlipperConfig) -> Known:
+    """Return Klipper's speed through a right angle."""
+    return _or(config, "printer", "square_corner_velocity", 5.0)
+
+
+def motors(
+    kinematics: str, velocity: Known, acceleration: Known, corner: Known
+) -> dict[str, Known]:
+    """Return the limits of the belts for a path with these limits in any direction.
+
+    corner: speed through a right angle.
+    """
     belts = 1.0 / Kinematics(kinematics).min_speed_ratio
     diagonal = "√2 × " if belts > 1.0 else ""
-    path = as_float(acceleration)
+    path, turned = as_float(acceleration), as_float(corner)
     needed = round(path + MORE_ACCELERATION * min(path, HARD))
+    reason = "which compensation may need"
+    if (turning := round(path + turned / CORNER)) > needed:
+        needed, reason = turning, f"{reason} at corners of {turned:g} mm/s"
     return {
         "belt_velocity": Known(
             round(VELOCITY_HEADROOM * belts * as_float(velocity), 1),
             f"{VELOCITY_HEADROOM:g} × {diagonal}the velocity above",
         ),
         "belt_acceleration": Known(
-            float(round(belts * needed)),
-            f"{diagonal}{needed}, which compensation may need; less if motors skip",
+            float(round(belts * needed)), f"{diagonal}{needed}, {reason}; less if motors skip"
         ),
     }
 

@@ -28,6 +28,7 @@ def jobs(tmp_path: Path) -> list[Path]:
     return [folder / name for name in names]
 
 
+@pytest.mark.slow
 def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     jobs: list[Path], tmp_path: Path
 ) -> None:
@@ -53,6 +54,24 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     assert "\x1b" not in done.stderr.decode()
 
 
+def test_errors_are_ranges_where_the_profile_is_uncertain(tmp_path: Path) -> None:
+    """In the line of a file, in its summary, and in what convert says of it."""
+    profile, summary = tmp_path / "unsure.toml", tmp_path / "s.json"
+    profile.write_text('extends = "paper"\n[plant]\ninvented = false\nuncertainty = 0.05\n')
+    done = run("batch", RECTANGLE, "-p", profile, "-d", tmp_path / "out", "--json", summary)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(summary.read_text())["files"][0]["summary"]["contour_error_um"]
+    um = found["racking"]
+    assert um["from"] < um["median"] < um["to"] < found["none"]["rms"]
+    assert um["rms"] < um["median"]
+    assert f"{um['median']:.1f} µm (up to {um['to']:.1f} as the printer" in done.stderr.decode()
+    shown = run(RECTANGLE, "-n", "-p", profile).stderr.decode()
+    within = (
+        f"{um['median']:.1f} µm RMS ({um['from']:.1f} to {um['to']:.1f} as the printer changes)"
+    )
+    assert f"ringing and racking: contour error {within}" in shown
+
+
 def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Path) -> None:
     for name, share in (("a", 32.9), ("b", 0.1)):
         lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{100 - share} F3000", "A_MACRO")
@@ -67,6 +86,7 @@ def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Pa
     assert shown[-1] == "2 converted, 0 skipped, 0 failed, 1 with warnings"
 
 
+@pytest.mark.slow
 def test_a_folder_keeps_its_subfolders(tmp_path: Path) -> None:
     jobs, out = tmp_path / "jobs", tmp_path / "jobs" / "out"
     for name in ("a.gcode", "x/a.GCO", "x/y/a.gcode", ".hidden/a.gcode", "x/._a.gcode", "x/a.txt"):
@@ -137,6 +157,7 @@ def test_what_was_done_before_an_interruption_is_reported(
     assert [path.name for path in out.iterdir()] == ["a.gcode"]
 
 
+@pytest.mark.slow
 def test_resume_converts_what_is_missing_changed_or_of_other_settings(
     jobs: list[Path], tmp_path: Path
 ) -> None:

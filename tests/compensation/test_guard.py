@@ -21,7 +21,8 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
-from hframe_post.stream.types import Samples
+from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
+from tests.quantities import below
 
 TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
 LIMITS = (TRAVEL, MOTORS, Kinematics("cartesian"))
@@ -224,6 +225,39 @@ def test_a_clamp_that_the_belts_cannot_follow_is_spread_over_more_time(height: f
     assert clamp.clamped.most == pytest.approx(np.abs(result - command).max())
     untouched = np.abs(np.arange(1200) - 600) > 20 + AROUND
     np.testing.assert_array_equal(result[untouched], command[untouched])
+
+
+def corner(n: int, at: int, speed: float) -> Array:
+    """Return a path (n, 2) from rest along x to x = 100, where it turns into y at a sample."""
+    rate = speed * np.interp(np.arange(n), [0, 100, n - 100, n - 1], [0.0, 1.0, 1.0, 0.0])
+    way = TS * np.cumsum(rate)
+    way -= way[at]
+    path = standing(n)
+    path += np.column_stack([np.minimum(way, 0.0), np.maximum(way, 0.0)])
+    return path
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0, 30.0])
+def test_a_corner_at_speed_is_rounded_no_more_than_the_motors_need(speed: float) -> None:
+    path = corner(800, 400, speed)
+    with pytest.raises(LimitError):
+        checked([chunk(path, path)], LIMITS)
+    result, clamp = clamped(chunk(path, path), LIMITS)
+    below(checked([chunk(path, result)], LIMITS).peaks.belt_acceleration, 2000.001, "mm/s²")
+    shortest = speed / MOTORS.belt_acceleration  # s, in which motors can turn it
+    below(clamp.clamped.most, 0.5 * speed * shortest, "change of the command, mm")
+    np.testing.assert_allclose(result[:340], path[:340], atol=1e-9)
+
+
+def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
+    path = standing(1000)
+    path[:, 0] += np.interp(np.arange(1000), [350, 400, 450, 500], [0.0, 0.25, 0.25, 0.5])
+    path[:, 1] += np.interp(np.arange(1000), [340, 355], [0.0, 0.1])
+    action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
+    held = replace(chunk(path, path), events=(Pause(420, 20, action),))
+    result, clamp = clamped(held, LIMITS)
+    assert clamp.clamped.samples > 0
+    np.testing.assert_array_equal(result[419:440], path[419:440])
 
 
 def test_where_clamping_is_not_enough_the_error_does_not_recommend_it() -> None:

@@ -1,7 +1,4 @@
-"""Compensation and prediction with impulse responses: as with transfer functions, and two-sided.
-
-The plants have no lag at constant speed, which a finite response of acceleration cannot hold.
-"""
+"""Compensation and prediction with impulse responses: as with transfer functions, and two-sided."""
 
 from __future__ import annotations
 
@@ -22,6 +19,7 @@ from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.plant import Bed, Coupling, Plant, Response, heavier, nozzle, stream_filter
 from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import judge, predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -31,20 +29,21 @@ from hframe_post.studies.simulation.uncertainty import draws, perturbed
 from tests.compensation.test_coupled import ORIGIN, WINDOW, strokes
 from tests.compensation.test_stops import planned
 from tests.gcode_tools import strokes as printed_strokes
-from tests.modes import axis_mode, coupling_mode, deviation_of_mode
+from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
 
 LONG = 1900  # samples in which all modes here settle to 1e-11
 SAME = 1e-9  # mm
 
 
 def with_poles() -> Plant:
-    """Return an H-bot that racks, with couplings of every kind, of modes without lag."""
+    """Return an H-bot that racks, with couplings of every kind; y and a coupling lag."""
     cross = (
         Coupling(X, Y, coupling_mode(33.0, 0.09, 0.03)),
         Coupling(Y, X, coupling_mode(47.0, 0.1, 2e-4), Y, 90.0),
     )
     theta = coupling_mode(38.0, 0.08, 4e-4)
-    return Plant(axis_mode(43.0, 0.08), axis_mode(31.0, 0.09), theta, 140.0, cross)
+    theta = replace(theta, zeros=theta.zeros[:1], gain=0.1 * theta.gain)  # by velocity, too
+    return Plant(axis_mode(43.0, 0.08), damped_by_the_frame(31.0, 0.09), theta, 140.0, cross)
 
 
 def measured(plant: Plant) -> Plant:
@@ -101,16 +100,17 @@ def by_definition(G: ImpulseResponse, u: Array) -> Array:
     c = np.pad(u, m + 2, mode="edge")
     a = np.pad(np.diff(c, n=2), 1)  # a[k] around c[k]
     after = np.convolve(a, G.deviation)[G.lead :][: len(c)]
-    return np.asarray((G.rest * c + after)[m + 2 :][:n])
+    late = G.lag * np.diff(c, prepend=c[0])
+    return np.asarray((G.rest * c - late + after)[m + 2 :][:n])
 
 
-@pytest.mark.parametrize("late", [33, 40])
+@pytest.mark.parametrize(("late", "lag"), [(33, 0.0), (40, 0.0), (33, 1.7), (300, -2.4)])
 @pytest.mark.parametrize("rest", [1.0, 0.0])
 def test_a_filter_is_the_definition_wherever_its_input_is_cut(
-    monkeypatch: pytest.MonkeyPatch, rest: float, late: int
+    monkeypatch: pytest.MonkeyPatch, rest: float, late: int, lag: float
 ) -> None:
     rng = np.random.default_rng(2)
-    G = ImpulseResponse(rng.normal(size=150), 32, rest)
+    G = ImpulseResponse(rng.normal(size=150), 32, rest, lag)
     u = np.cumsum(np.pad(rng.normal(size=900), (100, 200)))
     cuts = np.sort(rng.integers(0, len(u), 30))
 
@@ -128,7 +128,15 @@ def test_a_filter_is_the_definition_wherever_its_input_is_cut(
 
 
 @pytest.mark.parametrize("late", [0, 7])
-@pytest.mark.parametrize("G", [axis_mode(40.0, 0.1), ImpulseResponse(np.ones(99), 0)])
+@pytest.mark.parametrize(
+    "G",
+    [
+        axis_mode(40.0, 0.1),
+        ImpulseResponse(np.ones(99), 0),
+        ImpulseResponse(np.ones(99), 0, lag=2.5),
+        ImpulseResponse(np.zeros(1), 0, lag=2.5),
+    ],
+)
 def test_a_settled_filter_stands_still(G: Linear, late: int) -> None:
     f = stream_filter(G, late)
     f.settle(12.5)
@@ -149,13 +157,25 @@ def test_a_transfer_function_can_be_late() -> None:
 # ---------------------------------------------------------------------- one axis
 
 
+@pytest.mark.parametrize("G", [axis_mode(40.0, 0.08), damped_by_the_frame(18.0, 0.13)])
 @pytest.mark.parametrize("window", [WINDOW, Window(9, 40, 13, 20.0), Window(4, 70, 69, 5.0, 3)])
-def test_the_command_is_that_of_the_transfer_function(window: Window) -> None:
-    G, x_d = axis_mode(40.0, 0.08), strokes()[:, X]
+def test_the_command_is_that_of_the_transfer_function(window: Window, G: TransferFunction) -> None:
+    x_d = strokes()[:, X]
     solvers = Lpfbs(G, window), Lpfbs(ImpulseResponse.from_transfer_function(G, LONG, 1.0), window)
     one, other = (solver.command(x_d) for solver in solvers)
     assert np.abs(one - other).max() < SAME
     assert solvers[1].radius < 1.0
+
+
+@pytest.mark.parametrize(("m", "same"), [(440, 2e-3), (1000, 1e-6)])
+def test_a_lagging_response_ends_where_it_has_settled(m: int, same: float) -> None:
+    """The mode falls to e⁻⁶·⁵ in 440 ms and to e⁻¹⁴·⁷ in 1000 ms. Command and prediction (mm)."""
+    G, x_d = damped_by_the_frame(18.0, 0.13), strokes()[:, X]
+    finite = ImpulseResponse.from_transfer_function(G, m, 1.0)
+    one, other = (Lpfbs(each, WINDOW).command(x_d) for each in (G, finite))
+    assert np.abs(one - other).max() < same
+    predicted = [stream_filter(each, 0).run(x_d - x_d[0]) for each in (G, finite)]
+    assert np.abs(predicted[0] - predicted[1]).max() < same
 
 
 def test_the_solver_gives_the_same_bits_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,6 +214,88 @@ def test_a_response_that_cannot_be_inverted_is_refused() -> None:
             ImpulseResponse(1e6 * np.random.default_rng(0).normal(size=400), 200),
             Window(5, 12, 11, 0.0),
         )
+
+
+# ---------------------------------------------------------------------- what is not known
+
+EASY = replace(WINDOW, effort=1e-3)  # enough to make it regular
+
+
+def unsure(drift: float = 0.0, unknown: float = 0.0) -> ImpulseResponse:
+    """Return a response whose frequencies drift, and of which a part near 60 Hz is not known."""
+    w = unknown * deviation_of_mode(60.0, 0.1, 200) if unknown else np.zeros(0)
+    return ImpulseResponse(deviation_of_mode(43.0, 0.05, 600), 0, drift=drift, unknown=w)
+
+
+def infill() -> Array:
+    """Return short strokes to and fro with 5000 mm/s², from zero and back, (n,) mm."""
+    to_and_fro = ((h, sign) for h in (6, 8, 11, 15, 23) for sign in (1.0, -1.0, 1.0, -1.0))
+    rate = [np.repeat([sign, -sign], h) for h, sign in to_and_fro]
+    acceleration = 5e-3 * np.concatenate(rate)  # mm/ms²
+    return np.pad(np.cumsum(np.cumsum(acceleration)), 400, mode="edge")
+
+
+def squared_error(response: ImpulseResponse, command: Array, target: Array | float) -> float:
+    off = stream_filter(response, 40).run(np.pad(command, (0, 40), mode="edge"))[40:] - target
+    return float(np.square(1e3 * off).mean())  # µm²
+
+
+def test_a_doubt_of_all_frequencies_is_what_stretching_changes() -> None:
+    G = replace(two_sided(43.0, 0.1), lag=2.0, drift=0.01)
+    (doubt,) = G.doubts
+    omega = np.linspace(0.01, 0.6, 200)  # to 95 Hz
+    longer, shorter = (G.stretched(factor).response(omega) for factor in (1.01, 1.0 / 1.01))
+    changed, size = (longer - shorter) / 2.0, np.abs(G.response(omega) - 1.0).max()
+    assert np.abs(doubt.response(omega) - changed).max() < 0.01 * size
+    assert (doubt.drift, doubt.dc_gain, len(doubt.doubts)) == (0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize("exact", [unsure(drift=0.03), unsure(unknown=0.2), unsure(0.02, 0.1)])
+def test_commands_have_the_least_expected_error(exact: ImpulseResponse) -> None:
+    """Among those of a solver that doubts less or more."""
+    path = infill()
+
+    def expected(assumed: float) -> float:
+        drift, unknown = assumed * exact.drift, assumed * exact.unknown
+        command = Lpfbs(replace(exact, drift=drift, unknown=unknown), EASY).command(path)
+        errors = [squared_error(doubt, command, 0.0) for doubt in exact.doubts]
+        return squared_error(replace(exact, drift=0.0), command, path) + sum(errors)
+
+    least = expected(1.0)
+    for assumed in (0.0, 0.5, 2.0):
+        assert least < 0.999 * expected(assumed), f"µm², doubts {assumed} times as great"
+
+
+def test_printers_that_drift_follow_better_where_that_is_expected() -> None:
+    """The mean over frequencies of a normal distribution, 3 % wide."""
+    path = infill()
+    certain, doubting = (Lpfbs(unsure(d), EASY).command(path) for d in (0.0, 0.03))
+    off, weights = np.polynomial.hermite_e.hermegauss(5)
+    drifted = [unsure().stretched(1.0 + 0.03 * x) for x in off.tolist()]
+    before, after = (
+        sum(w * squared_error(G, c, path) for w, G in zip(weights, drifted, strict=True))
+        for c in (certain, doubting)
+    )
+    assert after < 0.98 * before  # µm²
+    assert squared_error(unsure(), certain, path) < squared_error(unsure(), doubting, path)
+
+
+def test_doubts_take_no_time_while_it_runs() -> None:
+    """The window's maps are as large, so as many products are computed."""
+    certain, doubting = (Lpfbs(unsure(*doubts), WINDOW) for doubts in ((), (0.03, 0.2)))
+    sizes = [[np.shape(gains) for gains in vars(solver).values()] for solver in (certain, doubting)]
+    assert sizes[0] == sizes[1]
+
+
+def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plant = replace(early(), Gxx=replace(unsure(0.03, 0.2), lag=1.5))
+    whole = commanded(plant)
+    assert np.array_equal(commanded(plant, (1, 10, 500, 1500)), whole)
+    assert not np.array_equal(commanded(early()), whole)
+    in_numpy(monkeypatch)
+    assert np.array_equal(commanded(plant, (300,)), whole)
 
 
 # ---------------------------------------------------------------------- whole plants
@@ -291,6 +393,7 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     return join(list(hold_at_stops(commands, StopSolvers(compensator, names, printer))))
 
 
+@pytest.mark.slow
 def test_stops_are_those_of_the_transfer_functions(hbot: Printer) -> None:
     plant = with_poles()
     chunks = retracting(hbot)
@@ -337,6 +440,16 @@ def test_a_heavier_bed_takes_longer(factor: float) -> None:
     assert G.ahead == 0
 
 
+def test_a_heavier_bed_lags_as_before() -> None:
+    """A damper against the frame does not feel mass: 2ζ/ω stays."""
+    with_poles = damped_by_the_frame(30.0, 0.1)
+    G = heavier(ImpulseResponse.from_transfer_function(with_poles, 700, 1.0), 1.2)
+    expected = heavier(with_poles, 1.2)
+    assert isinstance(G, ImpulseResponse)
+    assert isinstance(expected, TransferFunction)
+    assert G.lag == pytest.approx(expected.lag, abs=0.05)  # ms, of 2
+
+
 def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
     bed = Bed(0.5, 1e-4)
     plant = replace(early(), bed=bed)
@@ -355,18 +468,22 @@ def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
     plant = measured(with_poles())
     factors = np.ones((5, 3))
     factors[:2, :2] = (1.05, 0.8), (0.93, 1.1)
-    moved_plant, omega = perturbed(plant, factors), np.linspace(0.01, 0.5, 200)  # to 80 Hz
+    moved_plant, omega = perturbed(plant, factors), np.linspace(0.05, 0.5, 200)  # 8 to 80 Hz
     for G, H in (
         (moved_plant.Gxx, axis_mode(43.0 * 1.05, 0.08 * 0.8)),
-        (moved_plant.Gyy, axis_mode(31.0 * 0.93, 0.09 * 1.1)),
+        (moved_plant.Gyy, damped_by_the_frame(31.0 * 0.93, 0.09 * 1.1)),
     ):
-        off, size = (G.response(omega) - H.response(omega)) / omega**2, H.response(omega) / omega**2
+        off, size = (
+            each / omega**2
+            for each in (G.response(omega) - H.response(omega), H.response(omega) - 1.0)
+        )
         assert np.abs(off).max() < 0.03 * np.abs(size).max()  # µm, after 1000 mm/s² for 1 ms
         assert float(G.response(np.zeros(1))[0].real) == 1.0
     stronger = np.ones((5, 3))
-    stronger[3, 2] = 1.2
-    moved, own = perturbed(plant, stronger).cross[0].G, plant.cross[0].G
-    assert np.allclose(moved.response(omega), 1.2 * own.response(omega), atol=1e-12)
+    stronger[2:4, 2] = 1.2
+    for before, after in zip(plant.couplings, perturbed(plant, stronger).couplings, strict=True):
+        factor = 1.0 if before is plant.couplings[2] else 1.2
+        assert np.allclose(after.G.response(omega), factor * before.G.response(omega), atol=1e-12)
 
 
 def test_flags_of_extrusion_are_those_of_the_path() -> None:

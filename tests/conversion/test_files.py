@@ -23,7 +23,7 @@ from hframe_post.writers import step_file, steps
 from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.step_file import MOTORS, inlined
 from tests.command_line import run
-from tests.conftest import ROOT, SAMPLES
+from tests.conftest import ROOT, SAMPLES, few
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 TURN = [
@@ -48,7 +48,7 @@ def converted(lines: list[bytes], printer: Printer, kind: str, strategy: str = "
 FORMATS = ["steps", "step-bits", "samples"]
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", few(FORMATS, 1))
 def test_output_does_not_depend_on_how_the_stream_is_cut(
     paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:

@@ -24,8 +24,10 @@ MACHINES = {
     "old": OLD_PROCESSOR,
     "Sandybridge": {"OPENBLAS_CORETYPE": "Sandybridge"},
     "Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
-    "SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
 }
+CPUINFO = Path("/proc/cpuinfo")
+if CPUINFO.exists() and "avx512f" in CPUINFO.read_text():  # others do not know its instructions
+    MACHINES["SkylakeX"] = {"OPENBLAS_CORETYPE": "SkylakeX"}
 
 
 def convert(source: Path, output: Path, environment: dict[str, str]) -> None:

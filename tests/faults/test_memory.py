@@ -75,7 +75,7 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
     "40 minutes of lifts": lambda: (f"G1 Z{20 - 19.8 * (k % 2)} F60" for k in range(120)),
     "a million M73": lambda: repeat("M73 P5 R10", 1_000_000),
     "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
-    "ten million lines": lambda: repeat(";", 10_000_000),
+    "three million lines": lambda: repeat(";", 3_000_000),
     "500 000 modes": lambda: repeat("M83", 500_000),
     "a million limits": lambda: repeat("M204 S500", 1_000_000),
     "100 000 macros": lambda: repeat("A_MACRO OF=mine", 100_000),

@@ -28,7 +28,7 @@ def found() -> Calibration:
     few([
         ("2.0", False), ("2.1", False), ("2.1-dev", False), ("ft-motion", False),
         ("2.0", True), ("2.1", True), ("2.1-dev", True),  # fixed-time motion counts no ticks
-    ], 4),
+    ], 2),
 )  # fmt: skip
 def test_parts_take_as_long_as_the_table_says(found: Calibration, planner: str, tick: bool) -> None:
     steps = load("paper-marlin").steps

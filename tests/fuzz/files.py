@@ -10,7 +10,6 @@ from random import Random
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.io import savemat
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.klipper.macro_check import check_macros
@@ -102,7 +101,7 @@ def _binary(path: Path) -> object:
 
 
 READERS: dict[str, Reader] = {
-    "bgcode": _binary, "npz": _recorded, "mat": _recorded, "cfg": _configured,
+    "bgcode": _binary, "npz": _recorded, "cfg": _configured,
     "m503": _answered,
     "steps": lambda path: [len(block.tick) for block in step_file.read(path)],
     "compare": _compared,
@@ -116,14 +115,13 @@ def originals() -> dict[str, bytes]:
     rng = np.random.default_rng(0)
     arrays: dict[str, Array] = {name: rng.normal(size=3000) for name in COLUMNS[1:]}
     arrays["t"] = np.arange(0.0, 3.0, 1e-3)
-    npz, mat, binary = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    npz, binary = io.BytesIO(), io.BytesIO()
     np.savez_compressed(npz, **arrays)  # type: ignore[arg-type]
-    savemat(mat, arrays, do_compression=True)
     with as_binary(binary) as file:
         file.writelines(SLICES["prusaslicer"].lines)
     config = ROOT / "tests" / "klipper" / "printer.cfg"
     return {
-        "bgcode": binary.getvalue(), "npz": npz.getvalue(), "mat": mat.getvalue(),
+        "bgcode": binary.getvalue(), "npz": npz.getvalue(),
         "cfg": config.read_bytes(), "m503": M503.read_bytes(), "steps": _steps(),
         "compare": RECTANGLE,
     }  # fmt: skip

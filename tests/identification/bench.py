@@ -68,14 +68,11 @@ def swept(folder: Path, profile: Path, axis: str, place: float, klipper: bool) -
     return Played(command, np.column_stack([(A + B) / 2.0, (A - B) / 2.0]))
 
 
-def recorded(
-    played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int, at: float | None = None
-) -> Path:
+def recorded(played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: int) -> Path:
     """Write Klipper's file of the sensor's recording on a printer of that plant."""
-    place = "nozzle" if at is None else f"at-{at:g}"
-    path = folder / f"{played.command.stem}.{place}.{seed}.csv"
+    path = folder / f"{played.command.stem}.nozzle.{seed}.csv"
     seconds = (len(played.motors) - 1) * TS
-    return write_klipper(path, sensor.record(moved(plant, played.motors, at), seconds, seed))
+    return write_klipper(path, sensor.record(moved(plant, played.motors), seconds, seed))
 
 
 def off(found: Linear | None, true: Linear | None, motors: Array) -> float:
@@ -154,27 +151,20 @@ rate_hz_per_s = 8.0
 start_hz = 3.0
 end_hz = 110.0
 """
-LEFT, RIGHT = 10.0, 270.0  # x of the sensors on the bridge, mm
-ON_BRIDGE = Sensor(drift=0.005, clock=99.0)
 MAP = ("--axes", AXES)
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Sweeps of the paper's printer: x at three places, y at one, and the bridge at one."""
+    """Sweeps of the paper's printer: x at three places, y at one."""
 
     folder: Path
     x: list[tuple[Played, Path]]
     y: tuple[Played, Path]
-    ends: tuple[Path, Path]  # P1 at the greater x, P2
 
     @property
     def all(self) -> list[str | Path]:
         return nozzle(*self.x, self.y)
-
-    @property
-    def bridge(self) -> list[str | Path]:
-        return ["--bridge", self.x[1][0].command, *self.ends, "--bridge-length", "260"]
 
 
 def invoked(*arguments: str | Path) -> Result:

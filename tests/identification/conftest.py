@@ -7,17 +7,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.printer.settings import Printer
-from tests.identification.bench import (
-    FAST,
-    LEFT,
-    ON_BRIDGE,
-    QUICK,
-    RIGHT,
-    SENSOR,
-    Bench,
-    Recorded,
-    recorded,
-)
+from tests.identification.bench import FAST, QUICK, SENSOR, Bench, Recorded
 
 
 @pytest.fixture
@@ -35,5 +25,4 @@ def taken(tmp_path_factory: pytest.TempPathFactory, paper: Printer) -> Recorded:
     bench = Bench(folder, paper.plant, profile, klipper=False)
     x = bench.runs("x", (80.0, 140.0, 200.0), SENSOR)
     (y,) = bench.runs("y", (140.0,), SENSOR)
-    P1, P2 = (recorded(x[1][0], paper.plant, ON_BRIDGE, folder, 7, at) for at in (RIGHT, LEFT))
-    return Recorded(folder, x, y, (P1, P2))
+    return Recorded(folder, x, y)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import Array
@@ -65,6 +64,20 @@ def test_klipper_file_is_read_and_begins_with_the_command(tmp_path: Path, rows: 
     assert recording.period == pytest.approx(np.median(np.diff(rows[:, 0])), abs=1e-6)
 
 
+@pytest.mark.parametrize("rate", [394.0, 1600.0, 3200.0])
+def test_clipped_peaks_are_found_at_any_rate(tmp_path: Path, rate: float) -> None:
+    """At 394 Hz a clipped peak at 50 Hz is two samples long."""
+    t = np.arange(int(8.0 * rate)) / rate
+    a = np.round(t * 1500.0 * np.sin(2.0 * np.pi * (40.0 + 2.0 * t) * t) / 38.0) * 38.0
+    y, z = np.random.default_rng(0).normal(0.0, 60.0, (2, len(t)))
+    rows = np.column_stack([t, a, y, z + GRAVITY])
+    assert len(read(file(tmp_path, klipper(rows))).t) == len(t)
+    rows[:, 1] = np.clip(a, -9500.0, 9500.0)
+    refused(
+        file(tmp_path, klipper(rows)), "the sensor's x is clipped at -?9500 mm/s².*ACCEL_PER_HZ"
+    )
+
+
 def test_klipper_file_by_its_columns_begins_anywhere(tmp_path: Path, rows: Array) -> None:
     columns = ("#time", "accel_x", "accel_y", "accel_z")
     assert not read(file(tmp_path, klipper(rows)), columns).started
@@ -89,11 +102,10 @@ def test_table_with_named_columns(
     np.testing.assert_allclose(recording.t, rows[:, 0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat"])
-def test_arrays_by_name(tmp_path: Path, rows: Array, suffix: str) -> None:
-    path = tmp_path / f"measured{suffix}"
+def test_arrays_by_name(tmp_path: Path, rows: Array) -> None:
+    path = tmp_path / "measured.npz"
     arrays = dict(zip(COLUMNS, rows.T / GRAVITY, strict=True)) | {"t": rows[:, 0]}
-    (np.savez if suffix == ".npz" else lambda p, **a: savemat(p, a))(path, **arrays)
+    np.savez(path, **arrays)
     recording = read(path, COLUMNS, "g")
     assert not recording.started
     np.testing.assert_allclose(recording.a, rows[:, 1:], rtol=1e-12)
@@ -101,11 +113,10 @@ def test_arrays_by_name(tmp_path: Path, rows: Array, suffix: str) -> None:
     refused(path, "there is no column b; the file has: t, ax", ("t", "ax", "ay", "b"))
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat"])
-def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array, suffix: str) -> None:
-    refused(file(tmp_path, b"", f"empty{suffix}"), "cannot be read", COLUMNS)
-    refused(file(tmp_path, bytes(range(256)) * 9, f"junk{suffix}"), "cannot be read", COLUMNS)
-    path = tmp_path / f"odd{suffix}"
+def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array) -> None:
+    refused(file(tmp_path, b"", "empty.npz"), "cannot be read", COLUMNS)
+    refused(file(tmp_path, bytes(range(256)) * 9, "junk.npz"), "cannot be read", COLUMNS)
+    path = tmp_path / "odd.npz"
     good = dict(zip(COLUMNS, rows.T, strict=True))
     for wrong, words in (
         (rows[:-1, 3], "differ in length"),
@@ -113,15 +124,10 @@ def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array, suffix: st
         (rows[:, 3] * 1j, "not a list"),
         (np.array(["word"] * len(rows)), "not a list"),
     ):
-        arrays = good | {"az": wrong}
-        (np.savez if suffix == ".npz" else lambda p, **a: savemat(p, a))(path, **arrays)
+        np.savez(path, **good | {"az": wrong})
         refused(path, words, COLUMNS)
-    if suffix == ".npz":
-        np.savez(path, **good | {"az": np.array([None, {}])})
-        refused(path, "cannot be read", COLUMNS)
-    else:
-        newer = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400)
-        refused(file(tmp_path, newer, "newer.mat"), "-v7", COLUMNS)
+    np.savez(path, **good | {"az": np.array([None, {}])})
+    refused(path, "cannot be read", COLUMNS)
 
 
 @pytest.mark.parametrize(

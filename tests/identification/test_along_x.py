@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS
+from hframe_post.arrays import TS, Complex
 from hframe_post.identification.diagnosis.scatter import (
     ModeShift,
     find_mode_shift,
     position_spread,
-    refit_calibrated,
+    refit,
     with_noise,
+)
+from hframe_post.identification.fitting.along_x import (
+    at_common_frequencies,
+    factor,
+    fit_places,
+    racking_along_x,
 )
 from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.fitting.modal import Data, Structure, fit
+from hframe_post.identification.gather import Gathered
+from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
     weights,
 )
+from hframe_post.identification.responses.measured import RunResponse, with_common_delay
+from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse, transfer_function
+from tests.identification.test_identify_strokes import recorded
+from tests.modes import deviation_of_mode
+from tests.quantities import below, near
+from tests.random_printers import drawn, judged, printer
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -47,7 +63,7 @@ def shift(change: float, seed: int) -> ModeShift | None:
     G, delay = model.discrete(model.delay, model.gain), model.delay
     found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, ())
     places = list(zip(PLACES, runs, strict=True))
-    return find_mode_shift(found, places, partial(refit_calibrated, model))
+    return find_mode_shift(found, places, partial(refit, model))
 
 
 @pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
@@ -70,3 +86,117 @@ def test_position_spread_is_large_near_a_mode_that_shifts() -> None:
     assert abs(position_spread(runs).at(peak)[0]) > 0.3
     assert abs(position_spread(runs).at(np.array([5.0]))[0]) < 0.05
     assert abs(position_spread(still).at(peak)[0]) < 0.05
+
+
+# ---------------------------------------------------------------------- responses of all places
+
+
+OMEGA = 2.0 * np.pi * HZ * TS
+
+
+def moving(change: float) -> ImpulseResponse:
+    """Return a mode whose frequency changes so much from 140 to 200 mm."""
+
+    def mode(hz: float) -> ImpulseResponse:
+        return ImpulseResponse(deviation_of_mode(hz, 0.06, 500), 0, lag=1.0)
+
+    ends = [
+        Elsewhere(140.0 + side * 60.0, 1.0 + side * change, mode(HERE_HZ * (1.0 + side * change)))
+        for side in (-1.0, 1.0)
+    ]
+    return replace(mode(HERE_HZ), x=140.0, elsewhere=tuple(ends))
+
+
+def shown(H: Complex) -> FrequencyResponse:
+    one = np.ones(len(HZ))
+    return FrequencyResponse(HZ, H, 0.9999 * one, one, 10.0)
+
+
+def off(found: Complex, wanted: Complex) -> float:
+    return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+
+
+@pytest.mark.slow
+def test_each_place_has_its_response_and_its_frequency() -> None:
+    true, rng = moving(0.05), np.random.default_rng(0)
+    at = (80.0, 140.0, 200.0)
+    places = [(x, with_noise(shown(true.at(x).response(OMEGA)), rng)) for x in at]
+    whole = fit(
+        Data(HZ, (mean := average([one for _, one in places])).H, weights(mean), BAND, (0.0, 5e-3)),
+        Structure(1, False),
+    )
+    together = Fit(true, None, 0.0, 1.0, 1.0, 0.0, 0.0, (0.0, 0.0), whole, ())
+    found = fit_places(together, places, None).G
+    assert isinstance(found, ImpulseResponse)
+    for x in (80.0, 100.0, 140.0, 180.0, 200.0):
+        below(off(found.at(x).response(OMEGA), true.at(x).response(OMEGA)), 0.03, f"error, {x} mm")
+        near(factor(found, x), factor(true, x), 0.003, "factor of the frequency")
+
+
+def test_runs_at_common_frequencies_are_alike() -> None:
+    G = moving(0.05)
+    runs = [
+        at_common_frequencies(shown(G.at(x).response(OMEGA)), G, x) for x in (80.0, 140.0, 200.0)
+    ]
+    assert all(np.array_equal(run.hz, runs[0].hz) for run in runs)
+    for run in runs:
+        below(off(run.H, G.response(2.0 * np.pi * TS * run.hz)), 0.02, "error of the response")
+
+
+def test_racking_moves_with_the_axis_and_keeps_its_measured_size() -> None:
+    G, x_c = moving(0.05), 147.0
+    axis = Axis((Mode(HERE_HZ, 0.06),))
+    racking = Machine(axis, axis, racking=2e-8, racking_mode=Mode(50.0, 0.1)).exact().Gxtheta
+    assert racking is not None
+    slope = shown(racking.response(OMEGA))
+    larger = {80.0: 0.9, 140.0: 1.0, 200.0: 1.2}
+    seen = [(x, x - x_c, shown(size * (x - x_c) * slope.H)) for x, size in larger.items()]
+    found = racking_along_x(transfer_function(racking), G, slope, seen)
+    below(off(found.response(OMEGA), slope.H), 0.01, "error of racking where it holds")
+    for one in found.elsewhere:
+        stretched = replace(found, elsewhere=()).stretched(1.0 / factor(G, one.x))
+        wanted = larger[one.x] * stretched.response(OMEGA)
+        below(off(one.G.response(OMEGA), wanted), 0.01, f"error of racking at x = {one.x} mm")
+    assert [one.x for one in found.elsewhere] == [80.0, 200.0]
+
+
+def test_modes_that_move_do_not_shift_runs_whose_start_is_known() -> None:
+    G = moving(0.05)
+    runs = []
+    for x in (80.0, 140.0, 200.0):
+        one = shown(G.at(x).response(OMEGA))
+        runs.append(RunResponse(x, one, one, 4e-5, np.zeros(1)))
+    for before, after in zip(runs, with_common_delay(runs).runs, strict=True):
+        turned = np.angle(after.response.H / before.response.H) / (2.0 * np.pi * HZ)
+        below(1e3 * float(np.abs(turned).max()), 0.0401, "shift of a run, ms")
+
+
+@pytest.mark.slow
+def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
+    """One model leaves 12 µm of it."""
+    seed = 199
+    machine, chip, _ = drawn(seed)
+    profile = printer(machine)
+    found = identify(
+        recorded(machine, chip, seed, 60.0), Settings(BAND, racks=profile.kinematics.racks)
+    )
+    assert found.refusal is None
+    assert set(found.along_x) == {"Gxx", "Gyy", "Gxtheta"}
+    own = replace(profile, plant=found.plant(machine.x_c))
+    still = replace(
+        machine, along=0.0,
+        x=_faster(machine.x, 1.0 + machine.along * (200.0 - machine.middle)),
+        y=_faster(machine.y, 1.0 + machine.along * (200.0 - machine.middle)),
+    )  # fmt: skip
+    exact = judged(still, replace(profile, plant=still.exact()))
+    left = judged(machine, own)
+    below(left.compensated, 1.3 * exact.compensated, "error of the rectangle, µm RMS")
+    text = IdentificationReport(
+        found, found.plant(machine.x_c), None, Gathered([], [], [])
+    ).remarks()
+    assert any(line.startswith("along x") and "frequencies change by" in line for line in text)
+    assert not any("one model is that of the middle" in line for line in text)
+
+
+def _faster(axis: Axis, by: float) -> Axis:
+    return replace(axis, modes=tuple(replace(mode, hz=by * mode.hz) for mode in axis.modes))

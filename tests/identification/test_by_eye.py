@@ -19,19 +19,17 @@ from hframe_post.identification.by_eye.racking import (
     PrintedRacking,
     half_waves_by_block,
     printed_racking,
-    racking_function,
 )
-from hframe_post.identification.by_eye.tower import SIDE, Heat, bands, comb, squares, tower
+from hframe_post.identification.by_eye.tower import SIDE, bands, comb, squares, tower
 from hframe_post.identification.by_eye.waves import (
     Band,
     PrintedMode,
     Reading,
     corner_path,
-    mode_function,
+    mode_response,
     printed_mode,
 )
-from hframe_post.model.impulse_response import transfer_function
-from hframe_post.model.plant import Filter
+from hframe_post.model.plant import FiniteFilter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
@@ -39,6 +37,7 @@ from tests.klipper.host import play
 from tests.marlin.planner import Build, Machine
 
 A = 1500.0
+HEAT = (210.0, 60.0)  # °C of nozzle and bed
 
 
 def ender(acceleration: float = A) -> Printer:
@@ -49,7 +48,7 @@ def ender(acceleration: float = A) -> Printer:
 def read(hz: float, damping: float, band: Band, seen_from: float = 0.015) -> Reading:
     """Return what an owner reads who measures to a tenth and counts half waves."""
     path, corner = corner_path(band, A, SIDE)
-    x = Filter(mode_function(hz, damping)).run(path[:, 0] + SIDE) - SIDE
+    x = FiniteFilter(mode_response(hz, damping), 0).run(path[:, 0] + SIDE) - SIDE
     deviation, along = np.abs(x[corner:]), path[corner:, 1]
     peaks, _ = find_peaks(deviation)
     seen = (deviation[peaks] > seen_from).sum() / 2.0
@@ -74,6 +73,23 @@ def test_readings_that_disagree_are_uncertain() -> None:
     assert found.uncertainty > 0.1
 
 
+def test_modes_answer_straight_lines_exactly() -> None:
+    """But for what is left once they have settled."""
+    hz = np.geomspace(1.0, 100.0, 50)
+    s = 2j * np.pi * (hz[:, None] + np.arange(-50, 51) / TS)  # and the images of the samples
+    lines = (2.0 * np.sin(np.pi * hz[:, None] * TS) / (np.abs(s) * TS)) ** 2
+    x, gantry = (((s / (2.0 * np.pi * f)) ** 2 + 0.1 * s / (2.0 * np.pi * f) + 1.0) ** -1
+                 for f in (40.0, 62.0))  # fmt: skip
+    axis, racking = mode_response(40.0, 0.05), PrintedRacking(5e-8, 62.0, 0.05, 140.0, 0.0)
+    theta = racking.response(PrintedMode(40.0, 0.05, 0.0, 0.0))
+    for G, exact in ((axis, x * lines), (theta, 5e-8 * s**2 * x * gantry * lines)):
+        wanted = exact.sum(axis=1)
+        off = np.abs(G.response(2.0 * np.pi * hz * TS) - wanted)
+        assert off.max() < 2e-3 * np.abs(wanted).max()
+    assert axis.lag == pytest.approx(0.1 / (2.0 * np.pi * 40.0 * TS))
+    assert (axis.ahead, theta.ahead) == (0, 0)
+
+
 def test_impossible_readings_are_errors() -> None:
     band = Band(100.0, 20.0)
     with pytest.raises(IdentificationError, match="no band has a distance"):
@@ -91,10 +107,12 @@ def test_a_form_is_read_as_it_was_written() -> None:
     assert found.readings["y"][1] == Reading(bands(ender())[1], 9.5, 4.0, 5.5)
     with pytest.raises(IdentificationError, match="x, right wall: no band"):
         found.modes()
-    with pytest.raises(HframeError, match="x1 must be three numbers"):
-        filled(empty.replace("x1 = [0, 0, 0]", 'x1 = [1, "4"]'), "a.toml")
-    with pytest.raises(HframeError, match="is not a form"):
-        filled("[limits]\nspeed = 3\n", "a.toml")
+    for row in ('[1, "4", 2]', "[1, 4]", "[1, -4, 2]", "[1, 4, 1e5]", "4"):
+        with pytest.raises(HframeError, match="x1 must be three numbers"):
+            filled(empty.replace("x1 = [0, 0, 0]", f"x1 = {row}"), "a.toml")
+    for text in ("[limits]\nspeed = 3\n", f"racking = 3\n{empty}", "[[waves]]\n"):
+        with pytest.raises(HframeError, match="is not a form"):
+            filled(text, "a.toml")
 
 
 # ---------------------------------------------------------------------- racking
@@ -105,7 +123,7 @@ X = PrintedMode(38.0, 0.06, 0.03, 0.015)
 def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
     """Return what an owner reads on a comb that shows waves down to ``seen_from`` mm."""
     path, _ = comb.path()
-    theta = Filter(true.function(X)).run(path - path[0])
+    theta = FiniteFilter(true.response(X), 0).run(path - path[0])
     levers = np.abs(comb.borders() + LEVER - true.x_c)
     waves = list(half_waves_by_block(comb, theta))
     seen = [
@@ -115,7 +133,7 @@ def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
     places = waves[most][1]
     count = int(min(max(seen[most] - 1.0, 1.0), 5.0))
     distance = round(float(places[2 * count] - places[0]), 1)
-    return Blocks(tuple(seen[1:]), most, distance, count)
+    return Blocks(comb, tuple(seen[1:]), most, distance, count)
 
 
 @pytest.mark.parametrize(("hz", "gain"), [(62.0, 5e-8), (43.0, 1e-7)])
@@ -123,18 +141,18 @@ def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
 def test_a_wall_in_blocks_shows_racking(hz: float, gain: float, x_c: float) -> None:
     """Near the mode of x, too, where both draw nearly the same waves."""
     comb, true = Comb(20.0, 12, 80.0, 7500.0), PrintedRacking(gain, hz, 0.08, x_c, 0.0)
-    found = printed_racking(seen_on(comb, true, 0.015), comb, X, 140.0, 0.015)
+    found = printed_racking(seen_on(comb, true, 0.015), X, 140.0, 0.015)
     assert found is not None
     assert found.x_c == pytest.approx(x_c, abs=6.0)
     path, _ = comb.path()
-    own, its = (Filter(one.function(X)).run(path - path[0]) for one in (true, found))
+    own, its = (FiniteFilter(one.response(X), 0).run(path - path[0]) for one in (true, found))
     assert np.linalg.norm(own - its) < 0.85 * np.linalg.norm(own)
 
 
 @pytest.mark.klipper
 def test_klipper_travels_the_wall_as_assumed(tmp_path: Path) -> None:
     printer = load("example-hbot")
-    wall, lines = comb(printer), tower(printer, Heat(210.0, 60.0))
+    wall, lines = comb(printer), tower(printer, HEAT)
     assert wall is not None
     two_layers = [line for line in lines[: lines.index("G1 Z0.6 F600")] if line[:2] != "M1"]
     (tmp_path / "wall.gcode").write_text("\n".join([*two_layers, ""]))
@@ -147,21 +165,24 @@ def test_klipper_travels_the_wall_as_assumed(tmp_path: Path) -> None:
     assert np.abs(x - path).max() < 0.02  # mm: a quarter of a millisecond at full speed
 
 
+@pytest.mark.slow
 def test_racking_that_hardly_shows_is_not_guessed() -> None:
     comb = Comb(20.0, 12, 80.0, 7500.0)
     weak = seen_on(comb, PrintedRacking(5e-8, 62.0, 0.08, 140.0, 0.0), 0.015)
     for read, x in (
-        (Blocks((0.5,) * 11, 0, 0.0, 0.0), X),
+        (Blocks(comb, (0.0,) * 11, 0, 0.0, 0.0), X),
+        (Blocks(comb, (0.5,) * 11, 0, 0.0, 0.0), X),
+        (Blocks(comb, (2.0, *(0.0,) * 10), 1, 0.0, 0.0), X),  # but on a single block
         (weak, replace(X, uncertainty=0.3)),
         (replace(weak, seen=(9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0)), X),
     ):
-        assert printed_racking(read, comb, x, 140.0, 0.015) is None
+        assert printed_racking(read, x, 140.0, 0.015) is None
 
 
 def test_racking_follows_acceleration() -> None:
-    G = racking_function(X, 5e-8, 62.0, 0.08)
+    G = PrintedRacking(5e-8, 62.0, 0.08, 140.0, 0.0).response(X)
     way = np.asarray(1000.0 * (np.arange(1000) * TS) ** 2)
-    assert Filter(G).run(way)[-1] == pytest.approx(5e-8 * 2000.0, rel=1e-3)
+    assert FiniteFilter(G, 0).run(way)[-1] == pytest.approx(5e-8 * 2000.0, rel=1e-3)
 
 
 def test_the_form_of_an_h_bot_asks_for_racking() -> None:
@@ -172,9 +193,11 @@ def test_the_form_of_an_h_bot_asks_for_racking() -> None:
     counts = list(range(1, wall.blocks))
     text = empty.replace(f"seen = {[0] * (wall.blocks - 1)}", f"seen = {counts}")
     found = filled(text.replace("measured = [0, 0, 0]", "measured = [2, 7.5, 3]"), "a.toml")
-    assert found.blocks == (Blocks(tuple(map(float, counts)), 2, 7.5, 3.0), wall)
+    assert found.blocks == Blocks(wall, tuple(map(float, counts)), 2, 7.5, 3.0)
     with pytest.raises(HframeError, match="seen needs a number for each block"):
         filled(text.replace("seen = [1, ", "seen = ["), "a.toml")
+    with pytest.raises(HframeError, match="and measured three numbers"):
+        filled(text.replace("measured = [0, ", f"measured = [{wall.blocks}, "), "a.toml")
 
 
 # ---------------------------------------------------------------------- prints
@@ -200,16 +223,16 @@ def lowered(lines: list[str]) -> list[tuple[float, float]]:
 
 
 def test_the_nozzle_goes_down_next_to_what_is_printed() -> None:
-    assert len(lowered(tower(load("example-hbot"), Heat(210.0, 60.0)))) == 1
+    assert len(lowered(tower(load("example-hbot"), HEAT))) == 1
     printer = load("paper")
-    pieces = squares(printer, [printer.plant] * 2, Heat(210.0, 60.0))
+    pieces = squares(printer, [printer.plant] * 2, HEAT)
     assert len(lowered(b"".join(pieces).decode().splitlines())) == 1
 
 
 @pytest.mark.parametrize("profile", ["example-ender", "example-voron", "example-hbot"])
 def test_the_tower_stays_on_the_bed_and_restores_the_limits(profile: str) -> None:
     printer = load(profile)
-    lines = tower(printer, Heat(215.0, 60.0))
+    lines = tower(printer, (215.0, 60.0))
     x = [float(w[1:]) for line in lines for w in line.split() if w[0] == "X" and line[0] == "G"]
     assert printer.travel.x[0] < min(x) < max(x) < printer.travel.x[1]
     assert "M109 S215" in lines
@@ -226,7 +249,7 @@ def test_the_tower_stays_on_the_bed_and_restores_the_limits(profile: str) -> Non
 def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
     printer = ender()
     board = Machine(Build(1 / 80, 1 / 400, 1 / 93, cartesian=True))
-    board.read("\n".join(tower(printer, Heat(210.0, 60.0))).encode())
+    board.read("\n".join(tower(printer, HEAT)).encode())
     assert [band.speed for band in bands(printer)] == [60.0, 100.0, 150.0, 150.0]
     assert any(line.startswith("M205 J0.11") for line in board.settings)
     # 20² = 2.414·J·1500: the junction's speed by Marlin's rule
@@ -238,7 +261,7 @@ def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
 @pytest.mark.parametrize("profile", ["example-ender", "paper-marlin"])
 def test_marlin_takes_every_deviation(profile: str) -> None:
     """It ignores M205 J below 0.01 and above 0.3 mm."""
-    lines = tower(load(profile), Heat(210.0, 60.0))
+    lines = tower(load(profile), HEAT)
     asked = [float(line.split("J")[1]) for line in lines if line.startswith("M205 J")]
     assert 0.01 <= min(asked) < max(asked) <= 0.3
 
@@ -259,13 +282,11 @@ def written_form(own: Path) -> Path:
     return sheet
 
 
-def frequencies(own: Path) -> tuple[float, float]:
-    plant = load(str(own)).plant
-    x, y = (
-        float(np.abs(np.log(transfer_function(G).poles[0]))) / (2.0 * np.pi * TS)
-        for G in (plant.Gxx, plant.Gyy)
-    )
-    return x, y
+def frequencies(own: Path) -> list[float]:
+    """Return the frequencies (Hz) of x and y at which the response is a quarter turn late."""
+    plant, hz = load(str(own)).plant, np.arange(10.0, 80.0, 0.01)
+    turned = (G.response(2.0 * np.pi * hz * TS).real for G in (plant.Gxx, plant.Gyy))
+    return [float(hz[np.argmax(real < 0.0)]) for real in turned]
 
 
 @pytest.mark.slow
@@ -276,7 +297,7 @@ def test_a_printer_without_a_sensor(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert not load(str(own)).invented
     assert load(str(own)).uncertainty == 0.1
-    assert frequencies(own) == pytest.approx((40.0, 28.0), rel=0.03)
+    assert frequencies(own) == pytest.approx([40.0, 28.0], rel=0.03)
 
 
 @pytest.mark.slow
@@ -291,7 +312,7 @@ def test_squares_are_compared_and_the_best_is_picked(tmp_path: Path) -> None:
     assert three.read_bytes().count(b"M201 X500 Y500") == 3  # restored after each
     done = run("calibrate-print", "-p", own, "--pick", "-6%", "0", "-o", own)
     assert done.returncode == 0, done.stderr
-    assert frequencies(own) == pytest.approx((0.94 * before[0], before[1]), rel=1e-3)
+    assert frequencies(own) == pytest.approx([0.94 * before[0], before[1]], rel=1e-3)
 
 
 def test_mistakes_are_errors(tmp_path: Path) -> None:

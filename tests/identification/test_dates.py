@@ -57,10 +57,8 @@ def test_then_the_date_in_the_head(
     assert recorded_on(file(tmp_path, "x.stdata", pack(text.encode()))) == date(2025, 5, 26)
 
 
-def test_heads_of_packed_files_and_of_matlab(tmp_path: Path) -> None:
+def test_heads_of_packed_files(tmp_path: Path) -> None:
     at = int(datetime(2025, 5, 26, 12, tzinfo=UTC).timestamp())
     packed = gzip.compress((HEAD + ROW).encode(), mtime=at)
     assert recorded_on(file(tmp_path, "x.csv.gz", packed)) == date(2025, 5, 26)
     assert recorded_on(file(tmp_path, "y.csv.gz", packed[:20])) == date(2025, 5, 26)
-    head = b"MATLAB 5.0 MAT-file Platform: posix, Created on: Mon May 26 15:44:35 2025"
-    assert recorded_on(file(tmp_path, "x.mat", head.ljust(128))) == date(2025, 5, 26)

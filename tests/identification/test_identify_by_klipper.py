@@ -29,4 +29,5 @@ def test_the_papers_printer_is_recovered_by_the_default_sweep(
     tmp_path: Path, paper: Printer
 ) -> None:
     bench = Bench(tmp_path, paper.plant, SHIPPED, klipper=True)
-    check_recovered(bench, (80.0, 110.0, 140.0, 170.0, 200.0), times=AS_GOOD)
+    # 9.8 µm, exact 6.7; with the greater effort of before 11.5 and 9.0
+    check_recovered(bench, (80.0, 110.0, 140.0, 170.0, 200.0), times=1.5)

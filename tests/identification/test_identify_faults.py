@@ -36,22 +36,9 @@ def changed(source: Path, folder: Path, change: Callable[[Array], Array]) -> Pat
 
 @pytest.mark.slow
 def test_exchanged_files_are_refused(taken: Recorded, tmp_path: Path) -> None:
-    (x0, recorded0), (x1, recorded1), (x2, recorded2) = taken.x
+    x, recorded_x = taken.x[0]
     y, recorded_y = taken.y
-    check_refused(tmp_path, "not in", *MAP, *nozzle((x0, recorded_y), (y, recorded0)))
-    places = nozzle((x0, recorded2), (x1, recorded1), (x2, recorded0), taken.y)
-    exchanged = r"files\s+of\s+two\s+places\s+are\s+exchanged"
-    check_refused(tmp_path, exchanged, *MAP, *places)
-    P1, P2 = taken.ends
-    ends: list[str | Path] = ["--bridge", x1.command, P2, P1, "--bridge-length", "260"]
-    check_refused(tmp_path, "P1\\s+must be the one", *MAP, *taken.all, *ends)
-
-
-@pytest.mark.slow
-def test_racking_that_differs_between_two_methods_is_a_warning(taken: Recorded) -> None:
-    done = invoked(*MAP, *taken.all, *taken.bridge[:-1], "180")
-    assert done.exit_code == 0, done.output
-    assert "check --bridge-length" in done.output
+    check_refused(tmp_path, "not in", *MAP, *nozzle((x, recorded_y), (y, recorded_x)))
 
 
 def test_wrong_axes_are_refused(taken: Recorded, tmp_path: Path) -> None:
@@ -119,13 +106,11 @@ def test_usage_and_files_are_checked(taken: Recorded, tmp_path: Path) -> None:
     (x0, recorded0), *_ = taken.x
     check_refused(tmp_path, "not the command of a motion", *MAP, "--nozzle", recorded0, recorded0)
     check_refused(tmp_path, "Give the command first", *MAP, "--nozzle", recorded0, x0.command)
-    check_refused(tmp_path, "--bridge-length", *MAP, *taken.all, *taken.bridge[:4], status=2)
     check_refused(tmp_path, "does not exist", *MAP, "--nozzle", "no.csv", recorded0, status=2)
     check_refused(tmp_path, "--nozzle", *MAP, status=2)
     for removed in (["--order", "Gxx=4"], ["--estimator", "H2"]):
         check_refused(tmp_path, f"{removed[0]} was removed", *taken.all, *removed, status=2)
     figures = ("--figures", tmp_path / "f")
     check_refused(tmp_path, "use --report page.html", *taken.all, *figures, status=2)
-    check_refused(tmp_path, "at most twice", *taken.all, *MAP, *MAP, *MAP, status=2)
     check_refused(tmp_path, "four names", *taken.all, "--columns", "t,x", status=2)
     check_refused(tmp_path, "--band", *taken.all, "--band", "50", "5", status=2)

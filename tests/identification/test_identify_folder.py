@@ -17,6 +17,8 @@ from hframe_post.identification.gather import along_printer, from_folders
 from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.orientation import QUIET
+from hframe_post.identification.responses.measured import Settings
+from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse
@@ -24,8 +26,10 @@ from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import text_from_klipper
 from tests.identification.bench import AXES, Recorded, check_refused, invoked
 from tests.recordings import write_klipper
+from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
 
 REAL = Path(__file__).parent / "data" / "raw_data_y_20250601_120000.csv.xz"
+BELT = REAL.parent / "belt_b_of_2023.csv.xz"
 CONFIG = """
 [printer]
 kinematics: corexy
@@ -51,6 +55,7 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> None:
     """A Sovol SV08, its sensor's −z along y, thinned to 333 samples a second."""
     held, mine = tmp_path / "held", tmp_path / "mine.toml"
@@ -61,7 +66,8 @@ def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> Non
     more = ("--json", summary, "--report", page)
     done = invoked(held, "--printer-cfg", config, "-o", mine, *more)
     assert done.exit_code == 0, done.output
-    shown = re.search(r"min_freq 1, max_freq 100, accel_per_hz (\d+) .printer.cfg: 90", done.output)
+    settings = r"min_freq 1 .default: 5., max_freq 100 .default: 135., accel_per_hz (\d+) "
+    shown = re.search(settings + ".printer.cfg: 90", done.output)
     assert shown is not None, done.output
     assert float(shown[1]) == pytest.approx(50.0, rel=0.1)
     assert "left aside   resonances_y.csv: a spectrum that Klipper has computed" in done.output
@@ -74,7 +80,7 @@ def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> Non
     assert strongest["damping"] == pytest.approx(0.08, rel=0.3)
     exact, around = found["predicted"]["racking"]["rms"], found["predicted_under_model_error"]
     assert exact < around["median_um"] <= around["worst_um"] < found["predicted"]["none"]["rms"]
-    assert "printers within ±5.0 % of the model: median" in done.output
+    assert f"up to {around['worst_um']:.1f} as the printer changes" in done.output
     profile = load(str(mine))
     assert not profile.invented
     assert profile.travel.x == (0.0, 350.0)
@@ -127,6 +133,7 @@ def sweeps(taken: Recorded, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_our_sweeps_need_neither_names_nor_axes(
     taken: Recorded, paper: Printer, tmp_path: Path
 ) -> None:
@@ -140,7 +147,6 @@ def test_our_sweeps_need_neither_names_nor_axes(
     runs = sorted(gathered.runs, key=lambda run: (run.axis, run.place))
     for run, (played, path) in zip(runs, (*taken.x, taken.y), strict=True):
         np.testing.assert_array_equal(run.command, read_command(played.command))
-        assert run.nozzle is not None
         np.testing.assert_allclose(run.nozzle.a, oriented(read(path), AXES, QUIET).a, atol=1e-3)
 
 
@@ -153,10 +159,58 @@ def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:
     (plain,) = from_folders([held], KlipperConfig(config), travel).runs
     config.write_text(f"{CONFIG}[adxl345]\naxes_map: -x, z, y\n")
     (undone,) = from_folders([held], KlipperConfig(config), travel).runs
-    assert plain.nozzle is not None
-    assert undone.nozzle is not None
     x, y, z = plain.nozzle.a.T
     np.testing.assert_array_equal(undone.nozzle.a, np.column_stack([-x, z, y]))
     config.write_text(f"{CONFIG}[adxl345]\naxes_map: x, y\n")
     with pytest.raises(IdentificationError, match="invalid axis map"):
         from_folders([held], KlipperConfig(config), travel)
+
+
+def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
+    """A Voron 2.4, its LIS2DW at 394 Hz, up to 40 Hz: the stamps wander by 30 ms.
+
+    The first 26 ms of its motion, around the point, are missing. The file holds tenths of
+    milliseconds and steps of the sensor, as differences.
+    """
+    held = tmp_path / "held"
+    held.mkdir()
+    text = lzma.decompress(BELT.read_bytes()).decode()
+    steps = np.loadtxt(text.splitlines(), delimiter=",").cumsum(axis=0)
+    z = np.random.default_rng(0).normal(9575.0, 100.0, len(steps))
+    rows = np.column_stack([23637.0 + 1e-4 * steps[:, 0], np.rint(LIS2DW * steps[:, 1:]), z])
+    np.savetxt(held / "belt_20231129_B.csv", rows, "%.4f,%.0f,%.0f,%.0f",
+               header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
+    config.write_text(CONFIG.replace("accel_per_hz: 90", "accel_per_hz: 75\nmax_freq: 40"))
+    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
+    gathered = from_folders([held], KlipperConfig(config), travel)
+    (used,) = gathered.used
+    assert used.motion == (
+        "TEST_RESONANCES of Klipper before December 2024 of 1,1 at 175,175: min_freq 5, max_freq "
+        "40, accel_per_hz 75"
+    )
+    assert used.notes[0].startswith("its time stamps wander by up to 2")
+    groups = uncalibrated_responses(gathered.runs, Settings((3.0, 38.0), racks=False))
+    for axis, name in enumerate("xy"):
+        ((response,),) = ([run.response for run in group.runs] for group in [groups[axis]])
+        slow = response.within((10.0, 20.0))
+        assert np.abs(slow.H.mean()) == pytest.approx(1.0, abs=0.15), name
+        assert np.abs(slow.H - slow.H.mean()).mean() < 0.25, name
+        assert np.median(response.within((30.0, 38.0)).coherence) > 0.9, name
+
+
+@pytest.mark.slow
+def test_exchanged_files_and_unusual_settings_are_noticed(tmp_path: Path, config: Path) -> None:
+    config.write_text(CONFIG.replace("accel_per_hz: 90", "hz_per_sec: 2\nmax_freq: 100"))
+    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
+    chip = replace(drawn_sensor(4, "lis2dw-394"), lead=0.4)
+    tests = [klipper(way, hz_per_sec=2.0, max_freq=100.0) for way in ((1.0, 0.0), (0.0, 1.0))]
+    tests[1] = replace(tests[1], accel_per_hz=100.0)
+    made = [chip.record(linear_printer(4), test.command(), 1) for test in tests]
+    for names, exchanged in (("xy", False), ("yx", True)):
+        for name, recording in zip(names, made, strict=True):
+            write_klipper(tmp_path / f"raw_data_{name}_1.csv", recording)
+        used = from_folders([tmp_path], KlipperConfig(config), travel).used
+        shown = ["the names of the two files are exchanged" in one.as_text() for one in used]
+        assert shown == [exchanged, exchanged]
+        assert re.search(r"accel_per_hz \d+ .default: 60.", used[not exchanged].motion)
+        assert "accel_per_hz 60," in used[exchanged].motion

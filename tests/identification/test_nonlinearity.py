@@ -38,7 +38,6 @@ def both(machine: Machine, chip: Chip, step: float = 0.0) -> Nonlinearity | None
     exact = LINEAR.exact()
     for run in swept(machine, chip, (140.0,), (140.0,), 1, step=step):
         u = acceleration(run.command[:, run.axis])
-        assert run.nozzle is not None
         found = harmonics(u, aligned(u, run.nozzle, run.axis).acceleration[:, run.axis])
         assert found is not None
         G = (exact.Gxx, exact.Gyy)[run.axis]
@@ -52,6 +51,7 @@ def test_a_linear_printer_has_no_nonlinearity(noise: float) -> None:
     assert both(LINEAR, Chip(noise=noise, gains=(1.04, 0.97, 1.0))) is None
 
 
+@pytest.mark.slow
 def test_motor_steps_neither_count_nor_hide_backlash() -> None:
     """Steps make harmonics of 1 to 2 % of the answer that correlate with no cause."""
     assert both(LINEAR, Chip(), STEP) is None

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from hframe_post.errors import IdentificationError
 from tests.random_printers import drawn, identified, judged, places, printer, swept
 
 STEP = 0.0206  # mm of belt that a motor step moves
@@ -20,33 +19,18 @@ WITH_STEPS = [
     7014, 8072,  # linear; one of two modes is easily missed
     8008,  # linear; with so much noise that the delay is known to 0.05 ms only
     7098,  # linear; racking is as small as its noise
-    5059,  # a mode that shifts too far for a single model
+    5059,  # modes that shift too far for a single model
 ]  # fmt: skip
-REFUSED = {5059}  # all others must be identified and become better
-SEVERAL = (80.0, 140.0, 200.0), (140.0,)  # mm of x; one place cannot show why that is refused
-CAUSES = {
-    "friction": "friction",
-    "play": "backlash",
-    "second": "stiffer in one direction",
-    "third": "stiffer the harder it is pulled",
-    "along": "changes along x",
-}
+MOVING = {5059}  # it does not rack, so that the default is one place, which cannot show this
+SEVERAL = (80.0, 140.0, 200.0), (140.0,)  # mm of x
 
 
 def check(seed: int, step: float = 0.0) -> None:
     machine, chip, fault = drawn(seed)
-    x, y = SEVERAL if seed in REFUSED else places(machine)
-    try:
-        found = identified(machine, swept(machine, chip, x, y, seed, step=step))
-    except IdentificationError as error:
-        refusal: str | None = str(error)
-    else:
-        refusal = found.refusal
-    if seed in REFUSED:
-        assert refusal is not None
-        assert CAUSES[fault] in refusal
-        return
-    assert refusal is None
+    x, y = SEVERAL if seed in MOVING else places(machine)
+    found = identified(machine, swept(machine, chip, x, y, seed, step=step))
+    assert found.refusal is None
+    assert not found.along_x or fault == "along"
     profile = printer(machine)
     own = replace(profile, plant=found.plant(machine.x_c))
     for path in ("rectangle", "cube"):
@@ -63,6 +47,7 @@ def check(seed: int, step: float = 0.0) -> None:
             assert found.gains[axis] == pytest.approx(gain, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_linear_printer_becomes_better() -> None:
     check(LINEAR)
 
@@ -76,7 +61,5 @@ def test_sixty_printers_become_better(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", WITH_STEPS)
-def test_printers_with_motor_steps_become_better_or_are_refused_for_the_true_cause(
-    seed: int,
-) -> None:
+def test_printers_with_motor_steps_become_better(seed: int) -> None:
     check(seed, STEP)

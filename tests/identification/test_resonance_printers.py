@@ -12,19 +12,10 @@ from tests.random_printers import judged, printer
 from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_printer, runs_of_tests
 
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
-# an H-bot, with the pulses of before December 2024 and a sensor at 394 Hz
-MISSED = pytest.param(
-    17,
-    marks=pytest.mark.xfail(
-        strict=True,
-        reason="2.21 µm, 1.38 times the exact model's: frequencies 0.2 %, damping 0.5 % and "
-        "racking each add some tenths",
-    ),
-)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(17), MISSED, 18, 19])
+@pytest.mark.parametrize("seed", range(20))
 def test_modes_and_rectangle(seed: int) -> None:
     machine = linear_printer(seed)
     chip = drawn_sensor(seed, tuple(SENSORS)[seed % 3])

@@ -17,6 +17,7 @@ from tests.simulator import Axis, Chip, Machine, Mode
 HEAD, FRAME = Mode(42.0, 0.06, 0.97), Mode(10.0, 0.02, 0.03)
 
 
+@pytest.mark.slow
 def test_the_mode_of_the_frame_is_reported_and_not_compensated() -> None:
     """What the sensor feels of the frame is no motion of the nozzle over the bed."""
     rocks, alone = Axis((HEAD, FRAME), 1e-3), Axis((Mode(42.0, 0.06),), 1e-3)
@@ -32,7 +33,14 @@ def test_the_mode_of_the_frame_is_reported_and_not_compensated() -> None:
     assert np.abs(found.plant(0.0).Gxx.response(low) - over_bed).max() < 0.01
 
 
-@pytest.mark.parametrize(("on_bed", "shared"), [(FRAME, True), (HEAD, False), (None, None)])
+@pytest.mark.parametrize(
+    ("on_bed", "shared"),
+    [
+        (FRAME, True),
+        pytest.param(HEAD, False, marks=pytest.mark.slow),
+        pytest.param(None, None, marks=pytest.mark.slow),
+    ],
+)
 def test_a_second_sensor_tells_whether_the_bed_rocks_as_well(
     on_bed: Mode | None, shared: bool | None
 ) -> None:

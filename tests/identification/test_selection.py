@@ -132,6 +132,7 @@ def test_measurements_that_cannot_be_fitted_are_refused() -> None:
             fit([bad], bad, False, BAND)
 
 
+@pytest.mark.slow
 def test_a_printer_that_does_not_follow_its_command_is_refused() -> None:
     one = np.ones(len(HZ))
     backwards = FrequencyResponse(HZ, -measured(PEAK_HZ, 0.06), 0.9999 * one, one, 50.0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identified import Identified
 from hframe_post.identification.identify import Run, Settings, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
@@ -17,9 +19,25 @@ from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.identification.recordings.self_alignment import self_aligned
 from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import estimate
+from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.model.impulse_response import transfer_function
+from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.printer.settings import Travel
 from tests.identification.test_coupling import Coupled
-from tests.resonance_recordings import BELTS, START, Recorded, X, Y, drawn_sensor, klipper, recorded
+from tests.recordings import write_klipper
+from tests.resonance_recordings import (
+    BELTS,
+    MOTIONS,
+    SENSORS,
+    START,
+    Recorded,
+    X,
+    Y,
+    drawn_sensor,
+    klipper,
+    recorded,
+    wandering,
+)
 from tests.simulator import Axis, Machine, Mode
 
 HEAD = Axis((Mode(47.0, 0.06, 0.85), Mode(78.0, 0.05, 0.15)), 4e-4)
@@ -105,6 +123,68 @@ def test_belts_tell_both_axes() -> None:
     result = found(*(short(each) for each in BELTS))
     check_modes(result, "Gxx", HEAD)
     check_modes(result, "Gyy", BED)
+
+
+@pytest.mark.slow
+def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) -> None:
+    """At 394, 1600 and 3200 Hz, of one mounting; each lost 35 ms at four times."""
+    config = tmp_path / "printer.cfg"
+    config.write_text(
+        "[printer]\nkinematics: corexy\n[resonance_tester]\nprobe_points: 140, 147.5, 20\n"
+        "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
+    )
+    for k, kind in enumerate(SENSORS, 1):
+        made = recorded(MACHINE, short(X), drawn_sensor(k, kind), 3, k).recording
+        since = made.t - made.t[0]
+        kept = np.ones(len(since), dtype=bool)
+        for lost in (3.0, 14.1, 25.2, 36.3):
+            kept &= (since < lost) | (since > lost + 0.035)
+        path = tmp_path / f"raw_data_x_2026010{k}_120000.csv"
+        write_klipper(path, replace(made, t=made.t[kept], a=made.a[kept]))
+    travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
+    gathered = from_folders([tmp_path], KlipperConfig(config), travel)
+    assert [one.session for one in gathered.used] == [1, 2, 3]
+    assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
+    group = uncalibrated_responses(gathered.runs, Settings((3.0, 100.0), racks=False))[0]
+    hz = group.runs[0].response.hz
+    true = np.abs(MACHINE.exact().Gxx.response(2.0 * np.pi * TS * hz))
+    band = (hz > 15.0) & (hz < 75.0)
+    for run in group.runs:
+        size = np.abs(run.response.H)
+        size *= true[hz < 25.0].mean() / size[hz < 25.0].mean()
+        assert np.abs(size - true)[band].mean() < 0.03 * true[band].mean()
+
+
+@pytest.mark.slow
+def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> None:
+    """The motion's first 30 ms and last 80 ms are missing, and slow motion is noisy."""
+    config = tmp_path / "printer.cfg"
+    config.write_text(
+        "[printer]\nkinematics: corexy\n[resonance_tester]\nprobe_points: 140, 147.5, 20\n"
+        "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
+    )
+    chip = replace(drawn_sensor(2, "lis2dw-394"), noise=8.0)
+    for name, belt in zip("BA", BELTS, strict=True):
+        former = MOTIONS["former pulses"] | {"max_freq": 105.0}
+        test = klipper(belt, **former, min_freq=8.0, hz_per_sec=2.0)
+        made = recorded(MACHINE, test, chip, 3, 5).recording
+        seconds = (made.t - START) / (1.0 + chip.drift)
+        kept = (seconds > 0.03) & (seconds < test.seconds - 0.08)
+        t = made.t[kept]
+        late = wandering(t - t[0], 4e-3, len(name))
+        rows = np.column_stack([np.round(t + late, 4), made.a[kept]])
+        np.savetxt(tmp_path / f"belt_20231129_011920_{name}.csv", rows, "%.4f,%.0f,%.0f,%.0f",
+                   header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
+    travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
+    runs = from_folders([tmp_path], KlipperConfig(config), travel).runs
+    groups = uncalibrated_responses(runs, Settings((3.0, 100.0), racks=False))
+    hz = np.linspace(15.0, 70.0, 56)
+    for axis, entry in ((0, MACHINE.exact().Gxx), (1, MACHINE.exact().Gyy)):
+        true = entry.response(2.0 * np.pi * TS * hz)
+        (first, second) = (run.response for run in groups[axis].runs)
+        both = np.interp(hz, first.hz, np.abs(first.H + second.H) / 2.0)
+        both *= np.abs(true[hz < 25.0]).mean() / both[hz < 25.0].mean()
+        assert np.abs(both / np.abs(true) - 1.0).mean() < 0.06
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
+from hframe_post.errors import HframeError
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.motion import runs
@@ -69,6 +70,17 @@ def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: 
     assert (found.fault is None) == good, f"{100.0 - left:g} of 80 µm removed: {found.fault}"
     if not good:
         assert f"removes {100.0 - left:.0f} % of the error, not the 80 %" in str(found.fault)
+
+
+def test_little_reduction_and_much_that_is_not_explained_fail() -> None:
+    """However right the model is about the reduction."""
+    none = np.zeros(0)
+    good = Verdict(
+        (100.0, 79.0), (100.0, 75.0), (1.0, 1.0), 0.3, None, None, none, (none, none), (none, none)
+    )
+    assert good.fault is None
+    assert "removes 19 % of the error" in str(replace(good, measured=(100.0, 81.0)).fault)
+    assert "misses 36 %" in str(replace(good, unexplained=0.36).fault)
 
 
 def test_a_delay_of_both_axes_does_no_harm() -> None:
@@ -175,6 +187,7 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     assert not (tmp_path / "wrong.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path) -> None:
     """The sensor is turned, and one of its axes mirrored."""
     mine, held = tmp_path / "mine.toml", tmp_path / "held"
@@ -234,6 +247,18 @@ def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
     assert not (tmp_path / "w.gcode").exists()
 
 
+def test_motions_that_cannot_be_a_test_are_errors() -> None:
+    paper = load("paper")
+    with pytest.raises(HframeError, match="does not move in x and y"):
+        runs(paper, [b"G28\n", b"G1 Z5 F600\n"])
+    short = [f"G1 X{100 + 20 * (k % 2)} Y100 F6000\n".encode() for k in range(8)]
+    with pytest.raises(HframeError, match="no part of 5 to 40 s between two standstills"):
+        runs(paper, [b"G28\n", b"G90\n", *short])
+    weak = replace(paper, motors=replace(paper.motors, belt_acceleration=1000.0))
+    with pytest.raises(HframeError, match=r"even with 0.35 of limits.acceleration"):
+        runs(weak)
+
+
 def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
     text = with_verification("paper", "2026-01-02", 0.9)
     (tmp_path / "mine.toml").write_text(text)
@@ -266,7 +291,9 @@ def corrected(machine: Machine, profile: Printer, seed: int) -> tuple[Printer, s
     return replace(profile, plant=plant), set(found)
 
 
-@pytest.mark.parametrize("fault", ["", "friction", "play", "third"])
+@pytest.mark.parametrize(
+    "fault", ["", *(pytest.param(f, marks=pytest.mark.slow) for f in ("friction", "play", "third"))]
+)
 def test_a_verification_finds_what_drifted_and_nothing_more(fault: str) -> None:
     """The second round finds nothing, and no round makes the rectangle worse."""
     size = {"friction": 150.0, "play": 0.006, "third": 0.02}

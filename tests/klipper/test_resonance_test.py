@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,9 @@ def expected(folder: Path, direction: tuple[float, float], options: str) -> Reso
     """Return the test of the host's printer.cfg with options of its section."""
     path = folder / "expected.cfg"
     path.write_text(TEMPLATE.read_text() + SECTION + options)
-    return ResonanceTest.from_config(KlipperConfig(path), direction, firmware="kalico")
+    test = ResonanceTest.from_config(KlipperConfig(path), direction)
+    kalico: dict[str, Any] = {"accel_per_hz": 75.0, "sweeping_period": 0.0}
+    return replace(test, **{key: usual for key, usual in kalico.items() if key not in options})
 
 
 def played(folder: Path, lines: str, options: str = "") -> Playback:
@@ -74,7 +78,7 @@ def test_motion_before_december_2024(tmp_path: Path) -> None:
     test = ResonanceTest((1.0, 0.0), (140.0, 147.0), 5.0, 20.0, 2.0, 75.0, 400.0, 0.0,
                          around_point=True)  # fmt: skip
     lines = ["G4 P500", "SET_VELOCITY_LIMIT ACCEL=10000 MINIMUM_CRUISE_RATIO=0"]
-    for k, hz in enumerate(test.half_cycles()[1]):
+    for k, hz in enumerate(test.half_cycles()):
         quarter, accel = 0.25 / hz, 75.0 * hz
         out = 140.0 + (-1.0) ** k * 0.5 * accel * quarter**2
         feed = 60.0 * accel * quarter

@@ -20,10 +20,12 @@ from hframe_post.firmware.player import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.conftest import few
 from tests.gcode_tools import converted, sample
-from tests.quantities import below
+from tests.matrix.files import sliced
+from tests.quantities import below, near
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
 
@@ -311,6 +313,28 @@ def contour(block: Samples, printer: Printer, name: str) -> float:
     """Return the RMS in µm."""
     found = [j.contour[name] for j in judge([block], printer.plant, 1)]
     return 1e3 * rms(np.concatenate(found))
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [pytest.param(laps(5), id="rectangle"),
+     pytest.param(sliced(1).splitlines(keepends=True), id="cube", marks=pytest.mark.slow)],
+)  # fmt: skip
+def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[bytes]) -> None:
+    options = Options("racking", ("none", "racking"))
+    report = converted(lines, marlin, options)[1]
+    predicted = report.as_json()["contour_error_um"]["racking"]
+    assert f"{predicted['with_steps']:.1f} µm RMS, of which whole steps leave" in report.as_text()
+    one = played(lines, marlin)
+    first, late, _ = one.track()
+    whole = join([b for b in Commands(iter(lines), marlin, options).computed() if len(b)])
+    n, part = len(whole), slice(int(first[0]), int(first[-1]) + WINDOW)
+    t = np.arange(n) * TS + np.interp(np.arange(n), first + WINDOW / 2, late)
+    both = {"exact": whole.commands["racking"][part], "played": one.at(t)[part]}
+    block = Samples(0, whole.xyze[part], whole.line[part], (), both)
+    exact, theirs = (contour(block, marlin, name) for name in both)
+    wanted = np.hypot(exact, 1e3 * report.lines_error("racking"))
+    near(theirs, float(wanted), 0.15 * float(wanted), "contour error, µm RMS")
 
 
 def test_nozzle_follows_with_marlins_command(

@@ -27,9 +27,8 @@ PRINTERS = (
 OUTCOMES = {
     "unmeas": (1, r"Error: .* plant\.invented: this plant was not measured on your printer"),
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
-    # of motors whose limits are too low; marlin500's are its planner's, chosen for looks
+    # of a path for which motors are too slow, so that less compensation is not enough
     "belts": (1, r"Error: line \d+: belt acceleration \(mm/s²\) would be .*, the printer's limit"),
-    "either": (1, r"Error: line \d+: (x of the path|belt acceleration) .* would be"),  # the first
     "none": (1, r"Error: no candidate stays within the motors' limits"),
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
@@ -95,6 +94,9 @@ DONE = {
     "use": Done("setting     /"),
     "printers": Done("paper  "),
     "printers show paper": Done(""),
+    "measure -o m.gcode": Done(
+        "", r"(m(-x|-y)?\.gcode ){1,2}(m\.measure(-x|-y)?-at-\d+\.csv ?){1,3}"
+    ),
     "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
     "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
-from tests.modes import axis_mode, deviation_of_mode
+from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 
 OMEGA = np.linspace(0.0, 3.0, 100)
 
@@ -89,3 +91,68 @@ def test_no_response_is_gain_at_rest_alone() -> None:
     assert np.array_equal(nothing.response(OMEGA), np.ones(len(OMEGA)))
     assert np.array_equal(nothing.impulse(2), [1.0, 0.0])
     assert isinstance(axis_mode(40.0, 0.06), TransferFunction)
+
+
+@pytest.mark.parametrize("lead", [0, 7])
+def test_a_lag_is_how_late_the_nozzle_is_at_a_constant_speed(lead: int) -> None:
+    G = ImpulseResponse(np.random.default_rng(1).normal(size=20), lead, lag=2.3)
+
+    h, late = G.impulse(40), np.arange(40) - G.ahead
+    of_impulse = np.exp(-1j * OMEGA[:, None] * late) @ h
+    assert np.abs(of_impulse - G.response(OMEGA)).max() < 1e-10  # of 1
+    assert h.sum() == pytest.approx(1.0, abs=1e-12)
+    assert h @ late == pytest.approx(2.3, abs=1e-10)  # samples
+    assert ImpulseResponse(np.zeros(1), 0, lag=2.3).impulse(3) == pytest.approx([-1.3, 2.3, 0.0])
+
+
+def test_a_damper_against_the_frame_is_a_lag() -> None:
+    """A mode of ω and ζ that the frame damps lags by 2ζ/ω."""
+    G = damped_by_the_frame(18.0, 0.13)
+    q = ImpulseResponse.from_transfer_function(G, 1900, rest=1.0)
+
+    omega = 2.0 * np.pi * 18.0 * 1e-3
+    assert q.lag == pytest.approx(2.0 * 0.13 / omega + 1.0, abs=0.01)  # ms, one of them a delay
+    assert np.abs(q.response(OMEGA) - G.response(OMEGA)).max() < 1e-9  # of 1
+    assert np.abs(q.impulse(1900) - G.impulse(1900)).max() < 1e-10  # of 1
+
+
+def test_the_slope_of_a_coupling_at_rest_is_its_lag() -> None:
+    """Racking turns the gantry by its velocity, too: a zero at z = 1 instead of two."""
+    poles = damped_by_the_frame(30.0, 0.1).poles
+    G = TransferFunction(np.ones(1, complex), poles, 0.01)
+    q = ImpulseResponse.from_transfer_function(G, 1900, rest=0.0)
+
+    assert q.lag == pytest.approx(-0.01 / float(np.prod(1.0 - poles).real), rel=1e-12)
+    assert np.abs(q.response(OMEGA) - G.response(OMEGA)).max() < 1e-9  # rad/mm
+
+
+def test_a_stretched_response_lags_as_much_longer() -> None:
+    G = ImpulseResponse(
+        deviation_of_mode(40.0, 0.06, 900), 0, lag=2.0, drift=0.02,
+        unknown=0.1 * deviation_of_mode(60.0, 0.2, 300),
+    )  # fmt: skip
+    longer = G.stretched(1.25)
+
+    assert (longer.lag, longer.drift) == (2.5, 0.02)
+    expected = 0.1 * deviation_of_mode(48.0, 0.2, len(longer.unknown))
+    assert np.abs(longer.unknown - expected).max() < 0.01  # µm, of 0.3
+    slow = np.array([1e-3])
+    assert longer.response(slow) == pytest.approx(G.response(1.25 * slow), abs=1e-5)  # of 1
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"lag": np.nan},
+        {"lag": np.inf},
+        {"drift": -0.01},
+        {"drift": 1.0},
+        {"drift": np.nan},
+        {"unknown": np.array([np.nan])},
+        {"unknown": np.zeros((2, 2))},
+        {"unknown": np.zeros(LONGEST + 1)},
+    ],
+)
+def test_an_impossible_lag_or_doubt_is_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
+        ImpulseResponse(np.array([0.0, 1.0]), 0, **bad)

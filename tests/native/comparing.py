@@ -14,7 +14,7 @@ from hframe_post import native
 
 seeds = st.integers(0, 2**32 - 1)
 thorough = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-CALLS, ROUNDS = Path(__file__).with_name("bad_arguments.py"), "2000"
+CALLS, ROUNDS = Path(__file__).with_name("bad_arguments.py"), "1000"
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
@@ -98,7 +98,7 @@ def test_block_times(
     same(block_times(*arguments), in_numpy(block_times, *arguments))
 
 
-@thorough
+@settings(thorough, max_examples=25)
 @given(
     seeds, st.integers(1, 300),
     st.sampled_from(["2.0", "2.1", "2.1 curved", "2.1 jerk", "2.1-dev"]),

@@ -54,6 +54,23 @@ def test_it_is_the_same_again(paper: Printer, tmp_path: Path) -> None:
     assert first == built(paper, sliced(), tmp_path / "2.html")
 
 
+def test_errors_are_ranges_where_the_model_is_uncertain(paper: Printer, tmp_path: Path) -> None:
+    exact, unsure = (
+        data_of(built(replace(paper, uncertainty=share), sliced(), tmp_path / "r.html"))
+        for share in (None, 0.04)
+    )
+    best, known = exact["strategies"][-1], unsure["strategies"][-1]
+    assert "range" not in best
+    low, high = known["range"]
+    assert low < known["rms"] < high
+    assert best["rms"] < known["rms"]  # µm: the median, and what the model leaves of itself
+    for parts in ("layers", "byFeature"):
+        assert len(unsure[parts]) == len(exact[parts])
+        for one, other in zip(exact[parts], unsure[parts], strict=True):
+            assert one["rms"][0] == other["rms"][0]  # µm without compensation
+            assert one["rms"][-1] < other["rms"][-1]
+
+
 def test_labels_of_the_summary_are_separated_from_their_text() -> None:
     found = re.search(r"= /(.+)/\.exec\(note\)", (PAGES / "frame.js").read_text("utf-8"))
     assert found is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -11,7 +12,12 @@ import pytest
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import PrinterError
-from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
+from hframe_post.model.impulse_response import (
+    Elsewhere,
+    ImpulseResponse,
+    Linear,
+    transfer_function,
+)
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.printer.edit import with_check, with_plant, with_verification
 from hframe_post.printer.profile import load, parse
@@ -25,6 +31,21 @@ BASE = 'extends = "example-corexy"\n[plant]\ninvented = false\n'
 
 def measured(rest: float = 1.0, scale: float = 1.0) -> ImpulseResponse:
     return ImpulseResponse(scale * EARLY, 32, rest)
+
+
+def doubted(rest: float = 1.0, scale: float = 1.0) -> ImpulseResponse:
+    """Return a response with a lag, of which it is said how well it is known."""
+    unknown = 0.05 * scale * EARLY[32:200]
+    return replace(measured(rest, scale), lag=round(2.3 * scale, 7), drift=0.02, unknown=unknown)
+
+
+def placed(rest: float = 1.0, scale: float = 1.0) -> ImpulseResponse:
+    """Return a response that changes along x."""
+    others = (
+        Elsewhere(30.0, 1.0625, measured(rest, 0.9 * scale)),
+        Elsewhere(251.5, 0.9, measured(rest, 1.2 * scale)),
+    )
+    return replace(measured(rest, scale), x=140.0, elsewhere=others)
 
 
 def deviation(G: Linear | None) -> Array:
@@ -46,14 +67,17 @@ def test_one_mode_is_written_in_micrometres() -> None:
     assert lag[4] == pytest.approx(1e3 / (2.0 * np.pi * 50.0), rel=0.05)
 
 
-def test_responses_are_written_as_they_are_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("one_of", [measured, doubted, placed])
+def test_responses_are_written_as_they_are_read(
+    tmp_path: Path, one_of: Callable[..., ImpulseResponse]
+) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('extends = "paper"  # mine\n')
     cross = (
-        Coupling(Y, X, measured(0.0, 0.02)),
-        Coupling(X, Y, measured(0.0, 1e-4), X, 120.0),
+        Coupling(Y, X, one_of(0.0, 0.02)),
+        Coupling(X, Y, one_of(0.0, 1e-4), X, 120.0),
     )
-    plant = Plant(measured(), measured(scale=0.7), measured(0.0, 1e-3), 140.0, cross)
+    plant = Plant(one_of(), one_of(scale=0.7), one_of(0.0, 1e-3), 140.0, cross)
     text = with_plant(str(mine), plant, WINDOWS, ["measured"], 0.02, measured=date(2026, 7, 1))
 
     found = parse(text, "mine").plant
@@ -71,6 +95,13 @@ def test_responses_are_written_as_they_are_read(tmp_path: Path) -> None:
         assert isinstance(other, ImpulseResponse)
         assert (one.lead, one.rest) == (other.lead, other.rest)
         assert np.abs(one.deviation - other.deviation).max() <= 0.5001e-4 * unit  # µm, or mrad
+        assert one.lag == pytest.approx(other.lag, abs=5e-5 * unit)
+        assert one.drift == other.drift
+        assert one.unknown == pytest.approx(other.unknown, abs=0.5001e-4 * unit)
+        for at, wanted in zip(one.elsewhere, other.elsewhere, strict=True):
+            assert (one.x, at.x, at.frequency) == (other.x, wanted.x, wanted.frequency)
+            assert np.abs(at.G.deviation - wanted.G.deviation).max() <= 0.5001e-4 * unit
+    assert ("lag" in text) == ("unknown" in text) == (one_of is doubted)
     mine.write_text(text)
     again = with_plant(str(mine), found, WINDOWS, ["measured"], 0.02, measured=date(2026, 7, 1))
     assert again == text  # what was read is written with the same digits
@@ -96,6 +127,56 @@ def test_a_verified_profile_and_its_digest_know_the_response(tmp_path: Path) -> 
     assert np.array_equal(deviation(checked.plant.Gxx), deviation(verified.plant.Gxx))
 
 
+def test_a_checked_profile_keeps_what_is_not_known(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    plant = replace(PAPER.plant, Gxx=measured(), Gyy=doubted(), Gxtheta=None)
+    mine.write_text(with_plant("example-corexy", plant, WINDOWS, []))
+
+    moved = doubted().stretched(1.02)
+    checked = parse(with_check(str(mine), {"Gyy": moved}, 0.03, None), "mine").plant.Gyy
+    assert isinstance(checked, ImpulseResponse)
+    assert checked.lag == pytest.approx(1.02 * 2.3, abs=1e-4)  # ms
+    assert checked.drift == 0.02
+    assert checked.unknown == pytest.approx(moved.unknown, abs=1e-4)  # µm
+
+
+def test_a_check_moves_all_places(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    plant = replace(PAPER.plant, Gxx=placed(), Gyy=measured(), Gxtheta=None)
+    mine.write_text(with_plant("example-corexy", plant, WINDOWS, []))
+
+    moved = placed().stretched(1.02)
+    checked = parse(with_check(str(mine), {"Gxx": moved}, 0.03, None), "mine").plant.Gxx
+    assert isinstance(checked, ImpulseResponse)
+    for one, other in zip(checked.nodes, moved.nodes, strict=True):
+        assert one[0] == other[0]
+        assert one[1].deviation == pytest.approx(other[1].deviation, abs=1e-4)  # µm
+
+
+PLACE = "[[plant.Gxx.places]]\nx = 30.0\nfrequency = 1.1\nlead = 0\ndeviation = [1.0, 2.0]\n"
+
+
+@pytest.mark.parametrize(
+    ("own", "place", "key"),
+    [
+        ("", PLACE, "plant.Gxx.x"),
+        ("x = 30.2\n", PLACE, "plant.Gxx"),
+        ("x = 140.0\n", PLACE.replace("1.1", "9.0"), "plant.Gxx.places[1].frequency"),
+        ("x = 140.0\n", PLACE.replace("x = 30.0\n", ""), "plant.Gxx.places[1].x"),
+        ("x = 140.0\n", PLACE.replace("30.0", '"left"'), "plant.Gxx.places[1].x"),
+        ("x = 140.0\n", PLACE.replace("lead = 0", "lead = 7"), "plant.Gxx.places[1]"),
+        ("x = 140.0\n", PLACE + "drift = 0.1\n", "plant.Gxx.places[1].drift"),
+        ("x = 140.0\nplaces = 3\n", "", "plant.Gxx.places"),
+        ("x = 140.0\n", PLACE + PLACE, "plant.Gxx"),
+    ],
+)
+def test_places_that_make_no_sense_are_named(own: str, place: str, key: str) -> None:
+    text = f"{BASE}[plant.Gxx]\n{own}lead = 32\ndeviation = {EARLY.tolist()}\n{place}"
+    with pytest.raises(PrinterError) as caught:
+        parse(text, "mine")
+    assert caught.value.key == key
+
+
 def test_both_kinds_may_stand_side_by_side() -> None:
     """What extends a profile replaces a transfer function as a whole."""
     text = f"{BASE}[plant.Gyy]\nlead = 32\ndeviation = {EARLY.tolist()}\n"
@@ -108,6 +189,9 @@ def test_both_kinds_may_stand_side_by_side() -> None:
 def test_a_response_of_zeros_is_no_racking() -> None:
     text = 'extends = "paper"\n[plant.Gxtheta]\nlead = 0\ndeviation = [0.0, 0]\n'
     assert parse(text, "mine").plant.Gxtheta is None
+    racking = parse(text + "lag = 0.5\n", "mine").plant.Gxtheta
+    assert isinstance(racking, ImpulseResponse)
+    assert racking.lag == pytest.approx(5e-4)  # rad at 1 mm/ms: 0.5 µrad at 1 mm/s
 
 
 @pytest.mark.parametrize(
@@ -130,6 +214,14 @@ def test_a_response_of_zeros_is_no_racking() -> None:
         ("lead = 2\ndeviation = [0.0, 1.0]", "Gxx", "lead must be from 0 to 1"),
         ("lead = -1\ndeviation = [0.0, 1.0]", "Gxx", "lead must be from 0 to 1"),
         ("lead = 0.5\ndeviation = [0.0, 1.0]", "Gxx.lead", "a whole number"),
+        ("lead = 0\ndeviation = [0.0]\nlag = 1e4", "Gxx.lag", "at most 1000"),
+        ("lead = 0\ndeviation = [0.0]\nlag = nan", "Gxx.lag", "a number"),
+        ("lead = 0\ndeviation = [0.0]\ndrift = 1.0", "Gxx.drift", "at most 0.99"),
+        ("lead = 0\ndeviation = [0.0]\ndrift = -0.1", "Gxx.drift", "at least 0"),
+        ("lead = 0\ndeviation = [0.0]\nunknown = 0.1", "Gxx.unknown", "1 to 2000 numbers"),
+        ("lead = 0\ndeviation = [0.0]\nunknown = [inf]", "Gxx.unknown", "a number"),
+        ("lag = 1.0", "Gxx.deviation", "the key is missing"),
+        ("lag = 1.0\nzeros = []\npoles = []\ngain = 1.0", "Gxx.zeros", "leave one of them out"),
         ("lead = 0\ndeviations = [0.0]", "Gxx.deviations", "nearest known is 'deviation'"),
     ],
 )

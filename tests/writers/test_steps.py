@@ -64,7 +64,7 @@ def position_after_each_tick(done: Stepping, motor: int, ticks: int) -> Array:
     return done.starts[0].position[motor] + np.cumsum(moved)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(paths())
 def test_position_is_within_half_a_step_and_a_tick_of_the_command(path: Array) -> None:
     done, ticks = stepped([block(path)], TABLE), PER_SAMPLE * len(path)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
-from hframe_post.printer.firmware_tables import END_MACRO, MACROS
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED
 from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 
@@ -65,6 +65,17 @@ gcode:
     G28
     {{% endif %}}
     SDCARD_PRINT_FILE FILENAME={{params.FILENAME|default("check.gcode")}}
+
+# After M400 the print time is that at which the motion has ended, and it is read only once: the end
+# of the first recording changes it. Without NAME the recordings are of no use
+[gcode_macro {RECORDED}]
+description: End the recordings of accelerometers; their names tell the print time in microseconds
+gcode:
+    {{% set name = params.NAME ~ "-t" ~ (printer.toolhead.print_time * 1000000)|round|int \
+if "NAME" in params else "{UNUSED}" %}}
+    {{% for chip in params.CHIPS.split(",") %}}
+    ACCELEROMETER_MEASURE CHIP={{chip}} NAME={{name}}
+    {{% endfor %}}
 
 # stream: velocity and acceleration of the converted file that is paused
 [gcode_macro _HFRAME_LEAVE]

@@ -19,6 +19,7 @@ from hframe_post.identification.by_eye.waves import Band, PrintedMode, Reading, 
 
 WALLS = {"x": "right wall", "y": "back wall"}
 LEAST_UNCERTAINTY, MOST_UNCERTAINTY = 0.1, 0.3  # second modes are not seen; a ruler reads no worse
+MOST = 1e5  # of any number
 HEAD = """\
 # What the tower shows. Hold it so that light falls along a wall, and look at the waves behind the
 # corner, beginning with the second: mm from crest to crest with a ruler, over how many waves that
@@ -58,7 +59,7 @@ class Filled:
 
     readings: dict[str, list[Reading]]
     acceleration: float
-    blocks: tuple[Blocks, Comb] | None = None
+    blocks: Blocks | None = None
 
     def modes(self) -> dict[str, PrintedMode]:
         """Return the mode of each axis. Raises IdentificationError, which names the axis."""
@@ -75,53 +76,54 @@ class Filled:
         if self.blocks is None:
             return None
         seen_from = math.sqrt(modes["x"].seen_from * modes["y"].seen_from)
-        return printed_racking(*self.blocks, modes["x"], middle, seen_from)
+        return printed_racking(self.blocks, modes["x"], middle, seen_from)
 
 
 def filled(text: str, source: str) -> Filled:
     """Return a filled form. Raises HframeError, which names the row."""
     try:
         document = tomllib.loads(text)
-        printed, waves = document["print"], document["waves"]
-        speeds, corners = printed["speeds"], printed["corners"]
-        bands = [Band(float(v), float(c)) for v, c in zip(speeds, corners, strict=True)]
+        printed, waves, racking = document["print"], document["waves"], document.get("racking", {})
+        pairs = zip(printed["speeds"], printed["corners"], strict=True)
+        bands = [Band(float(speed), float(corner)) for speed, corner in pairs]
+        if not (isinstance(waves, dict) and isinstance(racking, dict)):
+            raise TypeError("waves and racking are tables")
         acceleration = float(printed["acceleration"])
     except (ValueError, KeyError, TypeError) as error:
         raise HframeError(
             f"{source} is not a form of 'hframe-post calibrate-print': {error}"
         ) from None
+    row = "must be three numbers: mm, over how many waves, seen"
     readings = {
-        axis: [_reading(waves, f"{axis}{k}", band, source) for k, band in enumerate(bands, 1)]
+        axis: [
+            Reading(band, *_numbers(waves.get(name, [0, 0, 0]), 3, f"{source}: {name} {row}"))
+            for name, band in ((f"{axis}{k}", band) for k, band in enumerate(bands, 1))
+        ]
         for axis in WALLS
     }
-    racking = document.get("racking")
-    return Filled(readings, acceleration, racking and _blocks(racking, source))
+    return Filled(readings, acceleration, _blocks(racking, source) if racking else None)
 
 
-def _blocks(racking: object, source: str) -> tuple[Blocks, Comb]:
-    try:
-        if not isinstance(racking, dict):
-            raise TypeError
-        left, blocks, speed, acceleration = (float(one) for one in racking["wall"])
-        of, distance, waves = (float(one) for one in racking["measured"])
-        seen = tuple(float(one) for one in racking["seen"])
-        if len(seen) != blocks - 1 or min(*seen, of, distance, waves) < 0.0 or of > len(seen):
-            raise ValueError
-    except (KeyError, TypeError, ValueError):
-        raise HframeError(
-            f"{source}: under [racking], seen needs a number for each block, as many as there were "
-            "zeros, and measured three numbers: block, mm, over how many waves"
-        ) from None
+def _blocks(racking: dict[str, object], source: str) -> Blocks:
+    message = (
+        f"{source}: under [racking], seen needs a number for each block, as many as there were "
+        "zeros, and measured three numbers: block, mm, over how many waves"
+    )
+    left, blocks, speed, acceleration = _numbers(racking.get("wall"), 4, message, -MOST)
+    seen = _numbers(racking.get("seen"), int(blocks) - 1, message)
+    of, distance, waves = _numbers(racking.get("measured"), 3, message)
+    if of > len(seen):
+        raise HframeError(message)
     wall = Comb(left, int(blocks), speed, acceleration)
-    return Blocks(seen, int(of), distance, waves), wall
+    return Blocks(wall, tuple(seen), int(of), distance, waves)
 
 
-def _reading(waves: dict[str, object], name: str, band: Band, source: str) -> Reading:
-    row = waves.get(name, [0, 0, 0])
+def _numbers(row: object, count: int, message: str, least: float = 0.0) -> list[float]:
+    """Return a row of so many numbers. Raises HframeError with the message otherwise."""
     if (
         not isinstance(row, list)
-        or len(row) != 3
-        or not all(isinstance(one, int | float) and 0.0 <= one < 1e3 for one in row)
+        or len(row) != count
+        or not all(isinstance(one, int | float) and least <= one < MOST for one in row)
     ):
-        raise HframeError(f"{source}: {name} must be three numbers: mm, over how many waves, seen")
-    return Reading(band, *(float(one) for one in row))
+        raise HframeError(message)
+    return [float(one) for one in row]

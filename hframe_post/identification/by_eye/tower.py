@@ -11,8 +11,9 @@ allows (``racking``). The tower's corner for y is then in the middle, where rack
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from math import dist, pi
 
 import numpy as np
 
@@ -39,21 +40,9 @@ BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
 COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
 
-
-@dataclass(frozen=True, slots=True)
-class Heat:
-    """°C of nozzle and bed."""
-
-    nozzle: float
-    bed: float
-
-    def lines(self) -> list[str]:
-        nozzle, bed = plain(self.nozzle, 0), plain(self.bed, 0)
-        return [f"M140 S{bed}", f"M190 S{bed}", "G28", f"M104 S{nozzle}", f"M109 S{nozzle}",
-                "M106 S128", "G90", "M83"]  # fmt: skip
-
-
 COLD = ["M104 S0", "M140 S0", "M106 S0"]
+Place = tuple[float, float]  # x and y, mm
+Heat = tuple[float, float]  # °C of nozzle and bed
 
 
 def bands(printer: Printer) -> list[Band]:
@@ -75,9 +64,7 @@ def _corners(printer: Printer) -> tuple[float, float]:
     marlin = printer.firmware.marlin if printer.firmware.dialect == "marlin" else None
     if marlin is None or marlin.classic_jerk:
         return HARD, SOFT * HARD
-    least, most = (
-        float(np.sqrt(J * RIGHT_ANGLE * printer.limits.acceleration)) for J in DEVIATIONS
-    )
+    least, most = np.sqrt(RIGHT_ANGLE * printer.limits.acceleration * np.array(DEVIATIONS)).tolist()
     hard = min(HARD, most)
     return hard, min(max(SOFT * hard, least), hard)
 
@@ -88,24 +75,22 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
     Raises HframeError if it does not fit onto the bed.
     """
     (x, y), long = _middle(printer), comb(printer)
-    width, depth = SIDE + 2.0 * GAP, SIDE + 2.0 * GAP
+    width = depth = SIDE + 2.0 * GAP
     if long is not None:
         x, width, depth = x - SIDE / 2.0, 2.0 * (SIDE + GAP), depth + 2.0 * (GAP + DEPTH)
     if np.ptp(printer.travel.x) < width or np.ptp(printer.travel.y) < depth:
         raise HframeError(f"the bed must be at least {width:g} mm wide and {depth:g} mm deep")
-    lines = [OFF.decode(), f"; waves to measure, hframe-post {__version__}", *heat.lines()]
+    lines = [OFF.decode(), f"; waves to measure, hframe-post {__version__}", *_heated(heat)]
     if long is not None:
         lines += _comb(printer, long, y - SIDE / 2.0 - GAP - DEPTH)
-    z = 0.0
     for k, band in enumerate(bands(printer)):
         lines += [f"; band {k + 1}: {band.speed:g} mm/s"]
         lines += _limits(printer, printer.limits.acceleration, band.corner)
-        lines += _walls(printer, (x, y), SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
-        z = (k + 1) * LAYERS * LAYER
-    at = np.array([x, y, z + GAP, 0.0])
+        lines += _square(printer, (x, y), SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
+    top = len(bands(printer)) * LAYERS * LAYER + GAP
     state = ModalState(True, False, 0.0, TRAVEL, (0.0, 0.0, 0.0))
-    end = player(printer, None).end(state, at)
-    return [*lines, f"G1 Z{plain(at[2], 2)} F600", *(line.decode() for line in end), *COLD]
+    end = player(printer, None).end(state, np.array([x, y, top, 0.0]))
+    return [*lines, f"G1 Z{plain(top, 2)} F600", *(line.decode() for line in end), *COLD]
 
 
 def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
@@ -125,35 +110,10 @@ def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
             f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
 
 
-def _walls(
-    printer: Printer, middle: tuple[float, float], side: float, speed: float, layers: range
-) -> Iterator[str]:
-    """Yield layers of a square, counter-clockwise from the front left corner, with a brim."""
-    if layers.start == 0:  # before the nozzle goes down, which may be above another wall
-        yield _travel(*(place - side / 2.0 - BRIM * WIDTH for place in middle))
-    for layer in layers:
-        yield _height(layer)
-        if layer == 0:
-            for k in range(BRIM, 0, -1):
-                yield from _square(printer, middle, side + 2.0 * k * WIDTH, FIRST)
-        yield from _square(printer, middle, side, FIRST if layer == 0 else speed)
-
-
-def _square(
-    printer: Printer, middle: tuple[float, float], side: float, speed: float
-) -> Iterator[str]:
-    (x, y), half = middle, side / 2.0
-    return _rectangle(printer, (x - half, y - half), (x + half, y + half), speed)
-
-
-def _rectangle(
-    printer: Printer, low: tuple[float, float], high: tuple[float, float], speed: float
-) -> Iterator[str]:
-    (x, y), (to_x, to_y) = low, high
-    yield _travel(x, y)
-    for place, way in (((to_x, y), to_x - x), ((to_x, to_y), to_y - y), ((x, to_y), to_x - x),
-                       ((x, y), to_y - y)):  # fmt: skip
-        yield _line(printer, place, way, speed)
+def _heated(heat: Heat) -> list[str]:
+    nozzle, bed = (plain(one, 0) for one in heat)
+    return [f"M140 S{bed}", f"M190 S{bed}", "G28", f"M104 S{nozzle}", f"M109 S{nozzle}",
+            "M106 S128", "G90", "M83"]  # fmt: skip
 
 
 def comb(printer: Printer) -> Comb | None:
@@ -170,30 +130,54 @@ def comb(printer: Printer) -> Comb | None:
 
 def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
     """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
-    right = wall.left + wall.blocks * BLOCK
+    left, right, back = wall.left, wall.left + wall.blocks * BLOCK, y + DEPTH
+    klipper = printer.firmware.dialect == "klipper"
+    accelerate = "SET_VELOCITY_LIMIT ACCEL=" if klipper else "M204 P"
     yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
-    yield _travel(wall.left - BRIM * WIDTH, y - BRIM * WIDTH)
-    yield _height(0)
-    for w in (k * WIDTH for k in range(BRIM, 0, -1)):
-        low, high = (wall.left - w, y - w), (right + w, y + DEPTH + w)
-        yield from _rectangle(printer, low, high, FIRST)
-    yield _travel(wall.left, y)
+    yield from _brim(printer, (left, y), (right, back))
+    yield _travel(left, y)
     for layer in range(LOW):
         yield from (_height(layer), "G4 P0")
-        for x, (a, b) in zip(wall.borders(), pairwise(wall.accelerations), strict=True):
-            for to, hard in ((x + BLOCK / 2.0, a), (x + BLOCK, b)):
-                yield _acceleration(printer, hard)
-                yield _line(printer, (to, y), BLOCK / 2.0, wall.speed if layer else FIRST)
+        for x, both in zip(wall.borders().tolist(), pairwise(wall.accelerations), strict=True):
+            halves = pairwise([(x, y), (x + BLOCK / 2.0, y), (x + BLOCK, y)])
+            for half, a in zip(halves, both, strict=True):
+                yield f"{accelerate}{plain(a, 0)}"
+                yield from _line(printer, half, wall.speed if layer else FIRST)
             yield "G4 P0"
-        for place, way in (((right, y + DEPTH), DEPTH), ((wall.left, y + DEPTH), right - wall.left),
-                           ((wall.left, y), DEPTH)):  # fmt: skip
-            yield _line(printer, place, way, FIRST)
+        yield from _line(printer, [(right, y), (right, back), (left, back), (left, y)], FIRST)
     yield _height(LOW + LAYERS)
 
 
-def _acceleration(printer: Printer, a: float) -> str:
-    klipper = printer.firmware.dialect == "klipper"
-    return f"SET_VELOCITY_LIMIT ACCEL={plain(a, 0)}" if klipper else f"M204 P{plain(a, 0)}"
+def _square(
+    printer: Printer, middle: Place, side: float, speed: float, layers: range
+) -> Iterator[str]:
+    """Yield layers of a square, with a brim."""
+    low, high = ((middle[0] + half, middle[1] + half) for half in (-side / 2.0, side / 2.0))
+    for layer in layers:
+        yield from _brim(printer, low, high) if layer == 0 else [_height(layer)]
+        yield from _loop(printer, low, high, FIRST if layer == 0 else speed)
+
+
+def _brim(printer: Printer, low: Place, high: Place) -> Iterator[str]:
+    """Yield lines on the bed around a rectangle between two corners, from the outermost."""
+    yield _travel(*(at - BRIM * WIDTH for at in low))  # it may pass above another wall
+    yield _height(0)
+    for w in (k * WIDTH for k in range(BRIM, 0, -1)):
+        yield from _loop(printer, (low[0] - w, low[1] - w), (high[0] + w, high[1] + w), FIRST)
+
+
+def _loop(printer: Printer, low: Place, high: Place, speed: float) -> Iterator[str]:
+    """Yield a rectangle, counter-clockwise from the front left corner."""
+    yield _travel(*low)
+    yield from _line(printer, [low, (high[0], low[1]), high, (low[0], high[1]), low], speed)
+
+
+def _line(printer: Printer, places: Sequence[Place], speed: float) -> Iterator[str]:
+    """Yield moves that extrude from the first place to the others in turn."""
+    for start, (x, y) in pairwise(places):
+        volume = LAYER * WIDTH * dist(start, (x, y))
+        fed = volume / (pi / 4.0 * printer.limits.filament_diameter**2)
+        yield f"G1 X{plain(x, 3)} Y{plain(y, 3)} E{plain(fed, 5)} F{plain(speed * 60.0, 0)}"
 
 
 def _height(layer: int) -> str:
@@ -204,14 +188,7 @@ def _travel(x: float, y: float) -> str:
     return f"G0 X{plain(x, 3)} Y{plain(y, 3)} F{plain(TRAVEL * 60.0, 0)}"
 
 
-def _line(printer: Printer, place: tuple[float, float], way: float, speed: float) -> str:
-    """Return a move that extrudes over a way (mm) to a place."""
-    fed = LAYER * WIDTH * way / (np.pi / 4.0 * printer.limits.filament_diameter**2)
-    x, y = (plain(float(one), 3) for one in place)
-    return f"G1 X{x} Y{y} E{plain(fed, 5)} F{plain(speed * 60.0, 0)}"
-
-
-def _middle(printer: Printer) -> tuple[float, float]:
+def _middle(printer: Printer) -> Place:
     return round(sum(printer.travel.x) / 2.0, 1), round(sum(printer.travel.y) / 2.0, 1)
 
 
@@ -225,10 +202,10 @@ def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> list[bytes
     the motors allow. Raises HframeError.
     """
     limits, corner = printer.limits, _corners(printer)[0]
-    hardest = replace(limits, square_corner_velocity=corner, jerk=HARDEST_JERK)
-    for hard in (hardest, replace(limits, square_corner_velocity=corner)):
+    hard = replace(limits, square_corner_velocity=corner)
+    for harder in (replace(hard, jerk=HARDEST_JERK), hard):
         try:
-            return list(_squares(printer, plants, heat, hard))
+            return list(_squares(printer, plants, heat, harder))
         except LimitError:
             pass  # the motors cannot do that, not even with less compensation
     return list(_squares(printer, plants, heat, limits))
@@ -241,16 +218,14 @@ def _squares(
     side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
     if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
         raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
-    speed = bands(printer)[-1].speed
-    head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *heat.lines()]
+    speed, above = bands(printer)[-1].speed, f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"
+    head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *_heated(heat)]
     yield "\n".join([*head, ""]).encode()
     for k, plant in enumerate(plants):
         at = round(x + (k - (n - 1) / 2.0) * (side + GAP), 1), y
-        lines = [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
-        lines += _walls(printer, at, side, speed, range(LOW))
-        lines += [f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"]
+        walls = _square(printer, at, side, speed, range(LOW))
+        text = (f"{line}\n".encode() for line in ("G90", "M83", above, *walls, above))
         own = replace(printer, plant=plant, limits=limits)
-        text = (line.encode() + b"\n" for line in ["G90", "M83", *lines])
         for piece in GcodeConversion(text, own, Options("racking", clamp=True)):
             if isinstance(piece, bytes) and not piece.startswith(STAMP):
                 yield piece

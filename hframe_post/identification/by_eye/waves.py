@@ -4,6 +4,11 @@ Up to the corner one axis brakes from the band's speed to that of the corner, an
 once; the other one goes on along the wall. From then on the first one rings. Its waves are seen as
 long as they are higher than some hundredths of a millimetre, which is not known exactly: waves of
 hard and soft corners tell it.
+
+A mode with the poles s₁ and s̄₁ answers a command U with G·U, G = |s₁|²/((s − s₁)(s − s̄₁)). Of a
+command of straight lines, s²U is pulses at the samples, so an ``ImpulseResponse`` is exact. Its
+deviation is the inverse Laplace transform of G/s² for an axis, without the double pole at rest,
+which is the command and its lag of 2ζ/ω; and of modes' product G for what follows acceleration.
 """
 
 from __future__ import annotations
@@ -17,9 +22,8 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.fitting.discrete import discretize
-from hframe_post.model.plant import Filter
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
+from hframe_post.model.plant import FiniteFilter
 
 RULER = 0.3  # mm by which a distance may be read wrong
 MISCOUNT = 0.6  # waves by which their number may be
@@ -27,6 +31,7 @@ DAMPING = np.array([0.02, 0.03, 0.04, 0.05, 0.06, 0.075, 0.09, 0.11, 0.13, 0.16,
 SEEN_FROM = np.geomspace(0.008, 0.03, 9)  # mm: the lowest wave that is seen
 USUAL, SPREAD = 0.016, 0.35  # mm, and standard deviation of its logarithm
 PLAUSIBLE_HZ = (8.0, 120.0)
+SETTLED = 1e-3  # of the largest deviation: what is less has settled
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +65,48 @@ class PrintedMode:
     uncertainty: float
     seen_from: float
 
-    def function(self) -> TransferFunction:
-        return mode_function(self.hz, self.damping)
+    def response(self) -> ImpulseResponse:
+        return mode_response(self.hz, self.damping)
 
 
-def mode_function(hz: float, damping: float) -> TransferFunction:
+def pole(hz: float, damping: float) -> complex:
+    """Return the pole of a mode above the real axis, per sample."""
+    return 2.0 * math.pi * hz * TS * complex(-damping, math.sqrt(1.0 - damping**2))
+
+
+def mode_response(hz: float, damping: float) -> ImpulseResponse:
     """Return a mode that follows its command at rest, for a command of straight lines."""
-    w = 2.0 * np.pi * hz * TS
-    F = w * np.array([[0.0, 1.0], [-1.0, -2.0 * damping]])
-    return discretize([(F, w * np.array([0.0, 1.0]), np.array([1.0, 0.0]))], 0)
+    s = pole(hz, damping)
+    return ImpulseResponse(ringing([s], 2), 0, lag=-2.0 * (1.0 / s).real)
+
+
+def ringing(poles: Sequence[complex], integrals: int) -> Array:
+    """Return how modes in a row, with these poles, ring after a pulse that is integrated first.
+
+    (m,) samples until it has settled, by residues.
+    """
+    t, total = np.arange(LONGEST), np.zeros(LONGEST)
+    for k, s in enumerate(poles):
+        residue = abs(s) ** 2 / (2j * s.imag) / s**integrals
+        for p in (*poles[:k], *poles[k + 1 :]):
+            residue *= abs(p) ** 2 / ((s - p) * (s - p.conjugate()))
+        total += 2.0 * (residue * np.exp(s * t)).real
+    total[0] = 0.0  # a lag begins one sample later
+    lasting = np.flatnonzero(np.abs(total) > SETTLED * np.abs(total).max())
+    return total[: lasting[-1] + 1]
+
+
+def travel(length: float, speed: float, ends: float, up: float, down: float) -> Array:
+    """Return the way (n,) in mm every 1 ms along a line that begins and ends at mm/s.
+
+    up, down: mm/s² from there to the speed, and back.
+    """
+    gained, lost = (speed - ends) / up, (speed - ends) / down
+    cruise = (length - (speed + ends) / 2.0 * (gained + lost)) / speed
+    t = np.arange(round((gained + cruise + lost) / TS)) * TS
+    braked = np.maximum(t - gained - cruise, 0.0)
+    way = ends * t + (speed - ends) * np.maximum(t - gained, 0.0)
+    return np.asarray(way + up * np.minimum(t, gained) ** 2 / 2.0 - down * braked**2 / 2.0)
 
 
 def corner_path(band: Band, a: float, side: float) -> tuple[Array, int]:
@@ -76,21 +114,10 @@ def corner_path(band: Band, a: float, side: float) -> tuple[Array, int]:
 
     It comes along the first axis and leaves along the second. a: mm/s²; side: mm.
     """
-    ramp, seconds = (band.speed**2 - band.corner**2) / (2.0 * a), (band.speed - band.corner) / a
-    cruise = (side - 2.0 * ramp) / band.speed
-    t = np.arange(0.0, 2.0 * seconds + cruise, TS)
-    up, down = np.minimum(t, seconds), np.maximum(t - seconds - cruise, 0.0)
-    way = band.corner * up + a * up**2 / 2.0 + band.speed * np.maximum(t - seconds, 0.0)
-    way -= a * down**2 / 2.0
-    rest, n = np.zeros(400), len(way)
-    first = np.concatenate([rest, way, np.full(n, side)]) - side
-    return np.column_stack([first, np.concatenate([rest, np.zeros(n), way])]), len(rest) + n
-
-
-def half_waves(deviation: Array) -> Array:
-    """Return the heights (k,) of crests and troughs on a wall, in mm."""
-    size = np.abs(deviation)
-    return np.asarray(size[find_peaks(size)[0]])
+    way = travel(side, band.speed, band.corner, a, a)
+    still = np.zeros(len(way))
+    first, second = np.concatenate([way - side, still]), np.concatenate([still, way])
+    return np.column_stack([first, second]), len(way)
 
 
 def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedMode:
@@ -98,18 +125,17 @@ def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedM
     measured = [one for one in readings if one.waves > 0.0 and one.distance > 0.0]
     if not measured:
         raise IdentificationError("no band has a distance and a number of waves")
-    hz = np.array([one.band.speed * one.waves / one.distance for one in measured])
-    weight = np.array(
-        [(one.distance / (RULER * f)) ** 2 for one, f in zip(measured, hz, strict=True)]
-    )
+    distance = np.array([one.distance for one in measured])
+    hz = np.array([one.band.speed * one.waves for one in measured]) / distance
+    weight = (distance / (RULER * hz)) ** 2
     mean = float(weight @ hz / weight.sum())
-    if not PLAUSIBLE_HZ[0] <= mean <= PLAUSIBLE_HZ[1]:
-        low, high = PLAUSIBLE_HZ
+    low, high = PLAUSIBLE_HZ
+    if not low <= mean <= high:
         raise IdentificationError(
             f"these waves mean {mean:.0f} Hz, but printers ring at {low:g} to {high:g} Hz: check "
             "the distances in mm and the numbers of waves"
         )
-    apart = float(np.sqrt(weight @ (hz - mean) ** 2 / weight.sum())) / mean
+    apart = math.sqrt(weight @ (hz - mean) ** 2 / weight.sum()) / mean
     by_ruler = float(weight.sum() ** -0.5) / mean
     damping, seen_from = _fading(readings, mean, a, side)
     natural = mean / math.sqrt(1.0 - damping**2)
@@ -122,11 +148,23 @@ def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tu
     for one in readings:
         path, corner = corner_path(one.band, a, side)
         for row, damping in zip(cost, DAMPING.tolist(), strict=True):
-            x = Filter(mode_function(hz, damping)).run(path[:, 0] + side) - side
-            heights = half_waves(x[corner:])
+            x = FiniteFilter(mode_response(hz, damping), 0).run(path[:, 0] + side) - side
+            heights, _ = half_waves(x[corner:])
             seen = (heights > SEEN_FROM[:, None]).sum(axis=1) / 2.0
             row += ((seen - one.seen) / MISCOUNT) ** 2
-    likely = np.exp(-0.5 * (cost - cost.min()))
-    likely /= likely.sum()
+    likely = likelihood(cost)
     damping, lowest = likely.sum(axis=1) @ np.log(DAMPING), likely.sum(axis=0) @ np.log(SEEN_FROM)
     return math.exp(damping), math.exp(lowest)
+
+
+def half_waves(across: Array) -> tuple[Array, Array]:
+    """Return heights (k,) in mm and samples (k,) of the crests and troughs on a wall."""
+    size = np.abs(across)
+    found = find_peaks(size)[0]
+    return size[found], found
+
+
+def likelihood(cost: Array) -> Array:
+    """Return how likely each of several explanations is, from sums of squared differences."""
+    likely = np.exp(-0.5 * (cost - cost.min()))
+    return np.asarray(likely / likely.sum())

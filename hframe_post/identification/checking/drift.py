@@ -1,19 +1,21 @@
-"""How far the modes of a profile have moved, from one short run of each axis.
+"""How far an axis' impulse response has changed, from a short run: the profile is the prior.
 
-recording → response of the whole record → the known modes, moved → the profile's plant
+Of q, the deviation after a pulse of acceleration, a later one is expected to be
 
-The fit begins at the profile's modes and expects them to have changed as printers do (`Known`). No
-profile describes a real printer wholly: some of its modes lie above what was measured, or account
-for what is not linear. A mode that would move farther than printers drift therefore stays where it
-is, unless it is the main one and the old model does not explain the recording: then this is another
-printer, or one that was rebuilt, and refused. So is a recording of which the moved model explains
-little of what a linear model can explain at all.
+    q'(t) = s·q(t/s) + Δ(t),    Δ(t) = Re Σ_b A_b(t)·q_b(t),    u = ω_b |t|,
+    A_b = a + b·u + Σ_j c_j (1 + u) Λ_j(log(1 + u))
 
-The second mark is not part of the fit: an axis moves only if its new model explains the answer to
-that better than the old one. A mark is fast, like a corner, so belts that stiffen on the long sine
-of a resonance do not pass as belts that drifted.
+First all frequencies change alike, as belts slacken: s is what alone explains most of the run. Then
+q_b, the part of q in a band about ω_b, changes by itself, as a complex signal. If the share, the
+damping or the frequency of a mode changes by ε, its A is ε, −ε ζ u or i ε u, so a and b, complex,
+are what is expected first. Hat functions Λ_j, one a step of log(1 + u), follow a mode that turns by
+more, and what no mode describes. With the sensor's gain g and delay τ the run shows
+g e^{−2πifτ} G'(f). All but s is found by least squares with that prior, by Gauss-Newton in g and
+τ. What remains is the noise. Gain at rest stays exact, since q' acts on acceleration.
 
-Delays and racking stay: a short run at one place does not show them.
+A profile with poles and zeros is turned into its impulse response first. Delays and racking stay: a
+short run at one place does not show them. An axis changes only if its new model is better on what
+was not fitted.
 """
 
 from __future__ import annotations
@@ -22,50 +24,42 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
-from hframe_post.arrays import Array, Complex, X
+from hframe_post.arrays import TS, Array, Complex, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.checking import response
-from hframe_post.identification.checking.evidence import (
-    EXCITED,
-    LEAST_EXPLAINED,
-    LEAST_FREQUENCIES,
-    STEPS_DAMPING,
-    STEPS_HZ,
-    UNMOVED,
-    Drift,
-    Moved,
+from hframe_post.identification.checking.report import NOTICED, Drift, Peak
+from hframe_post.identification.checking.run import (
     Recorded,
+    at_hz,
     explained,
     left_unseen,
-)
-from hframe_post.identification.checking.known import BAND_HZ, Known, as_modes, known_modes
-from hframe_post.identification.diagnosis.scatter import Uncertainty, with_noise
-from hframe_post.identification.fitting.dominant import INDEPENDENT_HZ
-from hframe_post.identification.fitting.fit import RINGS
-from hframe_post.identification.fitting.modal import Data, Modal, columns, refine
-from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
-from hframe_post.identification.recordings.clock_sync import find_marks, moving_samples
-from hframe_post.identification.responses.frequency_response import (
-    NOISE_FLOOR,
-    FrequencyResponse,
-    delays,
-    weights,
-    whole_record,
-)
+    of_run,
+    scaling,
+)  # fmt: skip
+from hframe_post.identification.responses.frequency_response import NOISE_FLOOR, FrequencyResponse
 from hframe_post.identification.responses.measured import Run
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
-SAMPLES = 8  # of the response with noise added, from which uncertainties follow
-LATE = 3e-3  # s by which the delay may differ from that of the phase
-MEASURED_HZ = 100.0  # above it `identify` measures no modes, but may need some
-LEAST_DAMPING = 0.0105  # that `identify` finds; with less a mode is at its bound, and none
-OFF_PEAK = 0.4  # of the median answer, that an error is measured by where the answer is smaller
-LOWEST = 0.5  # times the lowest mode: below, the whole printer may rock on its table
-HIGHEST = 1.25  # times the highest mode
+SETTLED = 1e-3  # of its largest deviation, below which a response has ended
+EXCITED = 0.1  # of the median power of the command
+LEAST_FREQUENCIES = 50
+LEAST_EXPLAINED = 0.3  # of what a linear model can explain, by the stretched response
+UNMOVED = 0.5  # the same by the old response, from which on it is that of this printer
+FARTHEST = 0.1  # change of frequencies, relative
+STEPS_HZ, STEPS = 5e-4, 0.01  # relative, by which motor steps shift a peak in every run
+LEAST_CHANGE = NOTICED * STEPS  # share of the response
+GAIN = 0.05  # standard deviation of log g
+BANDS_HZ, BAND = (12.0, 130.0), 0.25  # between the centres of bands: of log ω
+CHANGED, SHAPED = 0.03, 0.01  # standard deviations of a and b, and of c
+WIDEST, STEP = 0.2, 0.002  # of log s: where it is sought
+PEAK_HZ = (15.0, 120.0)  # in which the main resonance is
+LOWEST_HZ = 6.0  # below it, table and frame move as much as the axis
+NEAR = 0.1  # of the main resonance, in which it is sought again
+FINE_HZ = 0.05  # between frequencies from which others are interpolated
+ROUNDS, DRAWS = 6, 40
 
 
 @one_blas_thread()
@@ -78,170 +72,173 @@ def drifts(plant: Plant, runs: Sequence[Run]) -> dict[str, Drift]:
     for run in runs:
         name, G = ("Gxx", plant.Gxx) if run.axis == X else ("Gyy", plant.Gyy)
         try:
-            found[name] = drift(G, _recorded(run))
+            found[name] = drift(G, of_run(run))
         except IdentificationError as error:
             raise IdentificationError(f"{run.name}: {error}") from None
     return found
 
 
-def _recorded(run: Run) -> Recorded:
-    """Return what is before the second mark, when the sine's answer has died away, and the mark."""
-    u = acceleration(run.command[:, run.axis])
-    marks = find_marks(u, moving_samples(u))
-    if marks is None or run.nozzle is None:
-        raise IdentificationError("not a run of 'hframe-post check --gcode'")
-    one = aligned(u, run.nozzle, run.axis)
-    a = turned(one.acceleration, heading(u, one.acceleration, run.axis))[:, run.axis]
-    noise = float(a[: marks.first].std())
-    end = marks.second
-    return Recorded(whole_record(u[:end], a[:end], noise), (u[end:], a[end:]))
-
-
-def drift(G: Linear, recorded: Recorded) -> Drift:
+def drift(model: Linear, recorded: Recorded) -> Drift:
     """Return how an axis' response changed.
 
     Raises IdentificationError if the recording is not of its printer.
     """
-    return response.drift(G, recorded) if isinstance(G, ImpulseResponse) else _modes(G, recorded)
-
-
-def _modes(G: TransferFunction, recorded: Recorded) -> Drift:
-    old = as_modes(G)
-    rings = known_modes(G)
-    if not rings:
-        raise IdentificationError("the profile's model does not ring, so there is nothing to check")
-    part = recorded.response.within((LOWEST * rings[0], min(HIGHEST * rings[-1], BAND_HZ[1])))
+    G = _impulse_response(model)
+    part = recorded.response.within((LOWEST_HZ, PEAK_HZ[1]))
     part = part.where(part.power > EXCITED * np.median(part.power))
     if len(part.hz) < LEAST_FREQUENCIES:
-        raise IdentificationError("the motion is too short to show the modes")
-    new, sd, known = _plausible(old, part)
-    omega, zeta = _uncertainty(new, part, sd, known)
-    size = np.abs(new.c) + np.abs(new.d)
-    importance = size * (new.parameters.zeta < RINGS) / size.max()
-    share = Uncertainty(tuple(omega), tuple(zeta), tuple(importance), 0.0).share
-    modes = [
-        replace(mode, sd=(float(omega[k]), float(zeta[k])))
-        for k, mode in _changes(old, new).items()
-    ]
-    band = float(part.hz[0]), float(part.hz[-1])
-    left = [left_unseen(model.response, recorded.unseen, band) for model in (old, new)]
-    seen = any(mode.certain for mode in modes)
-    return Drift(new.discrete(old.delay, new.gain), seen, (left[0], left[1]), share, modes)
+        raise IdentificationError("the motion is too short to show the resonances")
+    fine = np.arange(*PEAK_HZ, FINE_HZ)
+    main, height = _main(G, fine)
+    found = _Fit(G, part)
+    _check_same_printer(found, main)
+    near = np.arange(1.0 - NEAR, 1.0 + NEAR, FINE_HZ / main) * main / found.stretch
+    f, h = _peaks(near, np.abs(found.drawn(near)))
+    sd = [float(np.hypot(one[1:].std(), by * one[0])) for one, by in ((f, STEPS_HZ), (h, STEPS))]
+    peak = Peak((main, float(f[0])), (height, float(h[0])), (sd[0], sd[1]))
+    band, new = (float(part.hz[0]), float(part.hz[-1])), found.response
+    left = [left_unseen(one, recorded.unseen, band) for one in (G, new)]
+    return Drift(new, found.seen or peak.certain, (left[0], left[1]), peak)
 
 
-def _pair(old: Array, new: Array, k: int, unit: float = 1.0) -> tuple[float, float]:
-    return float(old[k]) / unit, float(new[k]) / unit
+def _impulse_response(G: Linear) -> ImpulseResponse:
+    """Return the response of an axis as far as it has not settled."""
+    if not isinstance(G, ImpulseResponse):
+        G = ImpulseResponse.from_transfer_function(G, LONGEST, 1.0)
+        size = np.abs(G.deviation)
+        loud = np.flatnonzero(size > SETTLED * size.max())
+        G = replace(G, deviation=G.deviation[: int(loud.max(initial=0)) + 1])
+    if not G.deviation.any():
+        raise IdentificationError("the profile's model does not ring, so there is nothing to check")
+    return G
 
 
-def _changes(old: Modal, new: Modal) -> dict[int, Moved]:
-    """Return the modes that ring, by their number, lowest frequency first."""
-    return {
-        k: Moved(
-            _pair(old.parameters.omega, new.parameters.omega, k, 2.0 * np.pi),
-            _pair(old.parameters.zeta, new.parameters.zeta, k),
-            (float(old.c[k] / old.gain), float(new.c[k] / new.gain)),
-            (0.0, 0.0),
-        )
-        for k in np.argsort(old.parameters.omega).tolist()
-        if old.parameters.zeta[k] < RINGS
-    }
+def _main(G: ImpulseResponse, hz: Array) -> tuple[float, float]:
+    """Return frequency and height of the peak that moves a print most: of G − 1 over f²."""
+    H = at_hz(G, hz)
+    moving = hz[np.argmax(np.abs(H - 1.0) / hz**2)]
+    around = np.abs(hz / moving - 1.0) < NEAR
+    f, h = _peaks(hz[around], np.abs(H[around])[:, None])
+    return float(f[0]), float(h[0])
 
 
-def _plausible(old: Modal, part: FrequencyResponse) -> tuple[Modal, Array, Known]:
-    """Return the model moved as far as printers drift, as ``_moved``.
+def _peaks(hz: Array, size: Array) -> tuple[Array, Array]:
+    """Return where each column of size (k, n) is largest, Hz, and how large, by parabolas."""
+    at, n = np.clip(np.argmax(size, axis=0), 1, len(hz) - 2), np.arange(size.shape[1])
+    before, here, after = (size[at + step, n] for step in (-1, 0, 1))
+    curve = np.minimum(before - 2.0 * here + after, -np.finfo(float).tiny)
+    shift = np.clip((before - after) / (2.0 * curve), -1.0, 1.0)
+    return hz[at] + (hz[1] - hz[0]) * shift, here - (before - after) * shift / 4.0
 
-    Raises IdentificationError if the recording is of another printer.
-    """
-    share = explained(part)
-    same = share(old.response(part.hz)) > UNMOVED
-    hz = old.parameters.omega / (2.0 * np.pi)
-    held = (hz > MEASURED_HZ) | (old.parameters.zeta < LEAST_DAMPING)
-    ways = (part.power[:, None] * np.abs(_contributions(old, part.hz)) ** 2).sum(axis=0)
-    main = int(np.argmax(np.where(held, -1.0, ways)))
-    while True:
-        known = Known(old, held)
-        new, sd = _moved(known, part)
-        far = {k: mode for k, mode in _changes(old, new).items() if mode.too_far and not held[k]}
-        if main in far and not same:
-            raise IdentificationError(
-                f"a mode would move farther than printers drift: {far[main].as_text()}. Is it "
-                "another printer, or was a belt, the head or the bed changed? Identify again"
-            )
-        if not far:
-            break
-        held = held.copy()
-        held[list(far)] = True
-    shown = share(new.response(part.hz))
-    if not same and shown < LEAST_EXPLAINED:
+
+def _check_same_printer(found: _Fit, main: float) -> None:
+    """Raise IdentificationError if neither the old nor the stretched response explains the run."""
+    share = explained(found.part)
+    if share(found.at(1.0)) > UNMOVED:
+        return
+    most = share(found.at(found.stretch))
+    if abs(np.log(found.stretch)) > FARTHEST or most < LEAST_EXPLAINED:
         raise IdentificationError(
-            f"the profile's modes explain {100 * max(shown, 0.0):.0f} % of what they "
-            "could of this recording: it is of another printer, or of one that was rebuilt. "
-            "Identify again"
+            "the recording is of another printer, or a belt, the head or the bed was changed: even "
+            f"with the main resonance moved from {main:.1f} to {main / found.stretch:.1f} Hz, "
+            f"the profile explains {100 * max(most, 0.0):.0f} % "
+            "of what it could. Identify again"
         )
-    return new, sd, known
 
 
-def _contributions(model: Modal, hz: Array) -> Complex:
-    """Return what each mode contributes to the response at ``hz`` (k,), (k, modes)."""
-    n = model.structure.modes
-    each = columns(np.asarray(2j * np.pi * hz), model.structure, model.parameters)
-    by_speed = each[:, n : 2 * n] * model.d if model.structure.speed else 0.0
-    return np.asarray(each[:, :n] * model.c + by_speed)
+class _Fit:
+    """The response that a run shows, with its posterior.
 
-
-def _moved(known: Known, part: FrequencyResponse) -> tuple[Modal, Array]:
-    """Return the model moved to a response, and that one's standard deviation (k,), relative."""
-    new = _in_time(known.model, part)
-    sd = np.hypot(part.noise, NOISE_FLOOR)
-    for _ in range(2):
-        new = _refined(part, sd, new, known)
-        sd = _scatter(part, new)
-    return new, sd
-
-
-def _scatter(part: FrequencyResponse, model: Modal) -> Array:
-    """Return the standard deviation (k,) of a response about its model, relative.
-
-    Noise and motor steps differ from one frequency to the next. What no mode explains, since a
-    printer is not quite linear, is wrong alike at neighbouring frequencies, and counts as often.
+    stretch, change (m,): s and Δ. seen: whether they explain more of the run than as many numbers
+    explain of noise (Akaike), and change the response by more than motor steps do.
     """
-    size = np.abs(part.H)
-    usual = np.hypot(size, OFF_PEAK * np.median(size))
-    off = (part.H - model.response(part.hz)) / usual
-    alike = max(int(INDEPENDENT_HZ * len(part.hz) / np.ptp(part.hz)), 2)
-    blocks = off[: len(off) // alike * alike].reshape(-1, alike)
-    means = blocks.mean(axis=1)
-    white = float((np.abs(blocks - means[:, None]) ** 2).mean()) * alike / (alike - 1.0)
-    common = max(float((np.abs(means) ** 2).mean()) - white / alike, 0.0)
-    noise = part.noise * size / usual
-    more = max(white - float((noise**2).mean()), 0.0) + alike * common
-    return np.asarray(np.sqrt(noise**2 + max(more, NOISE_FLOOR**2)) * usual / size)
 
+    def __init__(self, G: ImpulseResponse, part: FrequencyResponse) -> None:
+        self.G, self.part = G, part
+        self._t = np.arange(len(G.deviation)) - G.lead
+        self._fine = np.arange(0.0, part.hz[-1] * np.exp(WIDEST + STEP), FINE_HZ)
+        self._at_fine = at_hz(G, self._fine)
+        nearest = scaling(part)
+        tried = np.exp(np.arange(-WIDEST, WIDEST + STEP / 2.0, STEP))
+        fits = [nearest(self.at(s)) for s in tried.tolist()]
+        best = int(np.argmin([left for *_, left in fits]))
+        self.stretch = float(tried[best])
+        stretched = G.stretched(self.stretch)
+        first = stretched.lead - G.lead
+        padded = np.pad(stretched.deviation, len(self._t))[len(self._t) + first :]
+        self._stretched = replace(stretched, deviation=padded[: len(self._t)], lead=G.lead)
+        self._expected = self._changes()
+        self._solve(*fits[best][:2])
+        # by how much χ² falls, and the share of the old response that the new one leaves
+        judged = replace(part, power=self._weight**2)
+        before, now = (scaling(judged)(H)[2] ** 2 for H in (self.at(1.0), self._now))
+        gained = (before - now) * float(judged.power @ np.abs(judged.H) ** 2)
+        apart = scaling(replace(part, H=self.at(1.0)))(self._now)[2]
+        self.seen = gained > 2.0 * self._counted and apart > LEAST_CHANGE
 
-def _in_time(model: Modal, part: FrequencyResponse) -> Modal:
-    """Return the model with the delay of a response."""
-    early, late = delays([replace(part, H=model.response(part.hz)), part])
-    delay = model.delay + float(late - early)
-    return replace(model, parameters=replace(model.parameters, delay=delay))
+    def at(self, stretch: float, hz: Array | None = None) -> Complex:
+        """Return the old response at stretched frequencies, by default those of the run."""
+        hz = self.part.hz if hz is None else hz
+        return np.asarray(np.interp(stretch * hz, self._fine, self._at_fine))
 
+    def _changes(self) -> Array:
+        """Return what Δ is made of (m, p), each expected as often as its standard deviation."""
+        q, m = self.G.deviation, len(self._t)
+        hz = np.fft.fftfreq(3 * m + 500, TS)  # far longer, since bands ring before and after q
+        centres = np.arange(np.log(BANDS_HZ[0]), np.log(BANDS_HZ[1]), BAND)
+        away = np.log(np.clip(hz, *BANDS_HZ)) - centres[:, None]
+        share = np.exp(-((away / BAND) ** 2) / 2.0)
+        spectrum = 2.0 * (hz > 0.0) * np.fft.fft(q, len(hz)) / share.sum(axis=0)
+        columns = []
+        for one, centre in zip(share, centres.tolist(), strict=True):
+            part = np.fft.ifft(spectrum * one)[:m]
+            u = 2.0 * np.pi * TS * np.exp(centre) * np.abs(self._t)
+            v = np.log1p(u)
+            hats = np.maximum(1.0 - np.abs(v - np.arange(np.ceil(v.max()) + 1.0)[:, None]), 0.0)
+            slow = np.vstack([CHANGED * np.ones(m), CHANGED * u, SHAPED * (1.0 + u) * hats])
+            columns += [slow * part.real, slow * part.imag]
+        return np.vstack(columns).T
 
-def _refined(part: FrequencyResponse, sd: Array, start: Modal, known: Known) -> Modal:
-    old = known.model.parameters
-    hz = np.concatenate([old.omega, old.corner]) / (2.0 * np.pi)
-    reach = 0.5 * float(hz.min()), 2.0 * float(hz.max())
-    delay = start.delay - LATE, start.delay + LATE
-    exact = replace(part, coherence=np.ones(len(part.hz)))  # sd holds the noise
-    data = Data(part.hz, part.H, weights(exact, sd), reach, delay, prior=known)
-    return refine(data, start.structure, start.parameters)
+    def _by_change(self, hz: Array) -> Complex:
+        """Return the matrix (k, p) by which what Δ is made of changes G."""
+        turn = np.exp(-2j * np.pi * TS * np.outer(hz, self._t))
+        by_acceleration = (2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2
+        return np.asarray(-by_acceleration * (turn @ self._expected))
 
+    def _solve(self, gain: float, late: float) -> None:
+        hz, H, power = self.part.hz, self.part.H, self.part.power
+        columns, log_g = self._by_change(hz), float(np.log(abs(gain)))
+        prior = np.concatenate([[1.0 / GAIN**2, 0.0], np.ones(columns.shape[1])])
+        change = np.zeros(columns.shape[1])
+        for _ in range(ROUNDS):
+            G = self.at(self.stretch) + columns @ change
+            sensor = np.sign(gain) * np.exp(log_g - 2j * np.pi * hz * late)
+            noise = (power * np.abs(H - sensor * G) ** 2).mean() / power
+            weight = np.sqrt(2.0 / (noise + (NOISE_FLOOR * np.abs(H)) ** 2))
+            J = np.column_stack([G, -2j * np.pi * hz * TS * G, columns])
+            J = J * (sensor * weight)[:, None]
+            J = np.concatenate([J.real, J.imag])
+            missed = (H - sensor * G) * weight
+            known = np.concatenate([[log_g, 0.0], change])
+            data = J.T @ J
+            A = data + np.diag(prior)
+            b = J.T @ (np.concatenate([missed.real, missed.imag]) + J @ known)
+            solution = linalg.solve(A, b, assume_a="pos")
+            log_g, late, change = solution[0], late + TS * solution[1], solution[2:]
+        self._A, self._weight, self._change = A, weight, change
+        self._counted = float(np.trace(linalg.solve(A, data, assume_a="pos")))
+        self._now = self.at(self.stretch) + columns @ change
 
-def _uncertainty(
-    new: Modal, part: FrequencyResponse, sd: Array, known: Known
-) -> tuple[Array, Array]:
-    """Return standard deviations of frequencies and damping ratios (modes,), relative."""
-    doubtful = replace(part, coherence=1.0 / (1.0 + sd**2), averages=1.0)
-    rng = np.random.default_rng(0)
-    drawn = [_refined(with_noise(doubtful, rng), sd, new, known).parameters for _ in range(SAMPLES)]
-    omega = np.std([one.omega for one in drawn], axis=0) / new.parameters.omega
-    zeta = np.std([one.zeta for one in drawn], axis=0) / new.parameters.zeta
-    return np.hypot(omega, STEPS_HZ), np.hypot(zeta, STEPS_DAMPING)
+    @property
+    def response(self) -> ImpulseResponse:
+        """Return the response as it is now, as long as the old one."""
+        changed = self._stretched.deviation + self._expected @ self._change
+        return replace(self._stretched, deviation=changed)
+
+    def drawn(self, hz: Array) -> Complex:
+        """Return G (k, 1 + DRAWS) at Hz: as found, then drawn from the posterior."""
+        L = np.asarray(linalg.cholesky(self._A, lower=True))
+        random = np.random.default_rng(0).normal(size=(len(L), DRAWS))
+        off = np.asarray(linalg.solve_triangular(L.T, random))[2:]
+        changes = np.column_stack([np.zeros(len(off)), off]) + self._change[:, None]
+        return self.at(self.stretch, hz)[:, None] + self._by_change(hz) @ changes

@@ -7,10 +7,61 @@ from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
-from hframe_post.identification.checking.evidence import Drift
 from hframe_post.identification.identified import AXIS, LEAST_CHANGE
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.settings import Printer
+
+NOTICED = 2.0  # standard deviations
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The main resonance before and now: Hz, and |G| there. sd: of both now."""
+
+    hz: tuple[float, float]
+    height: tuple[float, float]
+    sd: tuple[float, float]
+
+    @property
+    def certain(self) -> bool:
+        """Return whether the resonance moved by more than its uncertainty."""
+        return abs(self.hz[1] - self.hz[0]) > NOTICED * self.sd[0]
+
+    def as_text(self) -> str:
+        (f0, f1), (h0, h1) = self.hz, self.height
+        hz, height = (NOTICED * sd for sd in self.sd)
+        how = f"moved from {f0:.1f} to {f1:.1f} Hz" if self.certain else f"stays at {f0:.1f} Hz"
+        peak = f"its peak {h0:.1f} → {h1:.1f} (±{height:.1f})"
+        return f"the main resonance {how} (±{max(hz, 0.1):.1f}), {peak}"
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            name: [round(one, 4) for one in getattr(self, name)] for name in ("hz", "height", "sd")
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """A response as it is now.
+
+    seen: whether the fitted motion shows a change. left: share of the unseen answer that the old
+    and the new model leave. peak: the main resonance.
+    """
+
+    G: ImpulseResponse
+    seen: bool
+    left: tuple[float, float]
+    peak: Peak
+
+    @property
+    def uncertainty(self) -> float:
+        """Return that of the new model, as ``plant.uncertainty``."""
+        return NOTICED * self.peak.sd[0] / self.peak.hz[1]
+
+    @property
+    def certain(self) -> bool:
+        """Return whether the new model is also better where it was not fitted."""
+        return self.seen and self.left[1] < self.left[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +78,7 @@ class CheckReport:
         return self.found.keys() >= AXIS.keys()
 
     @property
-    def moved(self) -> dict[str, Linear]:
+    def moved(self) -> dict[str, ImpulseResponse]:
         """Return the new response of each axis that drifted beyond its uncertainty."""
         return {name: one.G for name, one in self.found.items() if one.certain}
 
@@ -44,7 +95,7 @@ class CheckReport:
     def as_text(self) -> str:
         rows = []
         for name, one in self.found.items():
-            rows += [(AXIS[name], change.as_text()) for change in one.changes]
+            rows.append((AXIS[name], one.peak.as_text()))
             old, new = (f"{100 * left:.0f} %" for left in one.left)
             kept = ""
             if not one.certain:
@@ -53,7 +104,7 @@ class CheckReport:
             rows.append((AXIS[name], f"unexplained {old} → {new}{kept}"))
         missing = [axis for name, axis in AXIS.items() if name not in self.found]
         rows += [
-            ("note", f"{axis} was not recorded: its model and the date stay") for axis in missing
+            ("note", f"{one} was not recorded: its model and the date stay") for one in missing
         ]
         before = 100 * (self.profile.uncertainty or 0.0)
         rows.append(("uncertainty", f"±{100 * self.uncertainty:.1f} % ({before:.1f} % before)"))
@@ -67,8 +118,7 @@ class CheckReport:
                 name: {
                     "drifted": one.certain,
                     "unexplained": [round(left, 4) for left in one.left],
-                    "modes": [mode.as_json() for mode in one.modes],
-                    **({"resonance": one.peak.as_json()} if one.peak else {}),
+                    "resonance": one.peak.as_json(),
                 }
                 for name, one in self.found.items()
             },

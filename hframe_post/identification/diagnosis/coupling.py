@@ -6,6 +6,7 @@ not repeat is reported, and not compensated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,50 +14,37 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
-from hframe_post.identification.fitting.modal import Modal
-from hframe_post.identification.fitting.shared import CrossTerm, shared
+from hframe_post.identification.estimation.estimated import Estimated
+from hframe_post.identification.estimation.shared import in_print, shared
 from hframe_post.identification.responses.crossed import Crossed
-from hframe_post.identification.responses.frequency_response import FrequencyResponse, average
+from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling
 
 REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
 LEAST_SHARE = 0.02  # of the axis' own error in a print, from which a coupling is compensated
+LEAST_SIZE = 0.06  # of the command, below which there is none, unless it is compensated
+TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
 SMOOTHED_HZ = 1.0  # over which neighbouring frequencies are averaged; modes are wider
 ABOVE_NOISE = 3.0
-LEAST_SIZE = 0.06  # of the command, below which a single recording shows no coupling
-TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
-LEAST_MODE = 0.03  # of a mode across, to be listed
 PITCHES = 0.3  # of the answer along, from which that in z is reported
-
-
-@dataclass(frozen=True, slots=True)
-class CoupledMode:
-    """A mode, and how much of it each axis shows at its resonance, per command of one axis."""
-
-    hz: float
-    damping: float
-    along: float
-    across: float
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredCoupling:
     """What a command in ``axis`` does to ``other``, x or y.
 
-    runs: without what a turned sensor sees. terms: what they share, to be compensated. model: all
-    of it at the mean place, with gain and delay of ``along``, the model of the axis itself. turn:
-    rad by which the sensor is turned, at the most. hz, size, wrong: where the coupling is greatest,
-    how great, and |G − 1| of the axis itself there; size 0 if it is nowhere above its noise.
-    unexplained: share of the coupling of a recording that the others do not foresee; None if there
-    are too few.
+    runs: without what a turned sensor sees. gain: of the sensor. terms: what they share, to be
+    compensated. turn: rad by which the sensor is turned, at the most. hz, size, wrong: where the
+    coupling is greatest, how great, and |G − 1| of the axis itself there. unexplained: share of the
+    coupling of a recording that the others do not foresee; None if there are too few.
     """
 
     axis: str
     other: str
     runs: tuple[Crossed, ...]
-    terms: tuple[CrossTerm, ...]
-    model: Modal
-    along: Modal
+    gain: float
+    terms: tuple[Coupling, ...]
     turn: float
     hz: float
     size: float
@@ -66,38 +54,15 @@ class MeasuredCoupling:
     @property
     def counts(self) -> bool:
         """Return whether several recordings show it alike."""
-        known = self.unexplained is not None and self.unexplained <= REPEATS
-        return known and self.size > 0.0
+        return self.unexplained is not None and self.unexplained <= REPEATS
 
     def cross(self, delay: float) -> tuple[Coupling, ...]:
         """Return what is compensated, for a printer with this delay, s."""
-        answer, command = "xy".index(self.other), "xy".index(self.axis)
-        functions = [term.model.discrete(delay, self.along.gain) for term in self.terms]
-        return tuple(
-            Coupling(answer, command, G, term.along, term.centre)
-            for G, term in zip(functions, self.terms, strict=True)
-        )
-
-    @property
-    def modes(self) -> list[CoupledMode]:
-        """Return the modes with a share across, lowest frequency first."""
-        model, gain = self.model, self.along.gain
-        sizes = np.hypot(model.c, model.d) / gain
-        known = self.along.parameters.omega
-        itself = np.hypot(self.along.c, self.along.d) / gain
-        found = []
-        for omega, zeta, across in zip(
-            model.parameters.omega, model.parameters.zeta, sizes, strict=True
-        ):
-            share = float(itself[known == omega].sum())
-            if across > LEAST_MODE:
-                hz = float(omega) / (2.0 * np.pi)
-                found.append(CoupledMode(hz, float(zeta), share, float(across)))
-        return sorted(found, key=lambda mode: mode.hz)
+        return tuple(_late(term, delay / TS) for term in self.terms)
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
-        if self.size == 0.0 or (not self.counts and self.size < LEAST_SIZE):
+        if not self.terms and self.size < LEAST_SIZE:
             return f"a command in {self.axis} does not move {self.other}"
         text = (
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
@@ -129,58 +94,50 @@ class MeasuredCoupling:
             "axis": self.axis, "other": self.other, "repeats": self.counts,
             "unexplained": self.unexplained, "hz": self.hz, "size": self.size,
             "axis_itself_off": self.wrong, "sensor_turned_deg": float(np.degrees(self.turn)),
-            "modes": [
-                {"hz": mode.hz, "damping": mode.damping, self.axis: mode.along,
-                 self.other: mode.across}
-                for mode in self.modes
-            ],
         }  # fmt: skip
 
 
 def find_coupling(
-    axis: str, runs: Sequence[Crossed], models: Sequence[Modal], known: int = 0
+    axis: str, runs: Sequence[Crossed], along: Estimated, known: int = 0
 ) -> MeasuredCoupling:
     """Return what a command in ``axis`` (x or y) does to the other axis.
 
-    runs: on one delay and the same frequencies. models: of the axis itself, fitted on that delay,
-    then others whose modes may take part. known: lever arms that were found from the same runs, and
-    have been removed from them.
+    runs: on one delay and the same frequencies. along: response of the axis itself, on that delay.
+    known: lever arms that were found from the same runs, and have been removed from them.
     """
-    found = shared(runs, models, known)
-    along = average([run.along for run in runs])
-    coupled = [
-        replace(run, across=replace(run.across, H=fit.coupling(run)))
-        for run, fit in zip(runs, found.fits, strict=True)
-    ]
+    found, omega = shared(runs, along, known), 2.0 * np.pi * TS * runs[0].across.hz
+    repeats = found.left <= REPEATS
     # the mean of what changes, with the place or by itself, may be 0
-    alike = found.left <= REPEATS and len(found.axes) == 1
-    across = [run.across for run in coupled]
-    shown = [average(across)] if alike else across
-    sizes = [_greatest(along, one, models[0]) for one in shown]
-    hz, size, wrong = max(sizes, key=lambda one: one[1])
-    repeats = found.left <= REPEATS and size > 0.0
-    terms = [term for term in found.terms() if repeats and found.size(term) > LEAST_SHARE]
+    alike = repeats and len(found.axes) == 1
+    sizes = np.abs(found.C.mean(axis=0, keepdims=True) if alike else found.C).max(axis=0)
+    most, error = int(np.argmax(sizes)), along.G.response(omega) - 1.0
+    answer, other = (Y, "y") if axis == "x" else (X, "x")
+    least = LEAST_SHARE * in_print(error, omega)
+    terms = [
+        Coupling(answer, Y - answer, G, lever, 0.0 if lever is None else float(found.centre[lever]))
+        for G, lever, size in zip(found.parts, found.axes, found.sizes, strict=False)
+        if repeats and size > least
+    ]
+    straight = [
+        replace(run, across=replace(run.across, H=run.across.H - turn * run.along.H))
+        for run, turn in zip(runs, found.turns, strict=True)
+    ]
     return MeasuredCoupling(
-        axis, "y" if axis == "x" else "x", tuple(coupled), tuple(terms), found.at_mean, models[0],
-        max((fit.turn for fit in found.fits), key=abs), hz, size, wrong,
-        found.left if found.free > 0 else None,
+        axis, other, tuple(straight), along.gain, tuple(terms), float(max(found.turns, key=abs)),
+        float(runs[0].across.hz[most]), float(sizes[most]), float(np.abs(error[most])),
+        found.left if found.parts else None,
     )  # fmt: skip
 
 
-def _greatest(
-    along: FrequencyResponse, across: FrequencyResponse, model: Modal
-) -> tuple[float, float, float]:
-    """Return where the coupling is greatest, its size, and |G − 1| of the axis itself there."""
-    hz = along.hz
-    n = max(int(SMOOTHED_HZ / (hz[1] - hz[0])), 1)
-    at_motors = np.exp(2j * np.pi * hz * model.delay) / np.sinc(hz * TS) ** 2 / model.gain
-    size = np.abs(_smoothed(across.H * at_motors, n))
-    variance = (across.noise * np.abs(across.H) / model.gain) ** 2
-    sd = np.sqrt(_smoothed(variance, n).real / n)
-    size = np.where(size > ABOVE_NOISE * sd, size, 0.0)
-    most = int(np.argmax(size))
-    wrong = float(np.abs(_smoothed(along.H * at_motors, n)[most] - 1.0))
-    return float(hz[most]), float(size[most]), wrong
+def _late(term: Coupling, samples: float) -> Coupling:
+    """Return a coupling this many samples later."""
+    G = term.G
+    assert isinstance(G, ImpulseResponse)
+    k = np.arange(len(G.deviation) + math.ceil(samples), dtype=float)
+    later = np.interp(k - samples, k[: len(G.deviation)], G.deviation, 0.0, 0.0)
+    # what follows the velocity comes later, too: −lag·(1 − 1/z)·(z^−d − 1)
+    later += G.lag * np.clip(samples + 1.0 + G.lead - k, 0.0, 1.0) * (k > G.lead)
+    return replace(term, G=replace(G, deviation=later))
 
 
 def _smoothed(values: Array | Complex, n: int) -> Complex:

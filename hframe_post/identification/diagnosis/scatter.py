@@ -86,7 +86,7 @@ def model_uncertainty(
     )
 
 
-def refit_calibrated(model: Modal, part: FrequencyResponse) -> Modal:
+def refit(model: Modal, part: FrequencyResponse) -> Modal:
     """Return a model refined on another response; its delay may differ by 1 ms."""
     delays = (model.delay - 1e-3, model.delay + 1e-3)  # modes that shift turn phases, too
     data = Data(part.hz, part.H, weights(part), model.mode_range_hz, delays)
@@ -175,18 +175,18 @@ def position_spread(runs: Sequence[FrequencyResponse]) -> Distortion:
 
 
 def find_mode_shift(
-    found: Fit, places: Sequence[tuple[float, FrequencyResponse]], refit: Refit
+    found: Fit, places: Sequence[tuple[float, FrequencyResponse]], again: Refit
 ) -> ModeShift | None:
     """Return how modes shift along x; None if they do not, or fewer than 3 positions tell.
 
-    places: (x in mm, response) of each run. refit: refines the model. A shift counts if it is above
+    places: (x in mm, response) of each run. again: refines the model. A shift counts if it is above
     1 % over the positions and has a chance of 0.1 % at most to be noise (Student's t).
     """
     x = np.array([place for place, _ in places])
     if len(places) < 3 or np.ptp(x) == 0.0:
         return None
     model = found.model
-    models = [refit(response) for _, response in places]
+    models = [again(response) for _, response in places]
     omega = np.array([one.parameters.omega for one in models])  # (places, modes)
     middle, slope, slope_sd = _lines(x, omega)
     left, right = float(x.min()), float(x.max())

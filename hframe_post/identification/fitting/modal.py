@@ -81,32 +81,6 @@ class Expectation(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Prior:
-    """What every printer does below its lowest resonance, for recordings that do not show it.
-
-    Up to a third of ``resonance_hz`` it follows its command as a single mode there does,
-    1/(1 − (f/f₀)²), and is late by what the damping of its modes explains: the rest is the
-    recording's start. No mode is much larger than the whole.
-    """
-
-    resonance_hz: float
-
-    def rows(self, structure: Structure, parameters: Parameters) -> tuple[Array, Array]:
-        """Return rows (r, coefficients) that are 0 (r,) for a printer that behaves so."""
-        n = structure.modes
-        r = np.linspace(0.05, 1.0 / 3.0, 12)
-        at_rest = np.concatenate([np.ones(n), np.zeros(n * structure.speed)])
-        s = np.asarray(2j * np.pi * self.resonance_hz * r)
-        low = columns(s, structure, parameters).real
-        follows = (low - at_rest / (1.0 - r * r)[:, None]) / 0.02
-        late = np.zeros(n)
-        if structure.speed:
-            late = np.append(late, 1.0 / parameters.omega)
-        rows = np.vstack([follows, late / 5e-5, np.eye(len(at_rest)) / 3.0])
-        return rows, np.zeros(len(rows))
-
-
-@dataclass(frozen=True, slots=True)
 class Data:
     """The response H (k,) to fit, with weight (k,), one over its standard deviation.
 

@@ -18,14 +18,16 @@ from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.formats import Table, read_tables
 from hframe_post.identification.recordings.packed import unpacked
+from hframe_post.identification.recordings.timestamps import GAP, repaired
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
 AXES = "xyz"
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
-GAP = 2.5  # sample periods between neighbours, from which samples are missing
 LONGEST_GAP, MOST_LOST = 0.1, 0.01  # s, and share of a recording, that may be missing
+MANY_LEVELS = 20  # of a signal that is not just noise
+OFTEN, OFTEN_THAN_NEAR = 10, 4  # samples at an extreme value; times as many as near it
 GAIN_SD = 0.005  # of a gain from readings at rest, relative: each is one noisy, rounded sample
 
 
@@ -73,7 +75,7 @@ def read(
 
 
 def from_table(path: Path, table: Table, unit: str | None = None) -> Recording:
-    """Return the recording in a table of a file. Short gaps are filled with straight lines.
+    """Return the recording in a table of a file, its time stamps repaired.
 
     Raises IdentificationError, which names file, line and cause.
     """
@@ -81,26 +83,8 @@ def from_table(path: Path, table: Table, unit: str | None = None) -> Recording:
     a = table.values[:, 1:]
     a = a * UNITS[table.unit or unit or _unit_by_gravity(a)]
     _check_clipping(path, table, a)
-    return _without_gaps(Recording(table.values[:, 0].copy(), a, table.starts_with_command))
-
-
-def _without_gaps(recording: Recording) -> Recording:
-    t, period = recording.t, recording.period
-    step = np.diff(t)
-    wide = np.flatnonzero(step > GAP * period)
-    if not wide.size:
-        return recording
-    added = np.concatenate([
-        np.linspace(t[k], t[k + 1], round(step[k] / period) + 1)[1:-1] for k in wide.tolist()
-    ])  # fmt: skip
-    whole = np.sort(np.concatenate([t, added]))
-    a = np.column_stack([np.interp(whole, t, values) for values in recording.a.T])
-    longest = int(wide[np.argmax(step[wide])])
-    note = (
-        f"{len(added)} samples ({100.0 * len(added) / len(whole):.2g} %) are missing; the longest "
-        f"gap is {1e3 * step[longest]:.3g} ms at {t[longest]:.6g} s"
-    )
-    return replace(recording, t=whole, a=a, notes=(note,))
+    t, a, notes = repaired(table.values[:, 0].copy(), a)
+    return Recording(t, a, table.starts_with_command, notes)
 
 
 def _unit_by_gravity(a: Array) -> str:
@@ -149,8 +133,11 @@ def _check_clipping(path: Path, table: Table, a: Array) -> None:
         if at is not None:
             cause = f"acceleration in the sensor's {axis} is clipped at {values[at]:.6g} mm/s²"
             raise _error(
-                path, table, at, f"{cause}. Lower sweep.amplitude in the profile and record again"
-            )
+                path, table, at,
+                f"{cause}. Record again with a lower acceleration (ACCEL_PER_HZ of TEST_RESONANCES,"
+                " limits.acceleration of the profile for 'measure', sweep.amplitude for a sweep) "
+                "or with a greater range of the sensor",
+            )  # fmt: skip
 
 
 def _clipped(values: Array) -> int | None:
@@ -163,11 +150,16 @@ def _clipped(values: Array) -> int | None:
     if beyond.size:
         return int(beyond[0])
     levels = np.unique(values)
-    if len(levels) < 3:
+    if len(levels) < 4:
         return None
     jump = 3.0 * float(np.diff(levels).min())
-    found = []
-    for extreme in (levels[0], levels[-1]):
+    found: list[int] = []
+    for extreme, end in ((levels[0], values <= levels[3]), (levels[-1], values >= levels[-4])):
+        # a slow sensor shows a clipped peak as one sample, but all peaks alike
+        at = np.flatnonzero(values == extreme)
+        beside = int(np.count_nonzero(end)) - len(at)
+        if len(levels) > MANY_LEVELS and len(at) >= max(OFTEN, OFTEN_THAN_NEAR * beside):
+            found.append(int(at[0]))
         first, last = _runs(values == extreme)
         flat = last - first >= 5
         before = np.abs(values[np.maximum(first - 1, 0)] - extreme)
@@ -187,7 +179,7 @@ def _runs(flags: Flags) -> tuple[Integers, Integers]:
 
 def diagnose(recording: Recording, quiet: float) -> list[str]:
     """Return warnings about a recording as it was read; quiet: s of rest at its start."""
-    gravity = float(np.linalg.norm(_at_rest(recording, quiet)))
+    gravity = float(np.linalg.norm(at_rest(recording, quiet)))
     if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
         return list(recording.notes)
     return [
@@ -206,7 +198,7 @@ def oriented(recording: Recording, axes: str = "x=x,y=y,z=z", quiet: float = 1.0
     about the vertical remains: see ``alignment.heading``. Raises IdentificationError.
     """
     matrix = axis_map(axes)
-    rest = matrix @ _at_rest(recording, quiet)
+    rest = matrix @ at_rest(recording, quiet)
     strength = float(np.linalg.norm(rest))
     rotation = np.eye(3)
     if PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
@@ -242,7 +234,8 @@ def axis_map(axes: str) -> Array:
     return matrix
 
 
-def _at_rest(recording: Recording, quiet: float) -> Array:
+def at_rest(recording: Recording, quiet: float) -> Array:
+    """Return what a sensor shows, (3,), in the first ``quiet`` seconds, in which it stands."""
     count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
     return np.asarray(recording.a[: max(count, 1)].mean(axis=0))
 

@@ -20,7 +20,6 @@ from hframe_post.identification.recordings.clock_sync import (
     UNKNOWN_START,
     Resampler,
     clock_from_marks,
-    clock_from_windows,
     energy_band,
     find_marks,
     moving_samples,
@@ -70,38 +69,37 @@ def acceleration(position: Array) -> Array:
 def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
     """Return the recording on the command's clock, by the answer in ``channel`` (0, 1, 2: x, y, z).
 
-    command (m,): mm/s² every 1 ms. Drift comes from the command's two marks. A command without
-    marks is correlated in windows, which cannot distinguish drift from a plant whose delay
-    changes along the sweep: the clocks are then taken to run alike unless they differ by more
-    than any plant explains (20 ms over the run), and if they do, that much remains uncertain.
-    The start is that of the recording if it is ``started``; otherwise it is where the answer
-    sets in, within 10 ms.
+    command (m,): mm/s² every 1 ms. Drift comes from the command's two marks. The start is that of
+    the recording if it is ``started``; otherwise it is where the answer sets in, within 10 ms.
 
-    Raises IdentificationError if the recording does not cover the command, does not follow it,
-    or follows it in another channel.
+    Raises IdentificationError if the command has no marks, or if the recording does not cover it,
+    does not follow it, or follows it in another channel.
     """
     moving = moving_samples(command)
     if not moving.size:
         raise IdentificationError("the command does not move")
     sensor = Resampler(recording.t, recording.a)
     _check_length(sensor, moving, recording.started)
-    track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
     marks = find_marks(command, moving)
     if marks is None:
-        start, drift, unknown = clock_from_windows(command, moving, sensor, recording.started)
-    else:
-        start, drift, unknown = *clock_from_marks(command, marks, track), 0.0
+        raise IdentificationError(
+            "the command has no marks before and after its motion, as those of 'sweep', 'check' "
+            "and 'verify' have"
+        )
+    track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
+    start, drift = clock_from_marks(command, marks, track)
     if recording.started:
         if abs(start) > UNKNOWN_START:
             raise IdentificationError(
                 f"the command's motion begins {start:.3g} s after the recording: the recording was "
                 "not started by the sweep's own ACCELEROMETER_MEASURE, or is of another sweep"
             )
-        start, unknown = -recording.period / 2.0, unknown + recording.period / 2.0
+        start, unknown = -recording.period / 2.0, recording.period / 2.0
     else:
         a = sensor.resampled(start, drift, len(command))[:, channel]
-        start, unknown = start + _onset(command, a), unknown + ONSET
-    _check_covered(sensor, moving, start, drift)
+        start, unknown = start + _onset(command, a), ONSET
+    first, last = start + (1.0 + drift) * TS * moving[[0, -1]]
+    sensor.check_covers(first, last)
     a = sensor.resampled(start, drift, len(command))
     correlation = _followed(command, a, channel)
     return Aligned(a, float(recording.t[0] + start), drift, unknown, correlation)
@@ -160,16 +158,6 @@ def _check_length(sensor: Resampler, moving: Integers, started: bool) -> None:
         raise IdentificationError(
             f"the recording lasts {sensor.seconds:.4g} s, shorter than the command, whose "
             f"motion takes {needed:.4g} s"
-        )
-
-
-def _check_covered(sensor: Resampler, moving: Integers, start: float, drift: float) -> None:
-    first, last = start + (1.0 + drift) * TS * moving[[0, -1]]
-    if first < 0.0:
-        raise IdentificationError(f"the recording begins {-first:.3g} s after the motion does")
-    if last > sensor.seconds:
-        raise IdentificationError(
-            f"the recording ends {last - sensor.seconds:.3g} s before the command's motion does"
         )
 
 

@@ -64,6 +64,17 @@ class Resampler:
         first = 2 * half // factor
         return np.asarray(upfirdn(taps, values, 1, factor, axis=0)[first : first + m])
 
+    def check_covers(self, first: float, last: float, missing: float = 0.0) -> None:
+        """Raise IdentificationError if more of a motion is missing, s, than there may be.
+
+        first, last: s after the first sample at which the motion begins and ends.
+        """
+        if first < -missing:
+            raise IdentificationError(f"the recording begins {-first:.2f} s after its motion does")
+        if last > self.seconds + missing:
+            late = last - self.seconds
+            raise IdentificationError(f"the recording ends {late:.2f} s before its motion does")
+
 
 # ---------------------------------------------------------------------- by the two marks
 
@@ -106,7 +117,7 @@ def clock_from_marks(command: Array, marks: Marks, track: Array) -> tuple[float,
     distance = marks.second - marks.first
     width = int(np.ceil(MOST_DRIFT * distance)) + 1
     mark = command[marks.first : marks.first + marks.length]
-    track = _within(track, energy_band(mark, (0.01, 0.99)))
+    track = banded(track, _followed_band(mark))
     track = np.concatenate([track, np.zeros((marks.answer, 3))])  # at rest where it ends
     likeness = _envelope(mark, track)
     padded = np.concatenate([likeness, np.zeros(distance + width)])
@@ -152,17 +163,16 @@ def _peak(cross: Complex, omega: Array) -> float:
 # ---------------------------------------------------------------------- without marks
 
 
-def clock_from_windows(
-    command: Array, moving: Integers, sensor: Resampler, started: bool
-) -> tuple[float, float, float]:
-    """Return start (s), drift and the half-width (s) of the delay's uncertainty, without marks.
+def clock_from_windows(command: Array, moving: Integers, sensor: Resampler) -> tuple[float, float]:
+    """Return start (s) and drift, without marks, to 20 ms over the recording.
 
     A late chirp looks like a stretched one, so the windows' lags show up to twice the drift,
-    depending on the command; the secant method finds the drift at which they stop growing.
+    depending on the command; the secant method finds the drift at which they stop growing. A plant
+    whose delay changes along the sweep looks like a drift: less than it explains is none.
     Raises IdentificationError if the command is too short.
     """
     windows = _Windows(command, moving, sensor)
-    start, drift = (0.0, 0.0) if started else windows.rough()
+    start, drift = windows.rough()
     step = 0.5  # share of the lags' growth that is taken as drift
     lag, growth = windows.lag(start, drift)
     for _ in range(ROUNDS):
@@ -174,9 +184,7 @@ def clock_from_windows(
         if growth_after != growth:
             step = min(max((following - drift) / (growth - growth_after), 0.3), 1.0)
         drift, growth = following, growth_after
-    if abs(drift) * windows.span < DISPERSION:
-        return start + lag, 0.0, 0.0
-    return start + lag, drift, DISPERSION
+    return start + lag, 0.0 if abs(drift) * windows.span < DISPERSION else drift
 
 
 class _Windows:
@@ -192,7 +200,7 @@ class _Windows:
         last = moving[-1] - self._length
         self._places = np.unique(np.linspace(moving[0], last, WINDOWS).astype(np.int64))
         self._samples = int(sensor.seconds * RATE) + 1
-        self._band = energy_band(command, (0.01, 0.99))
+        self._band = _followed_band(command)
 
     @property
     def span(self) -> float:
@@ -201,7 +209,7 @@ class _Windows:
 
     def lag(self, start: float, drift: float) -> tuple[float, float]:
         """Return the windows' mean lag on that clock in s, and its growth per second."""
-        track = _within(self._sensor.resampled(start, drift, self._samples), self._band)
+        track = banded(self._sensor.resampled(start, drift, self._samples), self._band)
         lags = []
         for place in self._places:
             reach = int((2.5 * MOST_DRIFT * place * TS + UNKNOWN_START) * RATE)
@@ -267,17 +275,23 @@ def energy_band(command: Array, shares: tuple[float, float]) -> tuple[float, flo
     return float(low), float(high)
 
 
-def _within(track: Array, band: tuple[float, float]) -> Array:
-    """Return the track (n, 3) without frequencies far from a band in Hz, such as motor steps."""
-    hz = rfftfreq(len(track), TS)
-    spectra = rfft(track, axis=0)
-    spectra[(hz < band[0] / 1.5) | (hz > band[1] * 1.5)] = 0.0
-    return np.asarray(irfft(spectra, len(track), axis=0))
+def banded(values: Array, band_hz: tuple[float, float]) -> Array:
+    """Return the part of values (n, k), one a millisecond, that lies in a band of frequencies."""
+    hz = rfftfreq(len(values), TS)
+    spectra = rfft(values, axis=0)
+    spectra[(hz < band_hz[0]) | (hz > band_hz[1])] = 0.0
+    return np.asarray(irfft(spectra, len(values), axis=0))
+
+
+def _followed_band(command: Array) -> tuple[float, float]:
+    """Return the band (Hz) of a command and what is near it, without motor steps and drift."""
+    low, high = energy_band(command, (0.01, 0.99))
+    return low / 1.5, high * 1.5
 
 
 def not_found() -> IdentificationError:
     return IdentificationError(
-        "the recording does not follow the command. Check that the sweep was played, and that "
-        "this is its recording, complete and from this sensor. With Marlin also check the planner "
-        "of the profile: 'hframe-post calibrate-marlin'"
+        "the recording does not follow the command. Check that it is of this motion, complete, and "
+        "of a sensor that moves with this axis. With Marlin also check the planner of the profile: "
+        "'hframe-post calibrate-marlin'"
     )

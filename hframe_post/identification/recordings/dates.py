@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
+from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.names import days_in
-from hframe_post.identification.recordings.packed import GZIP, head
+from hframe_post.identification.recordings.packed import GZIP, unpacked
 
 EARLIEST = date(2010, 1, 1)  # no accelerometer was recorded on a printer before
 HEAD = 1 << 12  # bytes in which a date is looked for
-MATLAB = re.compile(r"MATLAB .*Created on: \w{3} (\w{3} +\d+ [\d:]+ \d{4})")
 SAMPLE = re.compile(r"[-+.\d\s,;]*\d[-+.\deE\s,;]*")  # a line of numbers
 JSON_NAME = re.compile(r'"name"\s*:\s*"([^"]*)"')
 
@@ -31,11 +31,12 @@ def recorded_on(path: Path) -> date:
 
 
 def _days_in_head(path: Path) -> Iterator[date]:
-    text = head(path, HEAD).decode("latin-1")
+    try:
+        text = unpacked(path)[:HEAD].decode("latin-1")
+    except IdentificationError:  # damaged
+        text = ""
     if text.startswith("{"):
         text = "\n".join(JSON_NAME.findall(text))
-    if found := MATLAB.match(text):
-        yield datetime.strptime(found[1], "%b %d %H:%M:%S %Y").replace(tzinfo=UTC).date()
     for line in text.splitlines():
         if SAMPLE.fullmatch(line):
             break

@@ -59,22 +59,22 @@ def trajectory(sweep: Sweep, speed: float, room: float, rest: int = 0) -> Array:
     Differences of the samples never exceed the sweep's amplitude, its stroke plus sway, ``speed``
     (mm/s) and ``room`` (mm). rest: samples of extra rest before the sweep.
     """
-    bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
     quiet = np.zeros(round(sweep.quiet / TS))
     mark = alignment_mark(sweep, speed, room)
     samples = round(sweep.seconds / TS) + 1
     sine = _chirp(sweep, sweep.start_hz, sweep.end_hz, samples, speed, room)
     # the sway is at 0.5 Hz, or below a sweep that begins lower than 2 Hz
     slow = 2.0 * np.pi * min(0.5, sweep.start_hz / 4.0) * np.arange(samples) * TS
-    sine = _bounded(sine + _sway(sweep, room) * _window(samples) * np.sin(slow), bounds)
+    swaying = sine + _sway(sweep, room) * _window(samples) * np.sin(slow)
+    sine = _bounded(swaying, sweep, speed, room)
     before, after = np.zeros(rest), np.zeros(LONGEST_REST - rest)
     return np.concatenate([quiet, mark, quiet, before, sine, after, quiet, mark, quiet])
 
 
 def alignment_mark(sweep: Sweep, speed: float, room: float) -> Array:
     """Return the short chirp, (n,) mm every 1 ms, of which two align a recording."""
-    bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
-    return _bounded(_chirp(sweep, *MARK_HZ, MARK_SAMPLES, speed, room), bounds)
+    mark = _chirp(sweep, *MARK_HZ, MARK_SAMPLES, speed, room)
+    return _bounded(mark, sweep, speed, room)
 
 
 def peaks(displacement: Array) -> tuple[float, float, float]:
@@ -96,8 +96,9 @@ def _chirp(
     return np.asarray(_window(n) * size * np.sin(phase))
 
 
-def _bounded(wave: Array, bounds: tuple[float, float, float]) -> Array:
+def _bounded(wave: Array, sweep: Sweep, speed: float, room: float) -> Array:
     """Return the wave (n,), scaled down if needed: windows and sway add to the sine's peaks."""
+    bounds = (min(sweep.stroke + sweep.sway, room), speed, sweep.amplitude)
     share = min(1.0, *(b / p for b, p in zip(bounds, peaks(wave), strict=True) if p > 0.0))
     return np.asarray(share * wave)
 
@@ -117,10 +118,8 @@ def command_csv(command: Array) -> Iterator[bytes]:
     yield CSV_HEAD.encode() + b"\n"
     t = np.arange(len(command)) * TS
     comma = digits.column(b",", len(command))
-    parts = [digits.fixed(values, 6) for values in (t, *command.T)]
-    yield digits.rows(
-        [parts[0], comma, parts[1], comma, parts[2], digits.column(b"\n", len(command))]
-    )
+    at, x, y = (digits.fixed(values, 6) for values in (t, *command.T))
+    yield digits.rows([at, comma, x, comma, y, digits.column(b"\n", len(command))])
 
 
 def read_command(path: Path) -> Array:

@@ -22,12 +22,13 @@ from hframe_post.identification.recordings.accelerometer import Recording, from_
 from hframe_post.identification.recordings.clock_sync import MOST_DRIFT
 from hframe_post.identification.recordings.excitation import CSV_HEAD, read_command
 from hframe_post.identification.recordings.formats import read_tables
-from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed
+from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed, stem
 from hframe_post.identification.recordings.packed import unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
-ARRAYS = (".npz", ".mat")  # which are recordings only if the user names their columns
+ARRAYS = ".npz"  # which are recordings only if the user names their columns
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
+STROKES = "measure"  # how the names of its runs begin
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
@@ -39,17 +40,27 @@ EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The motion of a sweep: x and y (m, 2) in mm every 1 ms. run: the last word of its name."""
+    """The motion of a run: x and y (m, 2) in mm every 1 ms. run: the last word of its name."""
 
     path: Path
     run: str
     motion: Array
+
+    @classmethod
+    def read(cls, path: Path) -> Command:
+        """Return the command in a file. Raises OSError and IdentificationError."""
+        return cls(path, ENDINGS.sub("", path.name).rpartition(".")[2], read_command(path))
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
         """Return a unit vector along the one axis that moves; None if both or none move."""
         x, y = (float(width > 0.0) for width in np.ptp(self.motion, axis=0))
         return None if x == y else (x, y, 0.0)
+
+    @property
+    def of_strokes(self) -> bool:
+        """Return whether it is a motion of `measure`."""
+        return self.run.startswith(STROKES)
 
     def lasts_as_long_as(self, recording: Recording) -> bool:
         """Return whether the recording covers the motion, and little more."""
@@ -145,9 +156,10 @@ def read_files(
     if not files:
         raise IdentificationError(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
-            "raw_data_x_….csv, adxl345-….csv or ….stdata. To record with Klipper, run "
-            "TEST_RESONANCES AXIS=X OUTPUT=raw_data, and AXIS=Y; it writes to /tmp of its host. "
-            "With Marlin, print what 'hframe-post sweep' writes"
+            "raw_data_x_….csv, adxl345-….csv or ….stdata. To record with Klipper, print what "
+            "'hframe-post measure' writes, or run TEST_RESONANCES AXIS=X OUTPUT=raw_data, and "
+            "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post sweep' "
+            "writes"
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]
     return (
@@ -162,7 +174,7 @@ def files_in(paths: Sequence[Path], arrays: bool = False) -> dict[Path, str]:
     Each has a label: its name, or its path within the folder. arrays: whether to look for files
     of arrays, too. Raises OSError if a folder cannot be read, and IdentificationError.
     """
-    suffixes = (*SUFFIXES, *ARRAYS) if arrays else SUFFIXES
+    suffixes = (*SUFFIXES, ARRAYS) if arrays else SUFFIXES
     files: dict[Path, str] = {}
     for path in paths:
         if not path.is_dir():
@@ -195,8 +207,7 @@ def _read(
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
-            run = ENDINGS.sub("", path.name).rpartition(".")[2]
-            return [Command(path, run, read_command(path))]
+            return [Command.read(path)]
         tables = read_tables(path, content, columns)
     except (HframeError, OSError) as error:
         return [Aside(label, _reason(path, error))]
@@ -237,30 +248,45 @@ def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement |
     name = one.name
     if name.other:
         return Aside(one.label, UNUSABLE[name.other])
-    fitting = [c for c in commands if not name.certain and c.lasts_as_long_as(one.recording)]
-    stem = ENDINGS.sub("", one.path.name)
-    named = [c for c in fitting if stem.endswith(c.run)]
-    meant = [c for c in commands if not name.certain and stem.endswith(c.run)]
-    if meant and not fitting:
-        lasts, needed = float(np.ptp(one.recording.t)), TS * len(meant[0].motion)
-        cause = f"it lasts {lasts:.1f} s, but its motion, {meant[0].path.name}, {needed:.1f} s"
-        return Aside(one.label, f"{cause}: it was cut off, or is of another run")
-    longest = max((len(c.run) for c in named), default=0)
-    along = [c for c in fitting if name.direction and c.direction == name.direction]
-    possible = [c for c in named if len(c.run) == longest] or along
-    near = [c for c in possible if c.path.parent == one.path.parent] or possible
-    if near and all(np.array_equal(c.motion, near[0].motion) for c in near):
-        chip = stem.removesuffix(near[0].run).rstrip("-_.").replace("-", "_") if named else ""
-        return replace(one, command=near[0], name=replace(name, chip=chip or name.chip))
-    if near:
-        which = ", ".join(c.path.name for c in near[:4])
-        return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")
+    if not name.certain and (found := _of_command(one, commands)) is not None:
+        return found
     if name.direction is None:
         unknown = "neither its name nor a command next to it shows which axis moved"
         return Aside(one.label, f"{unknown}. Rename it, as raw_data_x_1.csv; {EXPLICIT}")
     if abs(name.direction[2]) > 0.0:
         return Aside(one.label, "a test in which z moves, which is not compensated")
     return replace(one, recording=replace(one.recording, started=False))
+
+
+def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside | None:
+    """Return a recording with the command that its name ends with, or else of the same axis.
+
+    A command in the same folder goes before others. None if there is no such command.
+    """
+    own, axis = stem(one.path.name), one.name.direction
+    meant = [c for c in commands if own.endswith(c.run)]
+    fitting = [c for c in commands if c.lasts_as_long_as(one.recording)]
+    if meant and not fitting:
+        lasts, needed = float(np.ptp(one.recording.t)), TS * len(meant[0].motion)
+        cause = f"it lasts {lasts:.1f} s, but its motion, {meant[0].path.name}, {needed:.1f} s"
+        return Aside(one.label, f"{cause}: it was cut off, or is of another run")
+
+    def suits(command: Command) -> tuple[int, bool]:
+        named = len(command.run) if own.endswith(command.run) else 0
+        return named, command.path.parent == one.path.parent
+
+    possible = [c for c in fitting if own.endswith(c.run) or (axis and c.direction == axis)]
+    best = [c for c in possible if suits(c) == max(map(suits, possible))]
+    if not best:
+        return None
+    if not all(np.array_equal(c.motion, best[0].motion) for c in best):
+        which = ", ".join(c.path.name for c in best[:4])
+        return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")
+    if best[0].direction is None and not best[0].of_strokes:
+        return Aside(one.label, "a motion of both axes; 'hframe-post verify' judges it")
+    words = own.removesuffix(best[0].run).rstrip("-_.") if own.endswith(best[0].run) else ""
+    chip = words.replace("-", "_") or one.name.chip
+    return replace(one, command=best[0], name=replace(one.name, chip=chip))
 
 
 # ---------------------------------------------------------------------- copies and sessions

@@ -7,23 +7,16 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.packed import (
-    TooLargeError,
-    check_zip,
-    too_large,
-    unpacked_matlab,
-)
+from hframe_post.identification.recordings.packed import check_zip
 
 COMMAND = ("t", "x", "y")  # as sweep and verify write it
 KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
@@ -36,7 +29,6 @@ UNIT = re.compile(r"[ _]*(?:\((?P<a>[^)]*)\)|\[(?P<b>[^\]]*)\]|_(?P<c>g|mm/s2|m/
 UNIT_NAMES = {"g": "g", "m/s2": "m/s2", "m/s^2": "m/s2", "m/s²": "m/s2",
               "mm/s2": "mm/s2", "mm/s^2": "mm/s2", "mm/s²": "mm/s2"}  # fmt: skip
 MOST_SAMPLES = 1 << 22  # of a recording: 20 minutes of an ADXL345
-NUMERIC = ("double", "single", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show it
 
 
@@ -70,7 +62,7 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     content: of the file, decompressed. columns: names of time, x, y, z if the user gave them.
     Raises IdentificationError.
     """
-    if path.suffix in (".npz", ".mat"):
+    if path.suffix == ".npz":
         return [Table(_named_arrays(path, content, columns))]
     _check_count(path, content.count(b"\n"))
     if columns is not None:
@@ -224,63 +216,31 @@ def _bad_line(
 
 
 def _named_arrays(path: Path, content: bytes, columns: Sequence[str] | None) -> Array:
-    read = _npz if path.suffix == ".npz" else _mat
+    """Return the arrays of the user's names in an archive of NumPy, (n, 4)."""
     try:
-        chosen = read(path, content, columns)
+        check_zip(path, content)
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            if columns is None:
+                raise IdentificationError(
+                    f"{path}: name the arrays of time and x, y, z: 'hframe-post identify --columns "
+                    f"time,x,y,z'; {_listed(file.files)}"
+                )
+            chosen = []
+            for name in columns:
+                _column(path, file.files, name)
+                array = np.squeeze(file[name])
+                if array.ndim != 1 or array.dtype.kind not in "fiu":
+                    raise IdentificationError(f"{path}: {name} is not a list of real numbers")
+                _check_count(path, len(array))
+                chosen.append(array.astype(np.float64))
     except IdentificationError:
         raise
-    except TooLargeError:
-        raise too_large(path) from None
     except Exception as error:  # a broken file fails in many ways
-        cause = f" cannot be read as {path.suffix}: {str(error)[:200]}"
-        if path.suffix == ".mat" and isinstance(error, NotImplementedError):
-            cause = ": MATLAB 7.3 files cannot be read. Save the file with -v7"
-        raise IdentificationError(f"{path}{cause}") from None
+        raise IdentificationError(f"{path} cannot be read as .npz: {str(error)[:200]}") from None
     if len({len(array) for array in chosen}) > 1:
-        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns or (), chosen, strict=True))
+        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns, chosen, strict=True))
         raise IdentificationError(f"{path}: the arrays differ in length ({sizes})")
     return np.column_stack(chosen)
-
-
-def _npz(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Array]:
-    check_zip(content)
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return _chosen(path, columns, file.files, file.__getitem__)
-
-
-def _mat(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Array]:
-    from scipy.io import loadmat, whosmat
-
-    content = unpacked_matlab(content)
-    sizes = {
-        name: math.prod(shape) if kind in NUMERIC else 0
-        for name, shape, kind in whosmat(io.BytesIO(content))
-    }
-    for name in columns or ():
-        _check_count(path, sizes.get(name, 0))
-    wanted = [name for name in columns or () if sizes.get(name)]  # others might be of any size
-    arrays = loadmat(io.BytesIO(content), variable_names=wanted)
-    return _chosen(path, columns, list(sizes), lambda name: arrays.get(name, "of another kind"))
-
-
-def _chosen(
-    path: Path, columns: Sequence[str] | None, names: list[str], read: Callable[[str], Any]
-) -> list[Array]:
-    """Return the arrays of the user's names, (n,) each."""
-    if columns is None:
-        raise IdentificationError(
-            f"{path}: name the arrays of time and x, y, z: 'hframe-post identify --columns "
-            f"time,x,y,z'; {_listed(names)}"
-        )
-    chosen = []
-    for name in columns:
-        _column(path, names, name)
-        array = np.squeeze(np.asarray(read(name)))
-        if array.ndim != 1 or array.dtype.kind not in "fiu":
-            raise IdentificationError(f"{path}: {name} is not a list of real numbers")
-        _check_count(path, len(array))
-        chosen.append(array.astype(np.float64))
-    return chosen
 
 
 def _check_count(path: Path, samples: int) -> None:

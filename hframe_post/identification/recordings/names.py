@@ -4,6 +4,7 @@
     raw_data_x_hotend_20250805_220709.csv                                   [adxl345 hotend]
     raw_data_axis=1.000,-1.000,0.000_b.csv
     adxl345-hotend-x-at-110.csv                                             ACCELEROMETER_MEASURE
+    adxl345-measure-at-110-t123456789.csv                                   HFRAME_RECORDED
     resonances_20231016_101500_X.csv, belt_20231016_101500_A.csv            Shake&Tune, 2023
     shaketune-axis_X_20240620_101500.csv, inputshaper_20240620_101500_X.csv     2024
     axis_Y_20250805_220709, belt_A_…, axesmap_X_… (within .stdata)              since 2024-12
@@ -18,10 +19,11 @@ import datetime
 import math
 import re
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 NUMBER = r"-?\d+(?:\.\d+)?"
-ENDINGS = re.compile(r"(\.(csv|txt|stdata|npz|mat|gz|xz|zst))+$", re.IGNORECASE)
+ENDINGS = re.compile(r"(\.(csv|txt|stdata|npz|gz|xz|zst))+$", re.IGNORECASE)
+ENDED = re.compile(r"-t(\d{4,16})(?![a-z\d])", re.IGNORECASE)  # µs of print time
 RAW_DATA = re.compile(
     r"(?:^|.*[^a-z])raw_data_(?:axis=(?P<dir>[-+\d.,]+)|(?P<axis>[xyz]))(?:_(?P<rest>.*))?$"
 )
@@ -53,7 +55,8 @@ class RecordingName:
 
     direction: of the motion, a unit vector. point: x and y in mm. chip: of the sensor, words
     joined by ``_``. date: sortable. certain: whether the name is that of a test of resonances.
-    other: the kind of a test that shows no resonances.
+    other: the kind of a test that shows no resonances. ended: print time in s at which the motion
+    had ended.
     """
 
     direction: tuple[float, float, float] | None = None
@@ -62,17 +65,26 @@ class RecordingName:
     date: str = ""
     certain: bool = False
     other: str = ""
+    ended: float | None = None
 
     def __or__(self, known: RecordingName) -> RecordingName:
         """Return this with what it does not say taken from another name."""
         return RecordingName(
             self.direction or known.direction, self.point or known.point, self.chip or known.chip,
             self.date or known.date, self.certain or known.certain, self.other or known.other,
+            known.ended if self.ended is None else self.ended,
         )  # fmt: skip
+
+
+def stem(name: str) -> str:
+    """Return a file's name without its endings and without the print time in it."""
+    return ENDED.sub("", ENDINGS.sub("", name))
 
 
 def parsed(name: str) -> RecordingName:
     """Return what the name of a file, or of a measurement in it, says about its test."""
+    if times := ENDED.findall(name):
+        return replace(parsed(ENDED.sub("", name)), ended=1e-6 * int(times[-1]))
     name = ENDINGS.sub("", name.lower())
     dates = ["".join(filter(None, found.groups())) for found in DATE.finditer(name)]
     date = dates[-1] if dates else ""
@@ -98,7 +110,7 @@ def parsed(name: str) -> RecordingName:
 def days_in(text: str) -> list[datetime.date]:
     """Return the days that a name or a line names, the last first."""
     found = []
-    for year, month, day, *_ in DATE.findall(text):
+    for year, month, day, *_ in DATE.findall(ENDED.sub("", text)):
         with suppress(ValueError):  # no such day
             found.append(datetime.date(int(year), int(month), int(day)))
     return found[::-1]

@@ -10,21 +10,28 @@ axes in printer.cfg, since a spectrum does not show a sign.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from scipy.fft import irfft, rfft, rfftfreq
 
-from hframe_post.arrays import TS, Array, X, Y
+from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import AXES, PLAUSIBLE, Recording
+from hframe_post.identification.recordings.accelerometer import (
+    AXES,
+    PLAUSIBLE,
+    Recording,
+    at_rest,
+)
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.clock_sync import (
     RATE,
     Resampler,
+    banded,
     clock_from_marks,
     find_marks,
     moving_samples,
+    not_found,
 )
 
 SLOW_HZ = (2.0, 8.0)  # which any printer follows
@@ -49,24 +56,35 @@ def sensor_axes(command: Array, recording: Recording) -> Array:
     u = np.column_stack([acceleration(command[:, axis]) for axis in moved])
     found = ((v, find_marks(v, moving_samples(v))) for v in u.T)
     marked, marks = next((v, marks) for v, marks in found if marks is not None)
-    at_rest = _at_rest(recording)
-    sensor = Resampler(recording.t, recording.a - at_rest)
+    rest = at_rest(recording, QUIET)
+    sensor = Resampler(recording.t, recording.a - rest)
     track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
     start, drift = clock_from_marks(marked, marks, track)
-    slow, shown = (_slow(values) for values in (u, sensor.resampled(start, drift, len(u))))
-    D = np.linalg.lstsq(slow, shown, rcond=None)[0]
+    slow, shown = (
+        banded(values, SLOW_HZ) for values in (u, sensor.resampled(start, drift, len(u)))
+    )
+    D = np.asarray(np.linalg.lstsq(slow, shown, rcond=None)[0])
     if (np.linalg.norm(D, axis=1) < LEAST).any():
-        raise IdentificationError("the recording does not follow the command in slow motion")
-    D /= np.linalg.norm(D, axis=1, keepdims=True)
+        raise not_found()
+    return completed(D, moved, rest)
+
+
+def completed(D: Array, moved: Sequence[int], rest: Array) -> Array:
+    """Return all of the printer's axes, (3, 3), from those that moved: ``sensor_axes``.
+
+    D (k, 3): where the axes that moved point, of any length; rest (3,): what the sensor shows at
+    rest. Raises IdentificationError without gravity, if one axis moved.
+    """
+    D = D / np.linalg.norm(D, axis=1, keepdims=True)
     rows = np.zeros((3, 3))
-    rows[moved] = D
-    strength = float(np.linalg.norm(at_rest))
+    rows[list(moved)] = D
+    strength = float(np.linalg.norm(rest))
     if len(moved) == 2:
         rows[2] = np.cross(rows[X], rows[Y])
-        rows[2] *= np.sign(rows[2] @ at_rest) or 1.0
+        rows[2] *= np.sign(rows[2] @ rest) or 1.0
     elif PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
         along = D[0]
-        up = at_rest / strength - (along @ at_rest) / strength * along
+        up = rest / strength - (along @ rest) / strength * along
         rows[2] = up / np.linalg.norm(up)
         rows[1 - moved[0]] = np.cross(rows[2], along) * (1.0 if moved[0] == X else -1.0)
     else:
@@ -82,15 +100,3 @@ def nearest_map(axes: Array) -> str:
     order = max(permutations(range(3)), key=lambda p: sum(abs(axes[k, p[k]]) for k in range(3)))
     signs = ["-" if axes[k, at] < 0.0 else "" for k, at in enumerate(order)]
     return ",".join(f"{AXES[k]}={signs[k]}{AXES[at]}" for k, at in enumerate(order))
-
-
-def _at_rest(recording: Recording) -> Array:
-    quiet = np.searchsorted(recording.t, recording.t[0] + QUIET)
-    return np.asarray(recording.a[:quiet].mean(axis=0))
-
-
-def _slow(a: Array) -> Array:
-    hz = rfftfreq(len(a), TS)
-    spectrum = rfft(a, axis=0)
-    spectrum[(hz < SLOW_HZ[0]) | (hz > SLOW_HZ[1])] = 0.0
-    return np.asarray(irfft(spectrum, len(a), axis=0))

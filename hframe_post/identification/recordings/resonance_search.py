@@ -13,16 +13,20 @@ from itertools import product
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import rfft, rfftfreq
+from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
 from hframe_post.identification.recordings.chirp_line import Line, find_line
-from hframe_post.identification.recordings.resonance_test import DEFAULTS, ResonanceTest
+from hframe_post.identification.recordings.resonance_test import (
+    DEFAULTS,
+    FORMER_MAX_FREQ,
+    ResonanceTest,
+)
 
 RATE = 500.0  # samples a second of a recording that is searched
 LEAST_SCORE = 0.3  # of a line
@@ -35,11 +39,11 @@ STEP = 5  # ms between their samples
 REACH = 16  # steps by which the start may be off the line's
 LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
 ALIKE = 0.01  # of that share, by which the first frequency expected may fall behind another
-LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency
+LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency: sines have -1
 LEAST_MOVED = 0.2  # of the level expected: sensors and settings differ less
 ELSEWHERE = (
-    "not on what this axis moves, but on a bed that moves in y alone, on a head whose bed moves in "
-    "y, or on another head"
+    "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
+    "while the bed moves, or the other way round)"
 )
 LEAST_PEAK = 1.5  # of the level; with shaping 1.2, without 2.9 and more on 20 drawn printers
 PERIODS = (0.3, 4.0)  # s, of sweeping
@@ -57,12 +61,13 @@ class Found:
 
     test: the motion that was played; start: s on the sensor's clock at the first moment of the
     motion, within 5 ms, the printer's delay included; drift: by how much that clock runs fast,
-    within 0.05 %.
+    within 0.05 %. axis (3,): unit vector of the sensor's slow motion.
     """
 
     test: ResonanceTest
     start: float
     drift: float
+    axis: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,7 @@ class _Fit:
     """A test compared with a recording.
 
     start: s on the command's clock; like: share explained; pulses, sweeping: answers to
-    accelerations of 1, (1,), along the direction in which the recording is strongest.
+    accelerations of 1, (1,), along the direction in which the recording is strongest, axis (3,).
     """
 
     test: ResonanceTest
@@ -78,13 +83,28 @@ class _Fit:
     like: float
     pulses: Array
     sweeping: Array
+    axis: Array
 
 
 def find(recording: Recording, expected: ResonanceTest) -> Found:
     """Return the resonance test in a recording, which printer.cfg describes as ``expected``.
 
-    Raises IdentificationError if there is none, if a part is missing, or if input shaping was on.
+    Raises IdentificationError if there is none, if a part is missing, or if the recording does not
+    show its motion.
     """
+    try:
+        return _found(recording, expected)
+    except IdentificationError as error:
+        gravity = float(np.linalg.norm(recording.a.mean(axis=0)))
+        if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
+            raise
+        raise IdentificationError(
+            f"on average the sensor shows {gravity:.3g} mm/s² instead of gravity, 9810: check its "
+            f"unit and range. {str(error)[0].upper()}{str(error)[1:]}"
+        ) from None
+
+
+def _found(recording: Recording, expected: ResonanceTest) -> Found:
     a = _uniform(recording)
     line = find_line(a, RATE)
     if line.score < LEAST_SCORE or line.last - line.first < 5.0:
@@ -97,14 +117,18 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     low, high = _low_band(hz, level)
     known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
     fit = _best(_low(a, drift), known, line, drift, high)
+    _check_level(fit, low, expected)
+    slow = hz <= high
     if fit.test.min_freq != expected.min_freq and not _rests_before(a, fit.start * (1.0 + drift)):
-        raise _cut_at_start(line)
-    _check_motion(fit, line, hz[hz <= high], level[hz <= high])
+        if -line.slope * line.origin < expected.min_freq + SOON * line.slope:
+            _check_motion(fit, line, hz[slow], level[slow])  # else nothing is missing
+        raise _cut_at_start(line, expected.min_freq)
+    _check_motion(fit, line, hz[slow], level[slow])
     last = _last_hz(a, line, drift, fit, expected)
-    _check_shaping(level, low, expected)
+    _check_shaping(hz, level, low)
     test = _with_levels(fit, low / (1.0 + drift), expected)
     start = float(recording.t[0] + fit.start * (1.0 + drift))
-    return Found(replace(test, max_freq=last), start, drift)
+    return Found(replace(test, max_freq=last), start, drift, fit.axis)
 
 
 def _uniform(recording: Recording) -> Array:
@@ -124,17 +148,26 @@ def _rate(slope: float, expected: float) -> tuple[float, float]:
             return rate, drift
     raise IdentificationError(
         f"the recording's frequency grows by {slope:.3g} Hz/s, not by hz_per_sec "
-        f"{expected:g}. Set it in [resonance_tester] as it was in the test"
+        f"{expected:g}. Set it in [resonance_tester] as it was in the test; if it was {expected:g},"
+        " the file's time is not in seconds"
     )
+
+
+def _along_line(a: Array, line: Line, seconds: float) -> tuple[Array, Array]:
+    """Return, at each sample, the line's frequency in Hz and the answer's size there, (n,) each.
+
+    seconds: over which the size is averaged.
+    """
+    since = np.arange(len(a)) / RATE - line.origin
+    turning = np.exp(-1j * np.pi * line.slope * np.square(since))
+    window = hann(round(seconds * RATE))[:, None]
+    size = np.linalg.norm(fftconvolve(a * turning[:, None], window / window.sum(), "same"), axis=1)
+    return line.slope * since, size
 
 
 def _levels(a: Array, line: Line) -> tuple[Array, Array]:
     """Return frequencies (k,) and the answers (k,) to pulses there, mm/s² per Hz."""
-    t = np.arange(len(a)) / RATE
-    turning = np.exp(-1j * np.pi * line.slope * np.square(t - line.origin))
-    window = hann(round(RATE))[:, None]
-    size = np.linalg.norm(fftconvolve(a * turning[:, None], window / window.sum(), "same"), axis=1)
-    hz = line.slope * (t - line.origin)
+    hz, size = _along_line(a, line, 1.0)
     keep = (hz >= line.first + 0.5) & (hz <= line.last - 0.5)
     # a square wave's fundamental is 4/π times as large, half of it at positive frequencies
     return hz[keep][::25], (size[keep] / hz[keep])[::25] * np.pi / 2.0
@@ -158,7 +191,7 @@ def _low_band(hz: Array, level: Array) -> tuple[float, float]:
 
 def _swept(a: Array, expected: ResonanceTest, drift: float) -> ResonanceTest:
     """Return the test with the period of sweeping that a recording shows, 0 if there is none."""
-    size = 4 * len(a)
+    size = next_fast_len(4 * len(a), real=True)
     hz = rfftfreq(size, 1.0 / RATE) * (1.0 + drift)
     inside = (hz > 1.0 / PERIODS[1]) & (hz < 1.0 / PERIODS[0])
     wave = np.linalg.norm(np.abs(rfft(a * hann(len(a))[:, None], size, axis=0))[inside], axis=1)
@@ -191,14 +224,15 @@ def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: floa
     starts = [known.min_freq, *usual[usual != known.min_freq].tolist()]
     starts = [f for f in starts if max(earliest, 1.0) <= f <= latest]
     if not starts:
-        raise _cut_at_start(line)
+        raise _cut_at_start(line, known.min_freq)
     seconds = high / known.hz_per_sec + origin
-    low = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
+    low, axis = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
     hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
     kinds = [False] if known.sweeping_period else [False, True]
+    unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
     fits = [
-        _compared(low, 1.0 / hz, replace(known, min_freq=f, around_point=kind, accel_per_hz=1.0,
-                                         sweeping_accel=1.0), f / known.hz_per_sec + origin)
+        _compared(low, axis, 1.0 / hz, replace(unit, min_freq=f, around_point=kind),
+                  f / known.hz_per_sec + origin)
         for f, kind in product(starts, kinds)
     ]  # fmt: skip
     most = max(fit.like for fit in fits)
@@ -206,17 +240,17 @@ def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: floa
     return max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
 
 
-def _strongest(a: Array) -> Array:
-    """Return the component (n, 1) of a signal (n, 3) along the direction in which it is strongest.
+def _strongest(a: Array) -> tuple[Array, Array]:
+    """Return the component (n, 1) of a signal (n, 3) along its strongest direction, and that (3,).
 
     The motion has one direction, noise has three.
     """
     centred = a - a.mean(axis=0)
     axis = np.linalg.eigh(centred.T @ centred)[1][:, -1:]
-    return np.asarray(centred @ axis)
+    return np.asarray(centred @ axis), np.asarray(axis[:, 0])
 
 
-def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _Fit:
+def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float) -> _Fit:
     """Return the comparison at the best start near the one given, in s."""
     n, first = len(low), round(start / (STEP * TS))
     parts = [_slow(test.pulses())]
@@ -242,7 +276,7 @@ def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _
         by = 0.5 * float((before - after) / (before - 2.0 * top + after))
         late, top = late + by, top - 0.25 * float(before - after) * by
     sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
-    return _Fit(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping)
+    return _Fit(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
 
 
 def _slow(displacement: Array) -> Array:
@@ -255,10 +289,12 @@ def _slow(displacement: Array) -> Array:
 # ---------------------------------------------------------------------- checks and levels
 
 
-def _cut_at_start(line: Line) -> IdentificationError:
+def _cut_at_start(line: Line, expected: float) -> IdentificationError:
+    begins = -line.slope * line.origin
     return IdentificationError(
-        "the recording begins in the middle of the resonance test, at "
-        f"{-line.slope * line.origin:.0f} Hz: it was cut. Use the whole file"
+        f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was cut "
+        f"(use the whole file), or min_freq was not {expected:g} as in [resonance_tester]: set it "
+        "as it was in the test"
     )
 
 
@@ -270,30 +306,29 @@ def _rests_before(a: Array, start: float) -> bool:
 
 
 def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array) -> None:
-    # pulses grow with the frequency, which a sine sweep of constant acceleration does not
-    growth = float(np.polyfit(np.log(hz), np.log(level), 1)[0])
-    if fit.like < LEAST_LIKE or growth < LEAST_GROWTH:
+    grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
+    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < LEAST_GROWTH:
         raise IdentificationError(
-            f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but "
-            f"it does not follow that motion. The sensor was {ELSEWHERE}, input shaping was on "
+            f"{grows} its acceleration does not grow with it: this is another program's sweep"
+        )
+    if fit.like < LEAST_LIKE:
+        raise IdentificationError(
+            f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
+            f"{hz[-1]:.0f} Hz is that motion. Either {ELSEWHERE}, or input shaping was on "
             "(INPUT_SHAPING=1), or another program made it"
         )
 
 
 def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceTest) -> float:
     """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
-    t = np.arange(len(a)) / RATE
-    turning = np.exp(-1j * np.pi * line.slope * np.square(t - line.origin))
-    window = hann(round(END * RATE))[:, None]
-    size = np.linalg.norm(fftconvolve(a * turning[:, None], window, "same"), axis=1)
-    hz = line.slope * (t - line.origin)
+    hz, size = _along_line(a, line, END)
     before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
     near = before | (hz >= line.last - line.slope) & (hz < line.last + 2.0 * line.slope)
     strong = size > 0.5 * np.median(size[before])
     last = float(hz[near & strong][-1]) * (1.0 + drift)
     end = float(hz[-1]) * (1.0 + drift)
     ended = end - last > END * line.slope
-    usual = [expected.max_freq, *(default["max_freq"] for default in DEFAULTS.values())]
+    usual = [expected.max_freq, DEFAULTS["max_freq"], FORMER_MAX_FREQ]
     # the firmware stops recording soon after the motion, which noise may hide before
     recorded = [f for f in [*usual, 5.0 * (end // 5.0)] if last < f <= end < f + SOON * line.slope]
     if ended:
@@ -313,17 +348,38 @@ def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceT
     return round(last, 1)
 
 
-def _check_shaping(level: Array, base: float, expected: ResonanceTest) -> None:
-    """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
-    if base < LEAST_MOVED * expected.accel_per_hz:
-        raise IdentificationError(
-            f"the sensor moved {100.0 * base / expected.accel_per_hz:.0f} % as much as the test "
-            f"moves its axis: it was {ELSEWHERE}"
+def _check_level(fit: _Fit, level: float, expected: ResonanceTest) -> None:
+    """Raise IdentificationError if the sensor moved far less than the axis did.
+
+    A test of weak pulses still has its sweeping in full.
+    """
+    share = level / expected.accel_per_hz
+    sweeps = bool(fit.test.sweeping_period)
+    if share >= LEAST_MOVED:
+        return
+    if sweeps and np.linalg.norm(fit.sweeping) > 2.0 * LEAST_MOVED * expected.sweeping_accel:
+        return
+    cause = ELSEWHERE
+    if not sweeps and level > 1.0:
+        cause = (
+            f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={level:.2g}: set "
+            f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
         )
+    raise IdentificationError(
+        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes: "
+        f"{cause}"
+    )
+
+
+def _check_shaping(hz: Array, level: Array, base: float) -> None:
+    """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
     if level.max() < LEAST_PEAK * base and level.min() < 0.5 * base:
+        fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
         raise IdentificationError(
-            "the recording shows no resonance: input shaping was on during the test. Repeat "
-            "TEST_RESONANCES without INPUT_SHAPING=1"
+            f"the recording shows no resonance, and from {fades:.0f} Hz on less than half of the "
+            "test's motion. Either input shaping was on (repeat TEST_RESONANCES without "
+            "INPUT_SHAPING=1), or something soft lies between motors and sensor, such as a slack "
+            "belt or a sensor that is not screwed on"
         )
 
 

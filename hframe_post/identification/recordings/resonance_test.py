@@ -33,21 +33,11 @@ from hframe_post.printer.klipper_cfg import KlipperConfig
 SECTION = "resonance_tester"
 SLACK = 1e-6  # Hz by which the last frequency may exceed max_freq, as in the firmware
 STOP_ACCEL = 3000.0  # mm/s², where printer.cfg has no max_accel
-DEFAULTS: dict[str, dict[str, float]] = {
-    "klipper": {
-        "min_freq": 5.0, "max_freq": 135.0, "hz_per_sec": 1.0, "accel_per_hz": 60.0,
-        "sweeping_accel": 400.0, "sweeping_period": 1.2,
-    },
-    "klipper before 2024-12": {
-        "min_freq": 5.0, "max_freq": 10000.0 / 75.0, "hz_per_sec": 1.0, "accel_per_hz": 75.0,
-        "sweeping_accel": 400.0, "sweeping_period": 0.0,
-    },
-    "kalico": {
-        "min_freq": 5.0, "max_freq": 135.0, "hz_per_sec": 1.0, "accel_per_hz": 75.0,
-        "sweeping_accel": 400.0, "sweeping_period": 0.0,
-    },
+DEFAULTS = {  # of options that printer.cfg leaves out
+    "min_freq": 5.0, "max_freq": 135.0, "hz_per_sec": 1.0, "accel_per_hz": 60.0,
+    "sweeping_accel": 400.0, "sweeping_period": 1.2,
 }  # fmt: skip
-"""Values of options that printer.cfg leaves out, by firmware."""
+FORMER_MAX_FREQ = 10000.0 / 75.0  # Hz, the default before December 2024
 BOUNDS = {
     "min_freq": (1.0, 300.0), "max_freq": (1.0, 300.0), "hz_per_sec": (0.05, 20.0),
     "accel_per_hz": (0.1, 10000.0), "sweeping_accel": (0.1, 100000.0),
@@ -81,22 +71,16 @@ class ResonanceTest:
         config: KlipperConfig,
         direction: Sequence[float],
         point: tuple[float, float] | None = None,
-        firmware: str = "klipper",
-        **overrides: float,
     ) -> ResonanceTest:
         """Return the test that a printer.cfg describes.
 
         direction: x, y[, z] as TEST_RESONANCES AXIS=dx,dy takes it, of any length. point: x and y
-        in mm, by default the first of probe_points. firmware: a key of DEFAULTS. overrides:
-        options that TEST_RESONANCES was given, such as accel_per_hz=90. Raises HframeError.
+        in mm, by default the first of probe_points. Raises HframeError.
         """
         length = float(np.linalg.norm(direction))
         if not (np.isfinite(length) and length > 0.0):
             raise IdentificationError(f"{tuple(direction)} is not a direction: try (1, 0)")
-        values = {
-            key: overrides.get(key, config.number(SECTION, key, default))
-            for key, default in DEFAULTS[firmware].items()
-        }
+        values = {key: config.number(SECTION, key, usual) for key, usual in DEFAULTS.items()}
         for key, (low, high) in BOUNDS.items():
             value = values[key]
             if not (low <= value <= high or (value == 0.0 and key == "sweeping_period")):
@@ -114,7 +98,7 @@ class ResonanceTest:
             probe_points(config)[0] if point is None else point,
             **values,
             stop_accel=stop_accel if stop_accel > 0.0 else STOP_ACCEL,
-            around_point=firmware == "klipper before 2024-12",
+            around_point=False,
         )
 
     @property
@@ -122,19 +106,13 @@ class ResonanceTest:
         """Return the duration of the pulses in s; braking after sweeping comes on top."""
         return float(self._pulses()[0].sum())
 
-    def frequency(self, t: Array) -> Array:
-        """Return the frequency (n,) in Hz at times (n,) in s from the first moment on."""
-        start, hz = self.half_cycles()
-        return np.asarray(np.interp(t, start, hz))
-
-    def half_cycles(self) -> tuple[Array, Array]:
-        """Return when each half-cycle begins, (n,) s, and its frequency, (n,) Hz."""
+    def half_cycles(self) -> Array:
+        """Return the frequency of each half-cycle, (n,) Hz."""
         f, hz = self.min_freq, []
         while f <= self.max_freq + SLACK:
             hz.append(f)
             f += 0.5 / f * self.hz_per_sec
-        frequencies = np.array(hz)
-        return np.concatenate([[0.0], np.cumsum(0.5 / frequencies)[:-1]]), frequencies
+        return np.array(hz)
 
     def pulses(self) -> Array:
         """Return the displacement (m,) in mm by pulses alone, every 1 ms from the first moment."""
@@ -154,7 +132,7 @@ class ResonanceTest:
 
     def _pulses(self) -> tuple[Array, Array]:
         """Return durations (k,) in s and accelerations (k,) in mm/s² of the pulses."""
-        hz = self.half_cycles()[1]
+        hz = self.half_cycles()
         quarter = 0.25 / hz
         size = self.accel_per_hz * hz * np.where(np.arange(len(hz)) % 2, -1.0, 1.0)
         if not self.around_point:

@@ -6,11 +6,19 @@ not run empty, print time advances by exactly the duration of each motion or G4.
 begins with the first row of its command and ends with the last, if
 
 - a dwell precedes the first call and still lasts while the sensor is being set up;
-- no M400 comes between the calls: the stream must have begun before the first.
+- no M400 comes before the end of the motion: the stream must have begun before the first call.
 
 With several accelerometers the first one's second call waits for the end of the motion, so the
-other recordings are longer. Klipper plays straight lines between the samples: the motion is the
-command times sinc²(f·1 ms), 2 % less at 80 Hz, as in a print of every sample.
+other recordings are longer.
+
+A start that is known to a sample is not known exactly. A timed run is therefore ended by the macro
+RECORDED of hframe.cfg: after M400, print time is that at which the motion has ended, and the macro
+puts it into the recording's name. G-code cannot tell whether the macro is installed. So the plain
+call follows. Where the macro has ended the recording, that begins another one, which the macro
+ends at once under the name UNUSED.
+
+Klipper plays straight lines between the samples: the motion is the command times sinc²(f·1 ms),
+2 % less at 80 Hz, as in a print of every sample.
 
 Between the samples the speed changes in a part of each millisecond, so Klipper must allow a
 multiple of the sweep's acceleration while a run lasts. A cancelled file leaves that in force.
@@ -24,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers, X, Y
+from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.klipper.ramps import StreamLimits
@@ -33,6 +41,7 @@ from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.accelerometer import FULL_SCALE
 from hframe_post.identification.recordings.excitation import peaks, trajectory
+from hframe_post.printer.firmware_tables import RECORDED
 from hframe_post.printer.settings import Printer, Sweep
 from hframe_post.stream.types import (
     Handling,
@@ -72,13 +81,15 @@ class Run:
     """One recording of a sweep.
 
     position: the x and y around which the axis moves, mm. command (n, 2): x and y every 1 ms,
-    the first row at the first call of ACCELEROMETER_MEASURE, the last at the second.
+    the first row at the first call of ACCELEROMETER_MEASURE, the last at the second. timed: whether
+    the name of the recording tells the time of the end; each repetition then has its own name.
     """
 
     name: str
     axis: int
     position: tuple[float, float]
     command: Array
+    timed: bool = False
 
     @property
     def seconds(self) -> float:
@@ -99,15 +110,24 @@ def positions(printer: Printer, axis: int) -> list[tuple[float, float]]:
     return [(round(middle + offset, 3), y) for offset in (-away, 0.0, away)]
 
 
-def within_limits(printer: Printer) -> tuple[Sweep, float]:
-    """Return the sweep with no more than the printer's acceleration, and its speed in mm/s."""
+def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, float]:
+    """Return the mm/s and mm/s² of a run that the limits, the motors and Klipper allow.
+
+    share: of the belts' speed that an axis may have. multiple: of the run's acceleration, that the
+    motors must allow Klipper.
+    """
     limits, klipper, motors = printer.limits, printer.firmware.klipper, printer.motors
     stream = StreamLimits.from_limits(limits, motors, printer.kinematics)
-    velocity = min(limits.velocity, motors.belt_velocity)
-    acceleration = min(limits.acceleration, stream.acceleration / MULTIPLE)
-    if klipper is not None:
-        velocity = min(velocity, klipper.velocity)
-        acceleration = min(acceleration, klipper.acceleration)
+    velocity = min(limits.velocity, share * motors.belt_velocity)
+    acceleration = min(limits.acceleration, stream.acceleration / multiple)
+    if klipper is None:
+        return velocity, acceleration
+    return min(velocity, klipper.velocity), min(acceleration, klipper.acceleration)
+
+
+def within_limits(printer: Printer) -> tuple[Sweep, float]:
+    """Return the sweep with no more than the printer's acceleration, and its speed in mm/s."""
+    velocity, acceleration = allowed(printer, 1.0, MULTIPLE)
     amplitude = min(printer.sweep.amplitude, acceleration)
     return replace(printer.sweep, amplitude=amplitude), velocity
 
@@ -117,13 +137,26 @@ def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list
 
     Raises HframeError, and LimitError if a run would leave the travel.
     """
+    made = []
+    for name, at in zip(named_places("xy"[axis], places), places, strict=True):
+        rest = place_mark.rest(at[0])
+        displacement = trajectory(*within_limits(printer), room(printer, axis, at), rest)
+        command = np.tile(at, (len(displacement), 1))
+        command[:, axis] += displacement
+        made.append(Run(name, axis, at, frozen(command)))
+    return made
+
+
+def named_places(prefix: str, places: Sequence[tuple[float, float]]) -> list[str]:
+    """Return names such as x-at-110 for places, with y added if two have the same x.
+
+    Raises HframeError if a place is given twice.
+    """
     if len(set(places)) < len(places):
         raise HframeError("the same --position is given twice")
-    # names such as x-at-110, with y added if two places have the same x
     shown = [tuple(plain(p, 3).replace("-", "m").replace(".", "_") for p in at) for at in places]
     alone = len({x for x, _ in shown}) == len(shown)
-    names = [f"{'xy'[axis]}-at-{x}" + ("" if alone else f"-{y}") for x, y in shown]
-    return [_run(printer, axis, *each) for each in zip(names, places, strict=True)]
+    return [f"{prefix}-at-{x}" + ("" if alone else f"-{y}") for x, y in shown]
 
 
 def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
@@ -136,22 +169,13 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
         if not low <= at <= high:
             bound = low if at < low else high
             raise LimitError(f"{name} (mm)", at, bound, None, "choose another --position")
-    (low, high), at = travel[axis], position[axis]
-    left = min(at - low, high - at)
-    if left <= 0.0:
+    at = position[axis]
+    left = min(abs(at - edge) for edge in travel[axis])
+    if left == 0.0:
         raise LimitError(
             f"{'xy'[axis]} (mm)", at, at, None, "a --position at the edge leaves no room to move"
         )
     return left
-
-
-def _run(printer: Printer, axis: int, name: str, position: tuple[float, float]) -> Run:
-    left = room(printer, axis, position)
-    rest = place_mark.rest(position[0])
-    displacement = trajectory(*within_limits(printer), left, rest)
-    command = np.tile(np.array(position), (len(displacement), 1))
-    command[:, axis] += displacement
-    return Run(name, axis, position, frozen(command))
 
 
 def summary(printer: Printer, planned: list[Run]) -> str:
@@ -160,7 +184,7 @@ def summary(printer: Printer, planned: list[Run]) -> str:
     axes = sorted({"xy"[run.axis] for run in planned})
     seconds, acceleration = TEST_RESONANCES
     lines.append(
-        f"{duration(_seconds(planned))} in all. Each run is a hum that rises, as in "
+        f"{duration(seconds_of(planned))} in all. Each run is a hum that rises, as in "
         f"TEST_RESONANCES. That takes {duration(seconds * len(axes))} for {' and '.join(axes)} "
         f"and accelerates with up to {acceleration:.0f} mm/s²"
     )
@@ -196,7 +220,7 @@ def _peaks(run: Run) -> str:
     return f"at most ±{d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
 
 
-def _seconds(planned: list[Run]) -> float:
+def seconds_of(planned: Sequence[Run]) -> float:
     """Return the time in all, with the ways between the places but not the one to the first."""
     ways = np.diff([run.position for run in planned], axis=0)
     on_the_way = float(np.hypot(*ways.T).sum()) / APPROACH if len(planned) > 1 else 0.0
@@ -231,7 +255,7 @@ def gcode(
     height = plain(z, 3)
     head = HEAD.format(
         printer=printer.name, version=__version__, runs=", ".join(run.name for run in planned),
-        total=duration(_seconds(planned)), z=height, state=STATE,
+        total=duration(seconds_of(planned)), z=height, state=STATE,
     )  # fmt: skip
     yield f"{head}G90\nG1 Z{height} F{plain(LIFT * 60.0, 1)}\n".encode()
     # Two digits more than a print: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration. Kept in
@@ -288,16 +312,25 @@ def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -
             # a move of zero length: the stream, with its limits, begins here, before the motion
             Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
             _passthrough(begun, "\n".join(measure), Handling.REST),
-            _passthrough(end, "\n".join(f"{m} NAME={run.name}" for m in measure), Handling.REST),
+            _passthrough(end, "\n".join(_end_of_recording(run, chips)), Handling.REST),
             _passthrough(end, "", Handling.RELEASE),
         )
-        xyze = np.zeros((len(command), 4))
-        xyze[:, :2], xyze[:, 2] = command, z
+        xyze = np.pad(command, ((0, 0), (0, 2)))
+        xyze[:, Z] = z
         line: Integers = np.zeros(len(command), dtype=np.int64)
         yield Samples(
             first, frozen(xyze), line, events, {"none": frozen(command)}, ends_stretch=True
         )
         first = end
+
+
+def _end_of_recording(run: Run, chips: Sequence[str]) -> Iterator[str]:
+    calls = [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={run.name}" for chip in chips]
+    if not run.timed:
+        yield from calls
+        return
+    macro = f"{RECORDED} CHIPS={','.join(chips)}"
+    yield from ("M400", f"{macro} NAME={run.name}", *calls, macro)
 
 
 def _passthrough(index: int, text: str, handling: Handling) -> Pause:

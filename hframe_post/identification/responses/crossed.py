@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from hframe_post.arrays import X
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
@@ -23,12 +21,6 @@ class Crossed:
     along: FrequencyResponse
     across: FrequencyResponse
     place: tuple[float, float]
-
-    def thinned(self, count: int) -> Crossed:
-        """Return every k-th frequency, so that at least ``count`` remain."""
-        kept = np.zeros(len(self.along.hz), dtype=bool)
-        kept[:: max(1, len(kept) // count)] = True
-        return replace(self, along=self.along.where(kept), across=self.across.where(kept))
 
 
 def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Crossed]:

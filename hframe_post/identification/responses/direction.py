@@ -9,13 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
 
 from hframe_post.arrays import Array, Complex, Flags
 from hframe_post.identification.recordings.clock_sync import not_found
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 
-COHERENT = 0.6  # coherence from which a frequency counts as excited
+EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
+SHOWN = 2.0  # times the coherence that noise has, from which a frequency is seen
+ROUGH = 0.01  # share of an answer that is not linear, where nothing is noisy
 LATEST = 0.08  # s by which the rough start may be off
 SLOW_HZ = 25.0  # below it a printer moves more than it racks
 ACROSS = 0.5  # of the answer at low frequencies that may be out of phase
@@ -51,28 +54,42 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     low, low_end = hz[excited][0], max(0.7 * resonance, 2.5 * hz[excited][0])
     used = excited & (hz <= low_end)
     unit = H[:, used] / np.abs(H[strongest, used])
+    weight = _weights(responses[strongest])[used]
     delays = np.arange(-LATEST, LATEST, 2e-4)
-    turned = np.exp(2j * np.pi * np.outer(hz[used], delays))
+    turned = np.exp(2j * np.pi * np.outer(hz[used], delays)) * weight[:, None]
     delay = float(delays[np.argmax((np.abs(unit @ turned) ** 2).sum(axis=0))])
-    along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, hz[used] <= 0.6 * low_end]
-    axis = _at_rest(along, hz[used][hz[used] <= 0.6 * low_end])
-    if np.linalg.norm(along.mean(axis=1).imag) > ACROSS * np.linalg.norm(along.mean(axis=1).real):
+    lowest = hz[used] <= 0.6 * low_end
+    along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, lowest]
+    axis = _at_rest(along, hz[used][lowest], weight[lowest])
+    mean = along @ weight[lowest]
+    if np.linalg.norm(mean.imag) > ACROSS * np.linalg.norm(mean.real):
         raise not_found()
     return Direction(axis / np.linalg.norm(axis), delay, resonance, float(low))
 
 
+def _weights(response: FrequencyResponse) -> Array:
+    """Return the weights (k,) of answers, which fall with their noise."""
+    gamma = np.clip(response.coherence, 0.0, 1.0)
+    return np.asarray(np.sqrt(gamma / (1.0 - gamma + ROUGH)))
+
+
 def _excited(response: FrequencyResponse) -> Flags:
-    """Flag the frequencies (k,) that lie above the last gap in the command's low end."""
-    smooth = _smoothed(response.coherence, response.hz, 1.0)
+    """Flag the frequencies (k,) above the last gap at the low end: in the test, or in noise.
+
+    A test's pulses grow with the frequency. The slow sweeping under them has lines below, too.
+    """
+    coherence = _smoothed(response.coherence, response.hz, 1.0)
     middle = response.hz <= 30.0
-    gaps = np.flatnonzero((smooth < COHERENT) & middle)
-    if smooth[~middle].size == 0 or np.median(smooth) < 0.25:
+    if not (~middle).any() or np.median(coherence[~middle]) < 0.25:
         raise not_found()
-    first = int(gaps[-1]) + 1 if gaps.size else 0
+    step = float(response.hz[1] - response.hz[0])
+    level = response.power / np.square(response.hz)
+    steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
+    gap = steady < EXCITED * float(np.median(level[~middle]))
+    gap |= coherence * response.averages < SHOWN
+    gaps = np.flatnonzero(gap & middle)
     flags = np.zeros(len(response.hz), dtype=bool)
-    flags[first:] = True
-    if not flags.any():
-        raise not_found()
+    flags[int(gaps[-1]) + 1 if gaps.size else 0 :] = True
     return flags
 
 
@@ -98,9 +115,10 @@ def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:
     return np.convolve(padded, np.ones(n) / n, "valid")
 
 
-def _at_rest(answer: Complex, hz: Array) -> Array:
+def _at_rest(answer: Complex, hz: Array, weight: Array) -> Array:
     """Return the answer (3,) at rest by a line through (3, k) answers: racking grows with j·f."""
-    columns = np.column_stack([np.ones(len(hz)), 1j * hz / hz[-1]])
+    columns = np.column_stack([weight, 1j * weight * hz / hz[-1]])
     stacked = np.concatenate([columns.real, columns.imag])
+    answer = answer * weight
     wanted = np.concatenate([answer.T.real, answer.T.imag])
     return np.asarray(np.linalg.lstsq(stacked, wanted)[0][0])

@@ -183,6 +183,16 @@ def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:
     return replace(response, H=response.H * np.exp(2j * np.pi * response.hz * seconds))
 
 
+def share_left(H: Complex, response: FrequencyResponse, weight: Array) -> float:
+    """Return the share of a measured response that H (k,) leaves, whatever their gain and delay."""
+    cross = weight * response.H * H.conj()
+    late = np.linspace(-5e-3, 5e-3, 201)
+    turned = np.exp(2j * np.pi * np.outer(late, response.hz))
+    most = float(np.abs((turned @ cross).real).max())
+    sizes = (weight * np.abs(H) ** 2).sum() * (weight * np.abs(response.H) ** 2).sum()
+    return float(np.sqrt(max(1.0 - most**2 / float(sizes), 0.0)))
+
+
 # ---------------------------------------------------------------------- harmonics
 
 WINDOW, HOP = 1000, 500  # samples

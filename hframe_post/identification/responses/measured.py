@@ -2,14 +2,10 @@
 
     runs → accelerations on the command's clock → frequency responses → one delay for all
 
-A run moves one axis. A sensor on the nozzle gives Gxx from runs in x and Gyy from runs in y.
-Racking comes from two sensors at the ends of the bridge (eq. 3),
-
-    θ'' = (ÿ1 − ÿ2) / L_G,    Gxθ = θ'' / ẍ_d,
-
-or from the nozzle's sensor alone, by the lever arm of eq. 2: a run in x with the gantry at x = p
-moves the nozzle in y by the lever arm times θ, and a sensor rotated by a small ψ about the
-vertical adds its share of x. Per x commanded,
+A run moves one axis. A sensor on the nozzle gives Gxx from runs in x and Gyy from runs in y, and
+racking by the lever arm of eq. 2: a run in x with the gantry at x = p moves the nozzle in y by the
+lever arm times θ, and a sensor rotated by a small ψ about the vertical adds its share of x. Per x
+commanded,
 
     H_y(p) = (p − x_c)·Gxθ + ψ·Gxx
 
@@ -25,9 +21,9 @@ import numpy as np
 
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
+from hframe_post.identification.recordings.known_start import KnownStart, on_command_clock
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     Harmonics,
@@ -42,19 +38,42 @@ from hframe_post.identification.responses.frequency_response import (
 class Run:
     """One sweep. command (m, 2): x and y in mm, every 1 ms; recordings in the printer's axes.
 
-    bridge: the recordings at P1 (the greater x) and at P2. calibrated: whether command and
-    recording are those of our own sweep, which tell start, clock and place; else ``nozzle`` may be
-    in the sensor's axes, and all this is found from the motion. rough_clock: start (s) and drift,
-    if they are known to 20 ms. second: of another sensor, on the same clock as ``nozzle``.
+    calibrated: whether command and recording are those of our own sweep, which tell start and
+    clock; else ``nozzle`` may be in the sensor's axes, and all this is found from the motion.
+    rough_clock: start (s) and drift, if they are known to 20 ms. second: of another sensor, on the
+    same clock as ``nozzle``. start: of the command, for motions of `measure`, whose recordings tell
+    it.
     """
 
     name: str
     command: Array
-    nozzle: Recording | None = None
-    bridge: tuple[Recording, Recording] | None = None
+    nozzle: Recording
     calibrated: bool = True
     rough_clock: tuple[float, float] | None = None
     second: Recording | None = None
+    start: KnownStart | None = None
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Return the axes that move, of X and Y."""
+        return tuple(np.flatnonzero(np.ptp(self.command, axis=0) > 0.0).tolist())
+
+    @property
+    def point(self) -> tuple[float, float]:
+        """Return the mean place, x and y in mm."""
+        return float(self.command[:, X].mean()), float(self.command[:, Y].mean())
+
+    def on_command_clock(self) -> Array:
+        """Return what the nozzle's sensor shows of a motion whose start is known, (m, 3) in mm/s².
+
+        It is along the printer's axes at each row of the command. Raises IdentificationError.
+        """
+        if self.start is None:
+            raise IdentificationError(f"{self.name}: the start of this recording is not known")
+        try:
+            return on_command_clock(self.command, self.nozzle, self.start)
+        except IdentificationError as error:
+            raise IdentificationError(f"{self.name}: {error}") from None
 
     @property
     def axis(self) -> int:
@@ -90,14 +109,13 @@ class Run:
 class Settings:
     """What `identify` needs to know about the measurement.
 
-    L_G: distance of P1 and P2, mm. racks: whether the kinematics can rack. offset: from the
-    nozzle to its sensor in x and y, mm. height: of the sensor above the nozzle, mm, if known.
-    step: mm of belt for one motor step. bed_moves: whether y moves the bed, with its sensor.
-    sensor: gains of the sensor along x and y if they were measured with gravity.
+    racks: whether the kinematics can rack. offset: from the nozzle to its sensor in x and y, mm.
+    height: of the sensor above the nozzle, mm, if known. step: mm of belt for one motor step.
+    bed_moves: whether y moves the bed, with its sensor. sensor: gains of the sensor along x and y
+    if they were measured with gravity.
     """
 
     band_hz: tuple[float, float]
-    L_G: float | None = None
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
     height: float | None = None
@@ -110,12 +128,12 @@ class Settings:
 class RunResponse:
     """Frequency responses of one run.
 
-    response: along the swept axis, or racking. y: across, from the nozzle's sensor. place: x of
-    the sensor, mm. late: half-width of the uncertainty of the recording's start, s. command (m,):
-    mm along the swept axis. harmonics: None if the command has no marks. across, z: of the other
-    axis, and of z in runs along one axis. second (k,): size of the answer of a second sensor, at
-    the frequencies of ``response``. direction: unit vector of the motion; both responses are per
-    motion along the axis. point: x and y of the sensor, mm. These five: of uncalibrated runs only.
+    response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
+    late: half-width of the uncertainty of the recording's start, s. command (m,): mm along the
+    swept axis. harmonics: None if the command has no marks. across, z: of the other axis, and of z
+    in runs along one axis. second (k,): size of the answer of a second sensor, at the frequencies
+    of ``response``. direction: unit vector of the motion; both responses are per motion along the
+    axis. point: x and y of the sensor, mm. These five: of uncalibrated runs only.
     """
 
     place: float
@@ -146,8 +164,8 @@ class RunResponse:
 class RunGroup:
     """Runs shifted to one common delay, and the bounds of that delay in s.
 
-    Of uncalibrated runs also the lowest frequency that is excited, the lowest strong resonance, and
-    that of all axes which the same sensor felt.
+    known_start: whether they are of strokes. Of uncalibrated runs also the lowest frequency that is
+    excited, the lowest strong resonance, and that of all axes which the same sensor felt.
     """
 
     runs: list[RunResponse]
@@ -155,27 +173,19 @@ class RunGroup:
     excited_hz: float = 0.0
     resonance_hz: float | None = None
     lowest_hz: float = 0.0
+    known_start: bool = False
 
 
 def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:
-    """Return the responses of runs of one axis that have a recording of the nozzle's sensor.
+    """Return the responses of runs of one axis.
 
     All runs are rotated by the same angle so that the sensor looks along the swept axis: at low
     frequencies racking looks like a rotation, too, by another angle at each place. Raises
     IdentificationError.
     """
     commands = [acceleration(run.command[:, run.axis]) for run in runs]
-    recorded = [
-        aligned(u, run.nozzle, run.axis)
-        for u, run in zip(commands, runs, strict=True)
-        if run.nozzle is not None
-    ]
+    recorded = [aligned(u, run.nozzle, run.axis) for u, run in zip(commands, runs, strict=True)]
     triples = list(zip(commands, recorded, runs, strict=True))
-    place_mark.check(
-        [run.name for run in runs],
-        [float(run.command[0, X]) for run in runs],
-        [place_mark.answer(u, one.acceleration[:, run.axis]) for u, one, run in triples],
-    )
     angles = [heading(u, one.acceleration, run.axis) for u, one, run in triples]
     responses = []
     for u, one, run in triples:
@@ -188,41 +198,17 @@ def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:
     return with_common_delay(responses)
 
 
-def bridge_responses(runs: list[Run], settings: Settings) -> RunGroup:
-    """Return the racking of runs in x by eq. 3, from the two recordings of the bridge.
-
-    The two may have been recorded one after the other. Raises IdentificationError.
-    """
-    responses, answers = [], []
-    for run in runs:
-        if settings.L_G is None:
-            raise IdentificationError(
-                f"{run.name}: the distance of the bridge's sensors is missing"
-            )
-        if run.axis != X:
-            raise IdentificationError(
-                f"{run.name}: this run sweeps y, but only a sweep of x makes the bridge rack"
-            )
-        u = acceleration(run.command[:, X])
-        assert run.bridge is not None
-        P1, P2 = (aligned(u, recording, Y) for recording in run.bridge)
-        answers.append(place_mark.answer(u, P1.acceleration[:, Y]))
-        theta = (P1.acceleration[:, Y] - P2.acceleration[:, Y]) / settings.L_G
-        response = estimate(u, theta).within(settings.band_hz)
-        late = max(P1.uncertainty, P2.uncertainty)
-        responses.append(RunResponse(run.place, response, response, late, run.command[:, X]))
-    places = [float(run.command[0, X]) for run in runs]
-    place_mark.check([run.name for run in runs], places, answers)
-    return with_common_delay(responses)
-
-
 def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
     """Shift each run to the mean delay of all, and bound that delay.
 
-    How much later one run began than another is known far better than when any of them began.
-    Each run's bounds hold for all: the more runs, the closer the bounds.
+    How much later one run began than another is often known far better than when any of them began.
+    But modes that move along x turn phases, too, so no run is shifted farther than its own bounds.
+    These hold for all: the more runs, the closer the bounds.
     """
-    late = delays([run.response for run in responses])
+    late = [
+        min(max(by, -run.late), run.late)
+        for run, by in zip(responses, delays([run.response for run in responses]), strict=True)
+    ]
     runs = [run.advanced(by) for run, by in zip(responses, late, strict=True)]
     low = max((-run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
     high = min((run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)

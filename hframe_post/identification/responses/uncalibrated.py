@@ -63,7 +63,6 @@ def uncalibrated_responses(runs: Sequence[Run], settings: Settings) -> dict[int,
 
 
 def _located(run: Run, settings: Settings) -> _Located:
-    assert run.nozzle is not None
     try:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
         answers = [_response(found, axis, settings) for axis in np.eye(3)]
@@ -112,7 +111,7 @@ def _run_response(
 def _second(one: _Located, settings: Settings) -> Array | None:
     """Return the size (k,) of a second sensor's answer; its clock is that of the first."""
     first, second, found = one.run.nozzle, one.run.second, one.aligned
-    if first is None or second is None:
+    if second is None:
         return None
     start = found.start + float(first.t[0] - second.t[0])
     sensor = Resampler(second.t, second.a - second.a.mean(axis=0))

@@ -14,7 +14,8 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.checking.drift import drift
-from hframe_post.identification.checking.evidence import Drift, Recorded
+from hframe_post.identification.checking.report import Drift
+from hframe_post.identification.checking.run import Recorded
 from hframe_post.identification.identified import AXIS
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.responses.frequency_response import whole_record
@@ -56,11 +57,7 @@ def as_text(found: Mapping[str, Drift]) -> str:
     """Return what has moved, and how much of the compensated motion is not foreseen."""
     if not found:
         return "drift       none: no moved model foresees this motion better"
-    lines = [
-        f"drift       {AXIS[name]} {change.as_text()}"
-        for name, one in found.items()
-        for change in one.changes
-    ]
+    lines = [f"drift       {AXIS[name]} {one.peak.as_text()}" for name, one in found.items()]
     for name, one in found.items():
         old, new = (f"{100 * left:.0f} %" for left in one.left)
         lines.append(f"drift       unexplained in {AXIS[name]}, compensated: {old} → {new}")

@@ -6,7 +6,7 @@ is the motion, and its corners, are found again from the command itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from hframe_post.identification.recordings.sweep import (
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples, frozen
 
-NAMES = ("none", "racking")  # the strategies that are compared
+STRATEGIES = {"verify-plain": "none", "verify-compensated": "racking"}  # by the names of runs
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
@@ -61,9 +61,13 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     check_records(printer)
     if lines is not None:
         return _runs(printer, lines, part_of_print=True)
+    limits = printer.limits
     for share in GENTLER:
+        gentler = replace(
+            limits, acceleration=share * limits.acceleration, jerk=share * limits.jerk
+        )
         try:
-            return _runs(_gentler(printer, share), path(printer), part_of_print=False)
+            return _runs(replace(printer, limits=gentler), path(printer), part_of_print=False)
         except LimitError as error:
             found = error
     raise HframeError(
@@ -73,39 +77,29 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     )
 
 
-def _gentler(printer: Printer, share: float) -> Printer:
-    """Return the printer with a share of the path's acceleration and jerk."""
-    limits = printer.limits
-    lower = {name: share * getattr(limits, name) for name in ("acceleration", "jerk")}
-    return replace(printer, limits=replace(limits, **lower))
-
-
 def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[Run]:
     options = Options("racking", limits="printer")
-    chunks = list(_until(Commands(lines, printer, options, NAMES).computed(), LOOKED_AT))
+    chunks = list[Samples]()
+    for chunk in Commands(lines, printer, options, tuple(STRATEGIES.values())).computed():
+        if len(chunk):
+            chunks.append(chunk)
+        if chunk.end > LOOKED_AT:
+            break
     if not chunks:
         raise HframeError("the print does not move in x and y")
     commands = {
-        name: np.concatenate([c.commands[name] for c in chunks])[:LOOKED_AT] for name in NAMES
+        run: np.concatenate([chunk.commands[strategy] for chunk in chunks])[:LOOKED_AT]
+        for run, strategy in STRATEGIES.items()
     }
     part = slice(None)
     if part_of_print:
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
-        part = _between_stops(commands["racking"], ends)
-    made = []
-    for run, strategy in zip(("verify-plain", "verify-compensated"), NAMES, strict=True):
-        motion = commands[strategy][part]
-        made.append(Run(run, X, (float(motion[0, X]), float(motion[0, Y])),
-                        frozen(_framed(motion, printer))))  # fmt: skip
-    return made
-
-
-def _until(chunks: Iterable[Samples], most: int) -> Iterator[Samples]:
-    for chunk in chunks:
-        if len(chunk):
-            yield chunk
-        if chunk.end > most:
-            return
+        part = _between_stops(commands["verify-compensated"], ends)
+    return [
+        Run(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
+            frozen(_framed(command[part], printer)))
+        for run, command in commands.items()
+    ]  # fmt: skip
 
 
 def _between_stops(command: Array, ends: Sequence[int]) -> slice:
@@ -132,15 +126,13 @@ def _between_stops(command: Array, ends: Sequence[int]) -> slice:
 
 
 def _framed(motion: Array, printer: Printer) -> Array:
-    left = min(room(printer, X, (float(p[X]), float(p[Y]))) for p in motion[[0, -1]])
-    mark = alignment_mark(*within_limits(printer), left)
-    parts = []
-    for at in motion[[0, -1]]:
-        marked = np.tile(at, (len(mark), 1))
-        marked[:, X] += mark
-        parts.append(marked)
-    first, last = (np.tile(at, (QUIET, 1)) for at in motion[[0, -1]])
-    return np.concatenate([first, parts[0], first, motion, last, parts[1], last])
+    """Return a motion (m, 2) between two marks along x, with rests around them."""
+    ends = motion[[0, -1]]
+    mark = alignment_mark(
+        *within_limits(printer), min(room(printer, X, (float(x), float(y))) for x, y in ends)
+    )
+    along = np.pad(mark, QUIET)[:, None] * [1.0, 0.0]
+    return np.concatenate([ends[0] + along, motion, ends[1] + along])
 
 
 def motion_of(wanted: Array) -> slice:

@@ -15,6 +15,7 @@ from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, oriented
 from hframe_post.identification.recordings.folder import Aside, Measurement, read_files
+from hframe_post.identification.recordings.names import stem
 from hframe_post.identification.recordings.orientation import (
     QUIET,
     has_marks,
@@ -39,7 +40,7 @@ def from_files(paths: Sequence[Path]) -> tuple[list[Run], list[Path]]:
     motions.sort(key=lambda command: command.run, reverse=True)  # plain, compensated
     found = [one for one in read if isinstance(one, Measurement)
              and any(c.lasts_as_long_as(one.recording) for c in motions)]  # fmt: skip
-    named = [one for one in found if one.path.stem.endswith(tuple(c.run for c in motions))]
+    named = [one for one in found if stem(one.path.name).endswith(tuple(c.run for c in motions))]
     found = named if len(named) == 2 else found
     if len(motions) != 2 or len(found) != 2:
         aside = "".join(f"; {one.label}: {one.reason}" for one in read if isinstance(one, Aside))
@@ -47,11 +48,9 @@ def from_files(paths: Sequence[Path]) -> tuple[list[Run], list[Path]]:
             f"{len(motions)} commands of 'verify --gcode' and {len(found)} recordings of them, not "
             f"two of each. Give the folder or the four files{aside}"
         )
-    first, second = found
-    if any(second.path.stem.endswith(c.run) for c in motions[:1]):
-        first, second = second, first
-    runs = [(motions[0].motion, first.recording), (motions[1].motion, second.recording)]
-    return runs, [first.path, second.path]
+    found.sort(key=lambda one: stem(one.path.name).endswith(motions[0].run), reverse=True)
+    runs = [(c.motion, one.recording) for c, one in zip(motions, found, strict=True)]
+    return runs, [one.path for one in found]
 
 
 def along_printer(run: Run, axes: str | None) -> Run:
@@ -70,16 +69,16 @@ def sorted_out(printer: Printer, first: Run, second: Run) -> tuple[Run, Run, lis
 
     Raises IdentificationError.
     """
-    notes = []
-    (plain, a), (compensated, b) = first, second
-    if len(plain) != len(compensated):
+    if len(first[0]) != len(second[0]):
         raise IdentificationError(
             "the commands of the two motions differ in length: they were not written by the same "
             "'hframe-post verify --gcode'"
         )
-    if _off(printer, plain, compensated) < _off(printer, compensated, plain):
-        plain, compensated, a, b = compensated, plain, b, a
+    notes = []
+    if _off(printer, first[0], second[0]) < _off(printer, second[0], first[0]):
+        first, second = second, first
         notes.append("the plain and the compensated motion were exchanged, and are judged as such")
+    (plain, a), (compensated, b) = first, second
     given = _missed(printer, plain, a) + _missed(printer, compensated, b)
     if _missed(printer, plain, b) + _missed(printer, compensated, a) < CLEARLY * given:
         a, b = b, a

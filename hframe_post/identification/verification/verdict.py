@@ -11,13 +11,13 @@ of both runs follows, and from it the reduction, which does not rely on the mode
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from hframe_post.arrays import TS, Array, X, Y, Z
+from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned
@@ -49,25 +49,23 @@ class Verdict:
     motion.
     """
 
-    measured: tuple[float, float]
-    predicted: tuple[float, float]
-    ringing: tuple[float, float]
+    measured: Sequence[float]
+    predicted: Sequence[float]
+    ringing: Sequence[float]
     unexplained: float
     racking: tuple[float, float] | None
     coupling: tuple[float, float] | None
     at: Array
-    errors_measured: tuple[Array, Array]
-    errors_predicted: tuple[Array, Array]
+    errors_measured: Sequence[Array]
+    errors_predicted: Sequence[Array]
 
     @property
     def reduction(self) -> float:
-        plain, compensated = self.measured
-        return 1.0 - compensated / plain
+        return 1.0 - self.measured[1] / self.measured[0]
 
     @property
     def expected(self) -> float:
-        plain, compensated = self.predicted
-        return 1.0 - compensated / plain
+        return 1.0 - self.predicted[1] / self.predicted[0]
 
     @property
     def fault(self) -> str | None:
@@ -77,29 +75,27 @@ class Verdict:
                 "compensation makes this printer WORSE: the profile belongs to another printer, "
                 "or the printer has changed. Do not print with it; sweep and identify again"
             )
-        if self.coupling is not None:
-            ratio, sd = self.coupling
-            if ratio < LEAST_COUPLING - 3.0 * sd:
-                return (
-                    f"x and y move each other {ratio:.1f} times as far as the model predicts: this "
-                    "coupling does not repeat. Identify again, with recordings of both days, or "
-                    "set plant.cross = []"
-                )
+        ratio, sd = self.coupling or (1.0, 0.0)
+        if ratio < LEAST_COUPLING - 3.0 * sd:
+            return (
+                f"x and y move each other {ratio:.1f} times as far as the model predicts: this "
+                "coupling does not repeat. Identify again, with recordings of both days, or "
+                "set plant.cross = []"
+            )
         if self.unexplained > MOST_UNEXPLAINED:
             return (
                 f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
                 "path: the profile is not that of this printer as it is now. Sweep and identify "
                 "again"
             )
-        if self.racking is not None:
-            ratio, sd = self.racking
-            if abs(ratio - 1.0) > MOST_RACKING_ERROR + 3.0 * sd:
-                how = "the other way, " if ratio < 0.0 else ""
-                return (
-                    f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
-                    "files are exchanged, x_c is wrong, or this is another printer. Sweep and "
-                    "identify again"
-                )
+        ratio, sd = self.racking or (1.0, 0.0)
+        if abs(ratio - 1.0) > MOST_RACKING_ERROR + 3.0 * sd:
+            how = "the other way, " if ratio < 0.0 else ""
+            return (
+                f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
+                "files are exchanged, x_c is wrong, or this is another printer. Sweep and "
+                "identify again"
+            )
         if self.reduction < max(LEAST_REDUCTION, LEAST_OF_PREDICTED * self.expected):
             return (
                 f"compensation removes {100 * self.reduction:.0f} % of the error, not the "
@@ -120,8 +116,8 @@ class Verdict:
         for name, found in (("racking", self.racking), ("coupling", self.coupling)):
             if found is not None:
                 lines.append(f"{f'{name} / model':26s}{found[0]:10.2f} ± {found[1]:.2f}")
-        good = f"compensation removes {100 * self.reduction:.0f} % of the error"
-        verdict = f"FAILED: {self.fault}" if self.fault else f"good: {good}"
+        good = f"good: compensation removes {100 * self.reduction:.0f} % of the error"
+        verdict = f"FAILED: {self.fault}" if self.fault else good
         return "\n".join([*lines, f"VERDICT     {verdict}"])
 
     def as_json(self) -> dict[str, object]:
@@ -165,40 +161,28 @@ def judge(
     Raises IdentificationError if a recording does not belong to its command.
     """
     wanted = plain[0]
-    if len(wanted) != len(compensated[0]):
-        raise IdentificationError(
-            "the commands of --plain and --compensated differ in length: they were not written by "
-            "the same 'hframe-post verify --gcode'"
-        )
-    part = motion_of(wanted)
-    runs = [measured_run(printer, *run) for run in (plain, compensated)]
     inside = np.zeros(len(wanted), dtype=bool)
-    inside[part] = True
-    moving = np.zeros(len(wanted), dtype=bool)
-    moving[part] = (np.diff(wanted[part], axis=0, append=wanted[-1:]) != 0.0).any(axis=1)
-    a_path = _accelerations(wanted)
-    after = after_corners(wanted) & inside
-    measured, predicted, ringing = [], [], []
-    errors = [
-        [
-            1e3 * contour_error(wanted, place, np.flatnonzero(moving))
-            for place in (run.place, run.predicted)
-        ]
-        for run in runs
-    ]
-    for run, (real, model) in zip(runs, errors, strict=True):
-        measured.append(float(np.sqrt(max((real**2).mean() - (1e3 * run.noise) ** 2, 0.0))))
-        predicted.append(float(np.sqrt((model**2).mean())))
-        ringing.append(float(np.sqrt(((run.a - a_path)[after] ** 2).sum(axis=1).mean())))
+    inside[motion_of(wanted)] = True
+    moving = (np.diff(wanted, axis=0, append=wanted[-1:]) != 0.0).any(axis=1) & inside
+    at, after, a_path = np.flatnonzero(moving), after_corners(wanted) & inside, _curved(wanted)
+    runs = [measured_run(printer, *run) for run in (plain, compensated)]
+    measured = [1e3 * contour_error(wanted, run.place, at) for run in runs]
+    predicted = [1e3 * contour_error(wanted, run.predicted, at) for run in runs]
+    noise = [1e3 * run.noise for run in runs]
     band = (GAIN_HZ[1], HIGH_HZ)
-    missed = band_rms((runs[0].a - runs[0].a_predicted)[part], *band)
-    off_path = band_rms((runs[0].a - a_path)[part], *band)
+    missed = band_rms((runs[0].a - runs[0].a_predicted)[inside], *band)
+    off_path = band_rms((runs[0].a - a_path)[inside], *band)
+    racking, coupling = _couplings(runs, inside)
     return Verdict(
-        (measured[0], measured[1]), (predicted[0], predicted[1]), (ringing[0], ringing[1]),
-        missed / max(off_path, 1e-9), *_couplings(runs, part),
-        np.asarray(TS * np.flatnonzero(moving)),
-        (errors[0][0], errors[1][0]), (errors[0][1], errors[1][1]),
+        [_rms(error, less) for error, less in zip(measured, noise, strict=True)],
+        [_rms(error) for error in predicted],
+        [_rms(np.linalg.norm((run.a - a_path)[after], axis=1)) for run in runs],
+        missed / max(off_path, 1e-9), racking, coupling, np.asarray(TS * at), measured, predicted,
     )  # fmt: skip
+
+
+def _rms(values: Array, noise: float = 0.0) -> float:
+    return float(np.sqrt(max((values**2).mean() - noise**2, 0.0)))
 
 
 def measured_run(printer: Printer, command: Array, recording: Recording) -> Measured:
@@ -206,50 +190,47 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     found = aligned(acceleration(command[:, X]), recording, X)
     predicted = nozzle(printer.plant, command[0], command)
     without = nozzle(replace(printer.plant, Gxtheta=None), command[0], command)
-    a_predicted = _accelerations(predicted)
+    a_predicted = _curved(predicted)
     late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
-        a = _shifted(found.acceleration[:, :Z], -late)
+        earlier = np.exp(2j * np.pi * _hz(a_predicted) * late)
+        a = _filtered(found.acceleration[:, :Z], earlier)
         a = a @ _correction(a, a_predicted)
         late = float(np.clip(late + _lag(a, a_predicted), -most, most))
-    off = _integrated_twice(a - a_predicted)
+    off = _filtered(a - a_predicted, _integrating_twice(_hz(a)))
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
     direct = nozzle(printer.plant.decoupled(), command[0], command)
-    a_racking, a_cross = _accelerations(predicted - without), _accelerations(without - direct)
+    a_racking, a_cross = _curved(predicted - without), _curved(without - direct)
     return Measured(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
 
 
-def _accelerations(places: Array) -> Array:
+def _curved(places: Array) -> Array:
+    """Return the accelerations (m, 2), mm/s², of places (m, 2)."""
     return np.column_stack([acceleration(places[:, k]) for k in (X, Y)])
 
 
-def _couplings(
-    runs: Sequence[Measured], part: slice
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return racking and other couplings relative to the prediction, and standard deviations.
+def _couplings(runs: Sequence[Measured], inside: Flags) -> Iterator[tuple[float, float] | None]:
+    """Yield racking and other couplings relative to the prediction, and standard deviations.
 
     Found by least squares over both runs; other errors of the model count as noise.
     """
-    columns = [[run.a_racking, run.a_cross, run.a - run.a_predicted] for run in runs]
+    signals = [(run.a_racking, run.a_cross, run.a - run.a_predicted) for run in runs]
     racking, cross, missed = (
-        np.concatenate([_within(values[part], *RACKING_HZ) for values in column])
-        for column in zip(*columns, strict=True)
+        np.concatenate([_within(a[inside], *RACKING_HZ) for a in each])
+        for each in zip(*signals, strict=True)
     )
-    moved = racking.any(axis=0) | cross.any(axis=0)
-    model = np.column_stack([racking[:, moved].ravel(), cross[:, moved].ravel()])
-    wanted, known = missed[:, moved].ravel(), np.array([racking.any(), cross.any()])
-    if not known.any():
-        return None, None
-    A = model[:, known]
+    moved = racking.any(axis=0) | cross.any(axis=0)  # axes
+    known = [each[:, moved].ravel() for each in (racking, cross) if each.any()]
+    wanted = missed[:, moved].ravel()
+    A = np.column_stack(known) if known else np.zeros((len(wanted), 0))
     excess = np.linalg.lstsq(A, wanted)[0]
     residual = wanted - A @ excess
     independent = 2.0 * (RACKING_HZ[1] - RACKING_HZ[0]) * TS  # share of a sample
-    variance = float(residual @ residual) / (independent * len(wanted))
+    variance = float(residual @ residual) / max(independent * len(wanted), 1.0)
     sds = np.sqrt(variance * np.linalg.inv(A.T @ A).diagonal())
-    found = iter(zip((1.0 + excess).tolist(), sds.tolist(), strict=True))
-    one, other = (next(found) if each else None for each in known.tolist())
-    return one, other
+    found = zip((1.0 + excess).tolist(), sds.tolist(), strict=True)
+    yield from (next(found) if each.any() else None for each in (racking, cross))
 
 
 def _correction(a: Array, wanted: Array) -> Array:
@@ -269,8 +250,8 @@ def _correction(a: Array, wanted: Array) -> Array:
 
 
 def _lag(a: Array, wanted: Array) -> float:
-    n = next_fast_len(len(a))
-    hz = rfftfreq(n, TS)
+    """Return by how many seconds an acceleration is late, up to 40 Hz."""
+    hz, n = _hz(a), next_fast_len(2 * len(a))
     inside = (hz > GAIN_HZ[0]) & (hz < 40.0)
     omega = 2.0 * np.pi * hz[inside]
     cross = (rfft(a, n, axis=0) * rfft(wanted, n, axis=0).conj()).sum(axis=1)[inside]
@@ -278,30 +259,29 @@ def _lag(a: Array, wanted: Array) -> float:
     return float(-(weight * omega * np.angle(cross)).sum() / (weight * omega**2).sum())
 
 
-def _shifted(a: Array, seconds: float) -> Array:
-    n = next_fast_len(len(a) + 64)
-    shift = np.exp(-2j * np.pi * rfftfreq(n, TS) * seconds)
-    return np.asarray(irfft(rfft(a, n, axis=0) * shift[:, None], n, axis=0)[: len(a)])
-
-
-def _integrated_twice(a: Array) -> Array:
-    """Return displacements (m, 2) in mm from accelerations in mm/s², without low frequencies."""
-    n = next_fast_len(2 * len(a))
-    hz = rfftfreq(n, TS)
+def _integrating_twice(hz: Array) -> Array:
+    """Return the gain from accelerations in mm/s² to places in mm, without low frequencies."""
     u = np.clip((hz - LOW_HZ) / (FLAT_HZ - LOW_HZ), 0.0, 1.0)
     kept = u * u * (3.0 - 2.0 * u) * (hz < HIGH_HZ)
-    spectrum = rfft(a, n, axis=0) * (-kept / np.maximum(2.0 * np.pi * hz, 1.0) ** 2)[:, None]
-    return np.asarray(irfft(spectrum, n, axis=0)[: len(a)])
+    return np.asarray(-kept / np.maximum(2.0 * np.pi * hz, 1.0) ** 2)
+
+
+def _hz(a: Array) -> Array:
+    """Return the frequencies in Hz at which ``_filtered`` needs a gain."""
+    return np.asarray(rfftfreq(next_fast_len(2 * len(a)), TS))
+
+
+def _filtered(a: Array, gain: Array | Complex) -> Array:
+    """Return signals (m, k), every 1 ms, behind a filter."""
+    n = next_fast_len(2 * len(a))
+    return np.asarray(irfft(rfft(a, n, axis=0) * gain[:, None], n, axis=0)[: len(a)])
 
 
 def _within(a: Array, low: float, high: float) -> Array:
-    n = next_fast_len(len(a))
-    hz = rfftfreq(n, TS)
-    spectrum = rfft(a, n, axis=0)
-    spectrum[(hz < low) | (hz > high)] = 0.0
-    return np.asarray(irfft(spectrum, n, axis=0)[: len(a)])
+    hz = _hz(a)
+    return _filtered(a, np.where((hz < low) | (hz > high), 0.0, 1.0))
 
 
 def band_rms(a: Array, low: float, high: float) -> float:
     """Return the RMS of signals (m, k), every 1 ms, between two frequencies in Hz."""
-    return float(np.sqrt((_within(a, low, high) ** 2).sum(axis=1).mean()))
+    return _rms(np.linalg.norm(_within(a, low, high), axis=1))

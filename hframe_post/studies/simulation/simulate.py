@@ -18,10 +18,11 @@ from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.report import Report, range_as_text
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
@@ -110,11 +111,13 @@ class SimulationReport(Report):
 
     def as_text(self, all_layers: bool = False) -> str:
         stepped = ", in whole steps" if self.quantised else ""
+        ranges = self._ranges()
+        title = "exact model, error in µm" if ranges else "contour error, µm"
         lines = [
             f"{self.read.moves} moves, {duration(self.time.after)}, "
             f"simulated on {self.plant}{stepped}",
             "",
-            f"{'':21s}{'contour error, µm':>24s}{'all':>8s}{'tracking RMS, µm':>19s}"
+            f"{'':21s}{title:>24s}{'all':>8s}{'tracking RMS, µm':>19s}"
             f"{'belts, at most':>19s}{'time':>13s}",
             f"{'':21s}{'RMS':>8s}{'95 %':>8s}{'peak':>8s}{'RMS':>8s}{'x':>10s}{'y':>9s}"
             f"{'mm/s':>9s}{'mm/s²':>10s}",
@@ -124,17 +127,29 @@ class SimulationReport(Report):
                 for name in self.strategies
             ),
         ]
+        lines += ranges
         lines += self._table("feature", list(self._judged(self.parts.features)))
         layers = list(self._judged(self.parts.layers))
         title = "layer"
         if not all_layers and len(layers) > LAYERS_SHOWN:
             title = f"worst of {len(layers)} layers"
             best = self.strategies[-1]
-            layers.sort(key=lambda item: -item[1][best].contour.rms)
+            layers.sort(key=lambda item: -item[1][best].contour.expected)
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
         return "\n".join(self.warning_lines() + lines)
+
+    def _ranges(self) -> list[str]:
+        """Return the ranges of the errors of the whole print, which the table does not hold."""
+        return [
+            f"{'expected':17s}{STRATEGIES[name].label}: contour error {range_as_text(contour)}"
+            for name in self.strategies
+            if (contour := self.parts.whole[name].contour).range is not None
+        ]
+
+    def _median(self) -> str:
+        return ", median as the printer changes" if self._ranges() else ""
 
     def _judged(self, groups: dict[str, Group]) -> list[tuple[str, Group]]:
         """Return the parts in which anything moves."""
@@ -149,9 +164,9 @@ class SimulationReport(Report):
             return []
         width = max(19, len(title), *(len(name) for name, _ in groups)) + 2
         head = "".join(f"{'-c ' + name:>12s}" for name in self.strategies)
-        lines = ["", f"{title:{width}s}{head}   RMS contour error, µm"]
+        lines = ["", f"{title:{width}s}{head}   RMS contour error, µm{self._median()}"]
         for name, group in groups:
-            cells = "".join(f"{group[s].contour.rms * 1e3:12.1f}" for s in self.strategies)
+            cells = "".join(f"{group[s].contour.expected * 1e3:12.1f}" for s in self.strategies)
             lines.append(f"{name:{width}s}{cells}")
         return lines
 
@@ -174,9 +189,10 @@ class SimulationReport(Report):
             f"{kind} {name}"
             for kind, groups in (("feature", self.parts.features), ("layer", self.parts.layers))
             for name, group in self._judged(groups)
-            if group[best].contour.rms >= group["none"].contour.rms
+            if group[best].contour.expected >= group["none"].contour.rms
         ]
-        gain = self.parts.whole["none"].contour.rms > self.parts.whole[best].contour.rms
+        whole = self.parts.whole
+        gain = whole["none"].contour.rms > whole[best].contour.expected
         if not gain:
             lines.append("NO HELP          compensation does not improve this print as a whole")
         elif harmed:
@@ -217,6 +233,7 @@ class Study:
     drawn: dict[float, list[Plant]] = field(default_factory=dict)
     steps: Steps | None = None
     name: str = ""
+    doubts: Doubts | None = None
 
 
 def simulate(
@@ -236,7 +253,7 @@ def simulate(
         commands = quantise(commands, printer.kinematics, study.steps)
     count = 1 + sum(map(len, study.drawn.values()))
     streams = iter(branches(commands, count))
-    judged = judge(next(streams), study.plant, JUDGED_EVERY)
+    judged = judge(next(streams), study.plant, JUDGED_EVERY, study.doubts)
     drawn: list[Iterator[Samples]] = []
     for share, plants in study.drawn.items():
         meters = [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
@@ -250,6 +267,12 @@ def simulate(
                 off = judgement.tracking(name)[which]
                 figures = group.setdefault(name, Figures())
                 figures.add_errors(errors[which], off, judgement.extruding[which])
+                if name in judgement.products:
+                    inside = np.zeros(len(errors), bool)
+                    inside[which] = True
+                    some = inside[judgement.doubtful]
+                    extruding = judgement.extruding[judgement.doubtful[some]]
+                    figures.contour.doubt(judgement.products[name][some], extruding)
         if picture is not None:
             picture.add(judgement)
     contour = {name: figures.contour for name, figures in parts.whole.items()}

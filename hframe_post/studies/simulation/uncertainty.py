@@ -60,8 +60,9 @@ def _moved_axis(G: Linear, frequency: float, damping: float) -> Linear:
 
 def _moved_coupling(G: Linear, frequency: float, damping: float, gain: float) -> Linear:
     if isinstance(G, ImpulseResponse):
-        moved_response = _stretched(G, frequency, damping)
-        return replace(moved_response, deviation=gain * moved_response.deviation)
+        return _stretched(G, frequency, damping).everywhere(
+            lambda one: replace(one, deviation=gain * one.deviation, lag=gain * one.lag)
+        )
     slope, moved = _slope(G), _moved(G, frequency, damping)
     scale = gain * slope / _slope(moved)
     return replace(moved, gain=moved.gain * scale)
@@ -71,14 +72,17 @@ def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseR
     """Return a response whose frequencies are so many times as high, and whose modes decay faster.
 
     One rate of decay stands for those of all modes: half the inverse of the time around which the
-    squared response lies, as for a single mode.
+    squared response lies, as for a single mode. The lag is a damper's, too.
     """
+    if G.elsewhere:
+        return G.everywhere(lambda one: _stretched(one, frequency, damping))
     moved = G.stretched(1.0 / frequency)
     t = np.maximum(np.arange(len(moved.deviation)) - moved.lead, 0)
     squared = np.square(moved.deviation)
     time = float(squared @ t)
     rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
-    return replace(moved, deviation=np.exp((1.0 - damping) * rate * t) * moved.deviation)
+    deviation = np.exp((1.0 - damping) * rate * t) * moved.deviation
+    return replace(moved, deviation=deviation, lag=damping * moved.lag)
 
 
 def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:

@@ -141,7 +141,10 @@ def trials_table(trials: Sequence[Trial], best: Trial | None, advice: str) -> st
                 f"{trial.worst * 1e3:8.2f}{trial.velocity:10.0f}{trial.acceleration:11.0f}"
             )
     drawn = max((len(trial.drawn) for trial in trials), default=0)
-    lines += [f"median and worst: of {drawn} random printers"] if drawn else []
+    if drawn:
+        lines.append(f"median and worst: of {drawn} random printers")
+    elif any(trial.contour.range is not None for trial in trials):
+        lines.append("median and worst: of nine of ten prints, as the printer changes")
     if best is not None:
         lines += ["", f"{advice}: {_settings(best)}"]
     return "\n".join(lines)

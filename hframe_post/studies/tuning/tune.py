@@ -21,6 +21,7 @@ from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
@@ -37,7 +38,8 @@ ROUGHLY = 1.1  # costs this close to the least are as good; the gentlest of them
 class Trial:
     """One candidate and how it did.
 
-    refused: why it cannot be used at all. drawn: errors on random printers. velocity,
+    refused: why it cannot be used at all. contour: on the model, with its range if the model says
+    how well it is known and no printers are drawn. drawn: errors on random printers. velocity,
     acceleration: of the belts, mm/s and mm/s². furthest: how far its commands are off the path,
     mm. seconds: duration of the motion it was tried on.
     """
@@ -54,12 +56,16 @@ class Trial:
     @property
     def robust(self) -> float:
         """Return the median RMS contour error (mm) of the random printers, or else of the model."""
-        return median(statistics.rms for statistics in self.drawn or [self.contour])
+        return median(statistics.expected for statistics in self.drawn or [self.contour])
 
     @property
     def worst(self) -> float:
-        """Return the largest RMS contour error (mm) of the random printers, or of the model."""
-        return max(statistics.rms for statistics in self.drawn or [self.contour])
+        """Return the largest RMS contour error (mm) of the random printers, or else of the range
+        of the model."""
+        known = self.contour.range
+        if self.drawn or known is None:
+            return max(statistics.rms for statistics in self.drawn or [self.contour])
+        return known.high
 
     @property
     def cost(self) -> float:
@@ -180,7 +186,8 @@ def _tried(
     drawn: list[Plant],
 ) -> Iterator[None]:  # fmt: skip
     commands = Stages(printer, RACKING, compensator).compensated(samples)
-    meters = [ErrorMeter(plant) for plant in (printer.plant, *drawn)]
+    doubts = None if drawn else Doubts.from_plant(printer.plant)
+    meters = [ErrorMeter(printer.plant, doubts=doubts), *map(ErrorMeter, drawn)]
     streams = branches(_rated(commands, trial, printer.kinematics), len(meters))
     judged = (meter.samples(stream) for meter, stream in zip(meters, streams, strict=True))
     for _ in zip(*judged, strict=True):

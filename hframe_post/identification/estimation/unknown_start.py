@@ -17,13 +17,12 @@ acceleration does to the nozzle (``ImpulseResponse``), so that its gain at rest 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.responses.frequency_response import BANDWIDTH, FrequencyResponse
 from hframe_post.model.impulse_response import ImpulseResponse
 
@@ -37,26 +36,9 @@ LOWEST_HZ = 6.0  # below it, table and frame move as much as the axis
 STRONGEST_HZ = (18.0, 95.0)  # in which f₀ is sought
 LEAD, LENGTH = 32, 440  # samples of the result
 FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
+SLOW_HZ = 5.0  # of strokes as long as a bed
 FIT_SIZE = 1e-4  # weight of the result's own kernel
 LEAST_FREQUENCIES = 50
-
-
-@dataclass(frozen=True, slots=True)
-class Estimated:
-    """The response G, without the sensor's gain and the delay (s) of the recording.
-
-    resonance_hz: f₀.
-    """
-
-    G: ImpulseResponse
-    gain: float
-    delay: float
-    resonance_hz: float
-
-    def response(self, hz: Array) -> Complex:
-        """Return what the sensor shows at ``hz`` (k,), including gain and delay."""
-        turned = np.exp(-2j * np.pi * hz * self.delay)
-        return np.asarray(self.gain * turned * self.G.response(2.0 * np.pi * TS * hz))
 
 
 def estimated(measured: FrequencyResponse) -> Estimated:
@@ -64,20 +46,26 @@ def estimated(measured: FrequencyResponse) -> Estimated:
 
     Raises IdentificationError if there are too few frequencies.
     """
-    hz, size = measured.hz, np.abs(measured.H)
+    hz = measured.hz
     if len(hz) < LEAST_FREQUENCIES:
         raise IdentificationError(f"only {len(hz)} frequencies were excited, too few for a model")
-    near = np.where((hz >= STRONGEST_HZ[0]) & (hz <= STRONGEST_HZ[1]), size, 0.0)
-    f0 = float(hz[np.argmax(near)])
-    gain, delay = _gain_and_delay(measured, f0)
+    f0 = _strongest(measured)
+    gain, delay = gain_and_delay(measured)
     in_time = measured.H / gain * np.exp(2j * np.pi * hz * delay)
     h = _estimate(measured, in_time, f0)
     return Estimated(_handed_over(h, f0), gain, delay, f0)
 
 
-def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, float]:
-    """Return the gain and delay (s) with which one ideal mode is seen below the resonance."""
+def _strongest(measured: FrequencyResponse) -> float:
+    """Return the frequency of the strongest mode, Hz."""
     hz = measured.hz
+    near = (hz >= STRONGEST_HZ[0]) & (hz <= STRONGEST_HZ[1])
+    return float(hz[np.argmax(np.where(near, np.abs(measured.H), 0.0))])
+
+
+def gain_and_delay(measured: FrequencyResponse) -> tuple[float, float]:
+    """Return the gain and delay (s) with which one ideal mode is seen below the resonance."""
+    hz, f0 = measured.hz, _strongest(measured)
     low = (hz >= max(LOWEST_HZ, f0 / 5.0)) & (hz <= f0 / 2.4)
     H, omega = measured.H[low], 2.0 * np.pi * hz[low]
     if not low.any():
@@ -118,7 +106,8 @@ def _handed_over(h: Array, f0: float) -> ImpulseResponse:
     G = (1.0 - known) * _one_mode(np.minimum(hz, 0.7 * f0), f0) + known * (E @ h)
     k = np.arange(-LEAD, LENGTH - LEAD, dtype=float)
     turn = np.exp(-2j * np.pi * TS * np.outer(hz, k))
-    weight = (30.0 / np.maximum(hz, 5.0) ** 1.5)[:, None]
+    slow = np.maximum(SLOW_HZ / hz, 1.0) ** 2  # acceleration is as strong there: all of Q counts
+    weight = (30.0 * slow / np.maximum(hz, SLOW_HZ) ** 1.5)[:, None]
     X = -weight * (2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2 * turn
     P = FIT_SIZE * linalg.inv(_kernel(k, 1.0 / (2.0 * np.pi * TS * f0)))
     A = (X.conj().T @ X).real + P

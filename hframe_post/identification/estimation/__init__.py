@@ -1,0 +1,1 @@
+"""Impulse responses, estimated with as much freedom as the recordings prove."""

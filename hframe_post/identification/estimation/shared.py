@@ -1,0 +1,183 @@
+"""What several recordings share of a coupling: that alone is compensated.
+
+    C_k(f) = g·e^{−2πifτ}·(ψ_k·D(z) + G_k(z)),  G = −lag·(1 − 1/z) + (z − 2 + 1/z)·Q(z)
+
+=============  ==========================================================================
+``C_k, D``     response across, measured in run k, and the axis' own, which is 1 at rest
+``ψ_k``        angle by which the sensor is turned about the vertical: its share of D is the same
+               from rest on, while nothing couples at rest, so that C/D shows it at low frequencies
+``G_k``        coupling in run k: a response as along, but 0 at rest, regressed run by run
+``g, τ``       gain and delay of the commanded axis
+=============  ==========================================================================
+
+Over the runs G_k = Σ_j A_kj·β_j + e_k,  A = [1, x_k − x̄, y_k − ȳ]: a coupling is constant, or
+linear in the place where that foresees a run better that was left out. What does not repeat, e,
+makes β uncertain: of its lag, and of its Q at each frequency, only 1 − var(β)/|β|² is known.
+
+A print is accelerated for times from a few ms to tenths of a second, so that its motion falls with
+the square of the frequency. Responses are compared with that weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.identification.estimation.estimated import Estimated
+from hframe_post.identification.estimation.kernel import Mode, transfer
+from hframe_post.identification.estimation.regression import Data, regress
+from hframe_post.identification.responses.crossed import Crossed
+from hframe_post.identification.responses.full_response import LEAST_SPREAD
+from hframe_post.model.impulse_response import ImpulseResponse
+
+BEFORE, AFTER = 4, 250  # samples of q before and after the command; modes may ring for longer
+LONGEST = 1900  # samples of q
+SILENT = 2e-3  # of the largest q
+UNKNOWN = 0.02  # share of C, or of its RMS, that no linear model explains
+TURN_SD, LAG_SD = 0.03, 0.3  # rad, after a rough one; samples
+BELOW = 0.6  # of the resonance, below which a turned sensor shows
+FEWEST = 20  # frequencies that this takes
+BETTER = 0.8  # times what a constant coupling leaves, from which one linear in place is believed
+MOST_MODES = 3
+FINE = 4096
+
+Axes = tuple[int | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What runs share of a coupling.
+
+    omega (k,): rad/sample, measured. turns (runs,): ψ. C (runs, k): G. axes: on what the coupling
+    depends, None for its constant part. centre (2,): mm. arms (axes,): mm from it, at the most; 1
+    for the constant part. parts: what is known, per mm or constant; empty if a further run would be
+    needed. left: share of a run that the others do not foresee.
+    """
+
+    omega: Array
+    turns: Array
+    C: Complex
+    axes: Axes
+    centre: Array
+    arms: Array
+    parts: tuple[ImpulseResponse, ...]
+    left: float
+
+    @property
+    def sizes(self) -> list[float]:
+        """Return what each part moves in a print, where it is largest."""
+        return [
+            float(arm) * in_print(G.response(self.omega), self.omega)
+            for G, arm in zip(self.parts, self.arms, strict=False)
+        ]
+
+
+def shared(runs: Sequence[Crossed], along: Estimated, known: int) -> Shared:
+    """Return what the runs share, constant or linear in place.
+
+    along: response of the commanded axis. known: lever arms found from the same runs, which have
+    been removed from them.
+    """
+    turns, each = zip(*(_regressed(run, along) for run in runs), strict=True)
+    omega, places = 2.0 * np.pi * TS * runs[0].across.hz, np.array([run.place for run in runs])
+    centre = places.mean(axis=0)
+    C = np.array([G.response(omega) for G in each])
+    axes: Axes = (None,)
+    A = _design(places - centre, axes)
+    left = _left(C, omega, A)
+    for axis in (X, Y):
+        free = len(runs) - len(axes) - known
+        spread = np.linalg.norm(places[:, axis] - centre[axis])
+        if spread < LEAST_SPREAD or free < 2 or (known and axis == X):
+            continue
+        linear = _design(places - centre, (*axes, axis))
+        if (its_left := _left(C, omega, linear)) < BETTER * left:
+            axes, A, left = (*axes, axis), linear, its_left
+    free, arms = len(runs) - len(axes) - known, np.abs(A).max(axis=0)
+    parts = _parts(each, A, free) if free > 0 else ()
+    return Shared(omega, np.array(turns), C, axes, centre, arms, parts, left)
+
+
+def in_print(C: Complex, omega: Array) -> float:
+    """Return the size of responses (…, k) as a print weighs them."""
+    return float(np.linalg.norm(C / omega**2))
+
+
+def _regressed(run: Crossed, along: Estimated) -> tuple[float, ImpulseResponse]:
+    """Return ψ and G of one run."""
+    rough = _turn(run, along.resonance_hz)
+    hz, C = run.across.hz, (run.across.H - rough * run.along.H) / along.gain
+    k, z = np.arange(-BEFORE, AFTER, dtype=float), np.exp(2j * np.pi * TS * hz)
+    late = np.exp(-2j * np.pi * hz * along.delay)
+    acceleration = late * (z - 2.0 + 1.0 / z)
+    size = np.abs(run.across.H / along.gain)
+    noise = np.hypot(run.across.noise, UNKNOWN) * size
+    sd = np.hypot(noise, UNKNOWN * np.sqrt(np.mean(size**2)) + 1e-12) / np.sqrt(2.0)
+
+    def rows(columns: Complex) -> Array:
+        weighted = (columns.T / sd).T
+        return np.concatenate([weighted.real, weighted.imag])
+
+    def by_modes(modes: Sequence[Mode], onset: int) -> Array:
+        # below what was measured a mode could pass for a turned sensor
+        measured = np.repeat([mode.omega >= 2.0 * np.pi * TS * hz[0] for mode in modes], 2)
+        return rows(acceleration[:, None] * transfer(z, modes, onset) * measured)
+
+    columns = np.column_stack(
+        [late, late * (1.0 / z - 1.0), acceleration[:, None] * z[:, None] ** -k]
+    )
+    precision = np.array([TURN_SD**-2.0, LAG_SD**-2.0])
+    found = regress(Data(rows(columns), rows(C), k, precision, by_modes), most=MOST_MODES)
+    # what does not vanish at rest is the turned sensor's, and so is its share of what D rings
+    turn, lag = float(found.mean[0]), float(found.mean[1]) - float(found.mean[0]) * along.G.lag
+    at = np.arange(-BEFORE, LONGEST, dtype=float)
+    known = np.arange(len(along.G.deviation), dtype=float) - along.G.lead
+    q = found.response(at) - turn * np.interp(at, known, along.G.deviation, 0.0, 0.0)
+    return rough + turn, ImpulseResponse(q, BEFORE, rest=0.0, lag=lag)
+
+
+def _turn(run: Crossed, resonance_hz: float) -> float:
+    """Return ψ to TURN_SD: below the resonance C/D is ψ, and a coupling grows with f and f²."""
+    hz, noise = run.across.hz, run.across.noise * np.abs(run.across.H)
+    low = hz <= max(BELOW * resonance_hz, float(hz[min(FEWEST, len(hz) - 1)]))
+    r = hz[low] / resonance_hz
+    size = np.abs(run.along.H[low])
+    weight = size / np.hypot(noise[low], UNKNOWN * size)
+    columns = weight[:, None] * np.column_stack([np.ones(len(r)), r * r, 1j * r])
+    wanted = weight * run.across.H[low] / run.along.H[low]
+    A = np.concatenate([columns.real, columns.imag])
+    return float(np.linalg.lstsq(A, np.concatenate([wanted.real, wanted.imag]))[0][0])
+
+
+def _design(away: Array, axes: Axes) -> Array:
+    ones = np.ones(len(away))
+    return np.column_stack([ones if axis is None else away[:, axis] for axis in axes])
+
+
+def _left(C: Complex, omega: Array, A: Array) -> float:
+    """Return the share of C (runs, k) that each run's others do not foresee by least squares."""
+    foreseen = []
+    for k in range(len(C)):
+        others = A.copy()
+        others[k] = 0.0
+        foreseen.append(A[k] @ np.linalg.pinv(others) @ C)
+    return in_print(C - np.array(foreseen), omega) / max(in_print(C, omega), 1e-300)
+
+
+def _parts(each: Sequence[ImpulseResponse], A: Array, free: int) -> tuple[ImpulseResponse, ...]:
+    """Return what is known of β."""
+    found = np.array([[G.lag, *rfft(G.deviation, FINE)] for G in each])
+    beta = np.linalg.pinv(A) @ found
+    variance = (np.abs(found - A @ beta) ** 2).sum(axis=0) / free
+    uncertain = np.linalg.inv(A.T @ A).diagonal()[:, None] * variance
+    known = beta * np.maximum(1.0 - uncertain / np.maximum(np.abs(beta) ** 2, 1e-300), 0.0)
+    return tuple(_ending(irfft(one[1:], FINE)[:LONGEST], float(one[0].real)) for one in known)
+
+
+def _ending(q: Array, lag: float) -> ImpulseResponse:
+    last = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
+    return ImpulseResponse(q[:last], BEFORE, rest=0.0, lag=lag)

@@ -1,0 +1,132 @@
+"""Estimation of impulse responses with a kernel: its maths, and what it finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation import regression
+from hframe_post.identification.estimation.kernel import Decay, Mode, ringing
+from hframe_post.identification.estimation.known_start import estimated
+from hframe_post.identification.estimation.regression import AMPLITUDE, Data, Prior, regress
+from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from tests.modes import axis_mode
+from tests.quantities import below
+
+HZ = np.arange(3.0, 100.0, 0.25)
+AVERAGES = 8.0
+
+
+def rad(hz: float) -> float:
+    return 2.0 * np.pi * TS * hz
+
+
+def dense(decay: Decay, k: Array) -> Array:
+    apart = np.abs(k[:, None] - k)
+    sd = decay.c * np.exp(-decay.beta * np.abs(k))
+    return np.asarray(np.outer(sd, sd) * np.exp(-decay.alpha * apart))
+
+
+def seen(true: Complex, noise: float, seed: int) -> FrequencyResponse:
+    """Return a response as measured: with that noise, relative to its RMS."""
+    rng = np.random.default_rng(seed)
+    sd = noise * np.sqrt(np.mean(np.abs(true) ** 2))
+    off = sd * (rng.normal(size=(2, len(HZ))) * np.sqrt(0.5 / AVERAGES))
+    H = true + off[0] + 1j * off[1]
+    size = np.abs(H) ** 2
+    return FrequencyResponse(HZ, H, size / (size + sd**2), np.ones(len(HZ)), AVERAGES)
+
+
+def two_modes(delay: float, gain: float) -> Complex:
+    omega = 2.0 * np.pi * TS * HZ
+    both = 0.8 * axis_mode(31.0, 0.08).response(omega) + 0.2 * axis_mode(71.0, 0.05).response(omega)
+    return np.asarray(gain * both * np.exp(-2j * np.pi * HZ * delay))
+
+
+def test_the_kernel_is_inverted_in_closed_form() -> None:
+    decay, k = Decay(0.7, 0.02, 0.3), np.arange(-4.0, 60.0)
+    inverse, log_det = decay.precision(k)
+    K = dense(decay, k)
+    assert np.allclose(inverse @ K, np.eye(len(k)), atol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(K)[1], rel=1e-9)
+
+
+def test_the_evidence_is_that_of_the_marginal_distribution() -> None:
+    rng = np.random.default_rng(1)
+    k, precision = np.arange(-2.0, 30.0), np.array([4.0])
+    X, y = rng.normal(size=(80, 1 + len(k))), rng.normal(size=80)
+    data = Data(X, y, k, precision, lambda modes, d: X[:, 1:] @ ringing(k, modes, d))
+
+    def cost(prior: Prior) -> float:
+        Phi = ringing(k, prior.modes, prior.onset)
+        K = dense(prior.decay, k) + AMPLITUDE**2 * Phi @ Phi.T
+        marginal = X @ linalg.block_diag(1.0 / precision[0], K) @ X.T + np.eye(len(y))
+        return float(0.5 * (np.linalg.slogdet(marginal)[1] + y @ np.linalg.solve(marginal, y)))
+
+    priors = [
+        Prior(Decay(0.5, 0.05, 0.2)),
+        Prior(Decay(0.1, 0.02, 0.5), (Mode(0.3, 0.1),), 2),
+        Prior(Decay(1.0, 0.1, 0.1), (Mode(0.3, 0.1), Mode(0.7, 0.05)), 1),
+    ]
+    ours = np.array([regression._Search(data, prior).cost() for prior in priors])
+    theirs = np.array([cost(prior) for prior in priors])
+    assert np.allclose(np.diff(ours), np.diff(theirs), atol=1e-6)
+    search = regression._Search(data, priors[2])
+    Phi = ringing(k, priors[2].modes, 1)
+    K = linalg.block_diag(0.25, dense(priors[2].decay, k) + AMPLITUDE**2 * Phi @ Phi.T)
+    covariance = np.linalg.inv(X.T @ X + np.linalg.inv(K))
+    posterior = search.posterior()
+    assert np.allclose(posterior.response(k), (covariance @ X.T @ y)[1:], atol=1e-7)
+    assert np.allclose(posterior.known(k), covariance[1:, 1:], atol=1e-7)
+
+
+def test_what_decays_without_modes_needs_none() -> None:
+    rng = np.random.default_rng(2)
+    k = np.arange(-4.0, 200.0)
+    q = np.linalg.cholesky(dense(Decay(1.0, 0.03, 0.1), k)) @ rng.normal(size=len(k))
+    X = rng.normal(size=(1000, len(k)))
+    y = X @ q + 3.0 * rng.normal(size=1000)
+    X, y = X / 3.0, y / 3.0
+    found = regress(Data(X, y, k, np.zeros(0), lambda modes, d: X @ ringing(k, modes, d)))
+    assert len(found.prior.modes) <= 1
+    off = found.response(k) - q
+    known = off @ np.linalg.solve(found.known(k), off) / len(k)
+    assert 0.4 < known < 1.6  # errors are as large as the posterior says
+
+
+def test_a_sum_of_modes_is_found_with_gain_and_lag() -> None:
+    true = two_modes(1.3e-3, 1.04)
+    found = estimated(seen(true, 0.03, 1))
+    for hz, zeta in ((31.0, 0.08), (71.0, 0.05)):
+        near = min(found.modes, key=lambda mode: abs(mode.omega / rad(hz) - 1.0))
+        assert near.omega == pytest.approx(rad(hz), rel=0.005)
+        assert near.zeta == pytest.approx(zeta, rel=0.1)
+    assert len(found.modes) <= 3
+    assert found.gain == pytest.approx(1.04, abs=0.005)
+    assert found.G.lag == pytest.approx(1.3, abs=0.02)  # ms: these modes have none
+    off = np.abs(found.response(HZ) - true)
+    below(float(off.max() / np.abs(true).max()), 0.01, "error relative to the peak")
+    # what the model says is not known: the standard deviation of Q by frequency
+    at = np.exp(-2j * np.pi * TS * np.outer(HZ, np.arange(len(found.G.unknown))))
+    sd = np.abs(at @ found.G.unknown) * (2.0 * np.sin(np.pi * TS * HZ)) ** 2
+    z = off / (found.gain * np.hypot(sd, 5e-3 / AVERAGES * np.abs(true)))
+    assert 0.1 < np.sqrt(np.mean(z**2)) < 3.0
+
+
+def test_what_rings_for_long_is_held_as_long() -> None:
+    omega = 2.0 * np.pi * TS * HZ
+    true = axis_mode(22.5, 0.035).response(omega)
+    found = estimated(seen(true, 0.01, 2))
+    off = found.response(HZ) - true
+    below(float(np.linalg.norm(off) / np.linalg.norm(true)), 0.005, "relative error")
+    assert len(found.G.deviation) > 600
+    short = estimated(seen(axis_mode(40.0, 0.1).response(omega), 0.01, 2))
+    assert len(short.G.deviation) < 440
+
+
+def test_a_few_frequencies_are_no_response() -> None:
+    with pytest.raises(IdentificationError, match="too few"):
+        estimated(seen(two_modes(0.0, 1.0), 0.01, 1).within((30.0, 31.0)))
