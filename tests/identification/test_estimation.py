@@ -130,3 +130,15 @@ def test_what_rings_for_long_is_held_as_long() -> None:
 def test_a_few_frequencies_are_no_response() -> None:
     with pytest.raises(IdentificationError, match="too few"):
         estimated(seen(two_modes(0.0, 1.0), 0.01, 1).within((30.0, 31.0)))
+
+
+def test_columns_that_low_noise_leaves_nearly_alike_have_a_posterior() -> None:
+    """A motor that is followed exactly, below 100 Hz: most of 440 columns are the others' sum."""
+    k, z = np.arange(-4.0, 436.0), np.exp(2j * np.pi * TS * HZ)
+    rows = 1e4 * (z - 2.0 + 1.0 / z)[:, None] * z[:, None] ** -k
+    X, q = np.concatenate([rows.real, rows.imag]), 5.0 * np.exp(-0.02 * np.abs(k))
+    found = regress(
+        Data(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
+        Prior(Decay(1e3, regression.BETA[0], 1e-2)),
+    )
+    assert np.abs(X @ (found.response(k) - q)).max() < 1e-3 * np.abs(X @ q).max()

@@ -35,6 +35,7 @@ DAMPING = (0.01, 0.9)
 CLOSEST = 0.03  # relative distance of two modes
 LATEST = 8  # samples: onset of the modes at the latest
 BETA, ALPHA = (1.5e-3, 0.2), (7e-3, 4.0)  # bounds of K_D's decay and roughness
+ROUNDING = 1e-11  # of XᵀX; some hundred columns, of which low noise makes some nearly alike
 WORST = 1e15  # cost of what cannot be computed
 
 
@@ -115,7 +116,7 @@ class _Search:
     def __init__(self, data: Data, prior: Prior) -> None:
         self._data, self.prior = data, prior
         self._n = len(data.precision)
-        self._A, self._b = data.X.T @ data.X, data.X.T @ data.y
+        self._A, self._b = _definite(data.X.T @ data.X), data.X.T @ data.y
         self._integrate()
 
     def _solved(self, decay: Decay) -> tuple[Array, Array, float]:
@@ -227,12 +228,17 @@ class _Search:
         """Return the posterior."""
         Psi = self._data.by_modes(self.prior.modes, self.prior.onset)
         X_Psi = self._data.X.T @ Psi
-        of_modes = Psi.T @ Psi + np.eye(Psi.shape[1]) / AMPLITUDE**2
+        of_modes = _definite(Psi.T @ Psi) + np.eye(Psi.shape[1]) / AMPLITUDE**2
         P, _ = self._precision(self.prior.decay)
         whole = linalg.cho_factor(np.block([[P, X_Psi], [X_Psi.T, of_modes]]), lower=True)
         covariance = linalg.cho_solve(whole, np.eye(len(whole[0])))
         mean = linalg.cho_solve(whole, np.concatenate([self._b, Psi.T @ self._data.y]))
         return Posterior(mean, covariance, self._data.k, self.prior, self.cost())
+
+
+def _definite(A: Array) -> Array:
+    """Return A, to which so little was added that rounding leaves it positive definite."""
+    return A + np.diag(ROUNDING * A.diagonal())
 
 
 def _apart(modes: Sequence[Mode]) -> bool:
