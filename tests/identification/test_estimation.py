@@ -135,7 +135,7 @@ def test_a_few_frequencies_are_no_response() -> None:
 def test_columns_that_low_noise_leaves_nearly_alike_have_a_posterior() -> None:
     """A motor that is followed exactly, below 100 Hz: most of 440 columns are the others' sum."""
     k, z = np.arange(-4.0, 436.0), np.exp(2j * np.pi * TS * HZ)
-    rows = 1e4 * (z - 2.0 + 1.0 / z)[:, None] * z[:, None] ** -k
+    rows = 1e6 * (z - 2.0 + 1.0 / z)[:, None] * z[:, None] ** -k
     X, q = np.concatenate([rows.real, rows.imag]), 5.0 * np.exp(-0.02 * np.abs(k))
     found = regress(
         Data(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
