@@ -9,8 +9,8 @@ import numpy as np
 
 from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
 from hframe_post.identification.diagnosis.nonlinearity import Nonlinearity
-from hframe_post.identification.diagnosis.scatter import DAY_TO_DAY, MOST, ModeShift, Uncertainty
-from hframe_post.identification.fitting.fit import Excited, Fit
+from hframe_post.identification.diagnosis.scatter import DAY_TO_DAY, MOST, ModeShift
+from hframe_post.identification.estimation.axes import Excited, Fit
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
@@ -76,7 +76,7 @@ class Repetition:
 class Identified:
     """What was identified.
 
-    measured, fits, uncertainties: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
+    measured, fits: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
     runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
     noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
@@ -93,7 +93,6 @@ class Identified:
     racking_below_noise: bool
     mode_shift: ModeShift | None
     nonlinearity: Nonlinearity | None
-    uncertainties: dict[str, Uncertainty]
     lever_arm_sd: tuple[float, float] | None
     repetitions: dict[str, Repetition]
     couplings: list[MeasuredCoupling]
@@ -102,21 +101,16 @@ class Identified:
     @property
     def along_x(self) -> dict[str, ImpulseResponse]:
         """Return the responses that change along x, by name."""
-        each = {name: found.G for name, found in self.fits.items()}
-        return {
-            name: G for name, G in each.items() if isinstance(G, ImpulseResponse) and G.elsewhere
-        }
+        return {name: found.G for name, found in self.fits.items() if found.G.elsewhere}
 
     @property
     def model_error(self) -> float:
         """Return the uncertainty of the model; what changes from day to day is assumed, unless
         every axis was recorded more than once."""
-        shares = [one.share for name, one in self.uncertainties.items() if name != "Gxtheta"]
-        if self.lever_arm_sd is not None:
-            shares.append(min(2.0 * self.lever_arm_sd[1], MOST))
+        shares = [min(2.0 * self.lever_arm_sd[1], MOST)] if self.lever_arm_sd else []
         shares += [min(one.share / BY_SHIFT, MOST) for one in self.repetitions.values()]
         known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
-        return max(LEAST_CHANGE if known else DAY_TO_DAY, *shares)
+        return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
 
     @property
     def gains(self) -> dict[str, float]:
@@ -147,10 +141,8 @@ class Identified:
             found = self.fits[name]
             measured = self.measured[name]
             swept = measured.resonance_hz is None and not measured.known_start
-            limit = 0.35 if swept else 0.6  # friction changes from stroke to stroke
-            if self.nonlinearity is not None:
-                # a distortion that harmonics account for may leave more unexplained
-                limit = 0.25 if found.residual_over_noise > 2.0 else 0.6
+            # friction changes from stroke to stroke, and harmonics account for more
+            limit = 0.35 if swept and self.nonlinearity is None else 0.6
             if found.residual > limit:
                 return (
                     f"the model of {name} leaves {100 * found.residual:.0f} % of the measurement "
@@ -172,16 +164,13 @@ class Identified:
         An axis that was not measured is taken to follow its command exactly. One whose response was
         measured is expected to drift.
         """
-        found = {name: fit.G for name, fit in self.fits.items()}
+        found: dict[str, Linear] = {name: fit.G for name, fit in self.fits.items()}
         for name in AXIS.keys() & found.keys():
-            if isinstance(G := found[name], ImpulseResponse):
-                drift = DRIFT if len(G.unknown) else DRIFT_ALONE
-                found[name] = replace(G, drift=drift)
+            G = self.fits[name].G
+            found[name] = replace(G, drift=DRIFT if len(G.unknown) else DRIFT_ALONE)
         known = x_c if self.x_c is None else self.x_c
         Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
-        cross = chain.from_iterable(
-            one.cross(self.fits[f"G{one.axis}{one.axis}"].printer_delay) for one in self.couplings
-        )
+        cross = chain.from_iterable(one.terms for one in self.couplings)
         return Plant(Gxx, Gyy, found.get("Gxtheta"), known, tuple(cross))
 
     def other_plants(self, x_c: float) -> list[Plant]:
@@ -191,11 +180,19 @@ class Identified:
         single recordings.
         """
         plant = self.plant(x_c)
-        ends = self.mode_shift.at_ends if self.mode_shift and "Gxx" not in self.along_x else ()
-        others = [replace(plant, Gxx=G) for G in ends]
+        others = [replace(plant, Gxx=G) for G in self._at_ends]
         for name, repetition in self.repetitions.items():
             x = name == "Gxx"
             others += [
                 replace(plant, Gxx=G) if x else replace(plant, Gyy=G) for G in repetition.functions
             ]
         return others
+
+    @property
+    def _at_ends(self) -> list[ImpulseResponse]:
+        """Return Gxx at the least and the greatest x, if it changes and the profile does not."""
+        shift = self.mode_shift
+        if shift is None or "Gxx" in self.along_x:
+            return []
+        found, middle = self.fits["Gxx"], self.fits["Gxx"].measured.resonance_hz
+        return [found.G.stretched(middle / hz) for hz in shift.hz]

@@ -28,34 +28,28 @@ from hframe_post.identification.diagnosis.nonlinearity import (
     find_nonlinearity,
 )
 from hframe_post.identification.diagnosis.scatter import (
-    ModeShift,
-    Refit,
-    Uncertainty,
     find_mode_shift,
     lever_arm_uncertainty,
-    model_uncertainty,
-    position_spread,
-    refit,
-    session_uncertainty,
 )
-from hframe_post.identification.fitting.along_x import (
+from hframe_post.identification.estimation.along_x import (
     at_common_frequencies,
     fit_places,
     racking_along_x,
 )
-from hframe_post.identification.fitting.fit import (
+from hframe_post.identification.estimation.axes import (
     Fit,
-    fit,
+    Swept,
     fit_known_start,
+    fit_racking,
+    fit_swept,
     fit_unknown_start,
     response_again,
-    with_common_delay,
-    with_gain,
 )
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
+    SENSOR,
     Distortion,
     average,
     share_left,
@@ -74,7 +68,6 @@ from hframe_post.identification.responses.measured import (
 from hframe_post.identification.responses.strokes import stroke_responses
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.stream.running import one_blas_thread
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
@@ -93,14 +86,18 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits, nonlinearity = _fit_axes(groups, measured, settings)
     fits = {name: _compared(found, groups[name]) for name, found in fits.items()}
-    shifts = _mode_shifts(measured, fits, settings)
+    shifts = {
+        name: find_mode_shift(fits[name].G, fits[name].measured.resonance_hz, one.places)
+        for name, one in measured.items()
+    }
+    moving = {name: shift for name, shift in shifts.items() if shift is not None}
     if nonlinearity is None:
-        fits |= _along_x(shifts, measured, fits, settings)
+        fits |= _along_x(moving, measured, fits, settings)
     arm, moves = None, _moves(fits)
     x_runs = groups["Gxx"].runs if "Gxx" in groups else []
     if x_runs:
         x_runs = x_runs if moves is None else [_unmoved(run, moves) for run in x_runs]
-        arm = _lever_arm(x_runs, settings, "Gxx" in shifts)
+        arm = _lever_arm(x_runs, settings, "Gxx" in moving)
         arm = arm if arm is None or moves is None else _by_the_middle(arm, x_runs)
     least = 1.0 if arm and arm.beyond_noise <= OFF_LINE else 3.0
     racking = arm if arm and arm.over_noise > least else None
@@ -109,12 +106,12 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
         delay = fits["Gxx"].recording_delay
         measured["Gxtheta"] = Measured(racking.by_place, racking.slope, racking.off, (delay, delay))
     if "Gxtheta" in measured:
-        distortion = nonlinearity.distortions.get("x") if nonlinearity else None
-        band = max(settings.band_hz[0], groups["Gxx"].excited_hz), settings.band_hz[1]
-        found = _fit("Gxtheta", measured["Gxtheta"], replace(settings, band_hz=band), distortion)
+        low = max(settings.band_hz[0], groups["Gxx"].excited_hz)
+        seen = measured["Gxtheta"].mean.within((low, settings.band_hz[1]))
         # an unknown excitation is wrong in x alone, an unknown sensor where it measures
-        calibrated = "Gyy" in fits and groups["Gxx"].resonance_hz is None
-        fits["Gxtheta"] = with_gain(found, fits["Gyy" if calibrated else "Gxx"].gain)
+        calibrated = groups["Gxx"].resonance_hz is None
+        gain = fits["Gyy" if calibrated and "Gyy" in fits else "Gxx"].gain
+        fits["Gxtheta"] = fit_racking(seen, fits["Gxx"], gain, calibrated)
     x_c = lever_arm_sd = None
     if racking:
         along = average([run.response for run in x_runs])
@@ -124,35 +121,20 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     if moves is not None and x_c is not None:
         turned = [(run.place, run.place - x_c, run.y) for run in x_runs]
         found = fits["Gxtheta"]
-        assert isinstance(found.G, TransferFunction)
         G = racking_along_x(found.G, moves, measured["Gxtheta"].mean, turned)
         fits["Gxtheta"] = replace(found, G=G)
     warnings = _unknown_start(measured)
-    uncertainties = {
-        name: _uncertainty(measured[name], found, settings) for name, found in fits.items()
-    }
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
     on_head = [name for name in groups if not (settings.bed_moves and name == "Gyy")]
     pitches = [_pitching(AXIS[name], groups[name], settings) for name in on_head]
-    seen = [one for one in pitches if one is not None]
+    pitched = [one for one in pitches if one is not None]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
-        shifts.get("Gxx"), nonlinearity, uncertainties, lever_arm_sd, repetitions,
-        [one for one in couplings if one is not None], [pitch_note(seen)] if seen else [],
+        moving.get("Gxx"), nonlinearity, lever_arm_sd, repetitions,
+        [one for one in couplings if one is not None], [pitch_note(pitched)] if pitched else [],
     )  # fmt: skip
-
-
-def _mode_shifts(
-    measured: Mapping[str, Measured], fits: Mapping[str, Fit], settings: Settings
-) -> dict[str, ModeShift]:
-    """Return how modes shift along x, by the axes whose modes do."""
-    shifts = {
-        name: find_mode_shift(fits[name], one.places, _refit(one, fits[name], settings))
-        for name, one in measured.items()
-    }
-    return {name: shift for name, shift in shifts.items() if shift is not None}
 
 
 def _along_x(
@@ -173,7 +155,7 @@ def _along_x(
 def _moves(fits: Mapping[str, Fit]) -> ImpulseResponse | None:
     """Return the response along x, if it changes along x."""
     G = fits["Gxx"].G if "Gxx" in fits else None
-    return G if isinstance(G, ImpulseResponse) and G.elsewhere else None
+    return G if G is not None and G.elsewhere else None
 
 
 def _unmoved(run: RunResponse, moves: ImpulseResponse) -> RunResponse:
@@ -225,24 +207,13 @@ def _fit_axes(
     """Fit Gxx and Gyy: first as if the printer were linear, then without what is distorted."""
     fits = _fit_all(measured, settings, {})
     nonlinearity = _find_nonlinearity(groups, fits, settings.step)
-    if nonlinearity is None:
-        # positions that differ by more than 10 % smear their mean
-        differing = {
-            name: one
-            for name, one in measured.items()
-            if one.spread > 0.1 and one.resonance_hz is None and not one.known_start
-        }
-        spreads = {name: position_spread(one.runs) for name, one in differing.items()}
-        fits |= _fit_all(differing, settings, spreads)
-    else:
+    if nonlinearity is not None:
         # the linear part and the distortion depend on each other: alternate
         for _ in range(2):
             by_axis = nonlinearity.distortions
             distortions = {name: by_axis[axis] for name, axis in AXIS.items() if axis in by_axis}
             fits = _fit_all(measured, settings, distortions)
             nonlinearity = _find_nonlinearity(groups, fits, settings.step) or nonlinearity
-    if len(fits) == len(AXIS):
-        fits["Gxx"], fits["Gyy"] = with_common_delay(fits["Gxx"], fits["Gyy"])
     return fits, nonlinearity
 
 
@@ -251,21 +222,16 @@ def _fit_all(
 ) -> dict[str, Fit]:
     excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
     fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
+    swept = dict[str, Swept]()
     for name, one in measured.items():
-        if name not in fits:
-            fits[name] = _fit(name, one, settings, distortions.get(name))
+        inside, sensor = one.mean.within(settings.band_hz), _sensor(name, settings)
+        if one.known_start:
+            fits[name] = fit_known_start(inside, sensor)
+        elif name not in fits:
+            whole = distortions[name].removed_from(inside) if name in distortions else inside
+            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR)
+    fits |= fit_swept(swept)
     return {name: fits[name] for name in measured}
-
-
-def _fit(name: str, measured: Measured, settings: Settings, distortion: Distortion | None) -> Fit:
-    """Return the response of recordings that tell start and gain."""
-    sensor = _sensor(name, settings)
-    if measured.known_start:
-        return fit_known_start(measured.mean.within(settings.band_hz), sensor)
-    return fit(
-        measured.runs, measured.mean, name == "Gxtheta", settings.band_hz, measured.delay_bounds,
-        distortion, sensor,
-    )  # fmt: skip
 
 
 def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
@@ -273,24 +239,6 @@ def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
     if settings.sensor is None or name not in AXIS:
         return None
     return settings.sensor[tuple(AXIS).index(name)], GAIN_SD
-
-
-def _refit(measured: Measured, found: Fit, settings: Settings) -> Refit:
-    """Return the function that refines the modes on another response."""
-    excited = measured.excited(settings.band_hz)
-    low, high = settings.band_hz if excited is None else excited.runs[0].hz[[0, -1]].tolist()
-    return lambda response: refit(found.model, response.within((low, high)))
-
-
-def _uncertainty(measured: Measured, found: Fit, settings: Settings) -> Uncertainty:
-    if measured.resonance_hz is None:
-        runs, G = measured.runs, found.G
-        if found.order is None and isinstance(G, ImpulseResponse) and G.elsewhere:
-            # those of other places differ by more than the scatter
-            runs = [run for place, run in measured.places if abs(place - G.x) < SAME_PLACE]
-        return model_uncertainty(found, runs, settings.band_hz)
-    again = _refit(measured, found, settings)
-    return session_uncertainty(found.model, [again(run) for run in measured.runs])
 
 
 def _compared(found: Fit, group: RunGroup) -> Fit:
@@ -329,7 +277,7 @@ def _coupling(
 ) -> MeasuredCoupling | None:
     """Return what a command in an axis does to the other, if its recordings tell."""
     along = fits[name].measured
-    if group.resonance_hz is None or along is None:
+    if group.resonance_hz is None:
         return None
     runs, known = crossed(tuple(AXIS).index(name), group, settings.band_hz), 0
     if name == "Gxx" and x_c is not None:
@@ -359,8 +307,9 @@ def _find_nonlinearity(
         found = fits[name]
         known = [(run.command, run.harmonics) for run in group.runs if run.harmonics is not None]
         if known:
-            delay = found.recording_delay + found.printer_delay
-            axes[AXIS[name]] = AxisSweeps(known, LinearPrinter(found.response, found.gain, delay))
+            assert found.sum is not None  # which is sensible above the band, too
+            printer = LinearPrinter(found.sum.response, found.sum.gain, found.sum.delay)
+            axes[AXIS[name]] = AxisSweeps(known, printer)
     return find_nonlinearity(axes, step)
 
 

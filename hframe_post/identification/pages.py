@@ -6,9 +6,9 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
-from hframe_post.identification.fitting.fit import Fit
+from hframe_post.identification.estimation.axes import Fit
 from hframe_post.identification.identified import AXIS, Measured
-from hframe_post.identification.report import IdentificationReport, kind
+from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
@@ -81,8 +81,8 @@ def _fact(measured: Measured, found: Fit) -> str:
     several = len(measured.places) > 1
     variation = f"; variation between positions {100 * measured.spread:.1f} %" if several else ""
     return (
-        f"modes: {modes or 'none'}; fit error {100 * found.residual:.2f} % ({kind(found)}); "
-        f"delay {found.printer_delay * 1e3:.2f} ms{variation}"
+        f"modes: {modes or 'none'}; unexplained {100 * found.residual:.2f} %; "
+        f"lag {found.lag * 1e3:.2f} ms{variation}"
     )
 
 

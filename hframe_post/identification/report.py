@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hframe_post.identification.fitting.fit import Fit
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identified import AXIS, Identified
 from hframe_post.identification.identify import Settings, identify
@@ -15,15 +14,10 @@ from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 
 
-def conclude(
-    gathered: Gathered, profile: Printer, settings: Settings, x_c: float | None = None
-) -> IdentificationReport:
-    """Identify the printer of a profile from gathered runs, and report it.
-
-    x_c: mm, where no run shows it; by default the middle of the travel. Raises HframeError.
-    """
+def conclude(gathered: Gathered, profile: Printer, settings: Settings) -> IdentificationReport:
+    """Identify the printer of a profile from gathered runs, and report it. Raises HframeError."""
     found = identify(gathered.runs, settings)
-    middle = sum(profile.travel.x) / 2.0 if x_c is None else x_c
+    middle = sum(profile.travel.x) / 2.0
     plant, compensation = found.plant(middle), None
     if found.refusal is None:
         others = found.other_plants(middle)
@@ -32,23 +26,17 @@ def conclude(
 
 
 def functions_table(identified: Identified) -> list[str]:
-    lines = [f"{'':10s}{'order':>6s}{'fit error':>11s}{'variation':>13s}{'delay':>10s}   modes"]
+    lines = [f"{'':10s}{'unexplained':>11s}{'variation':>13s}{'lag':>10s}   modes"]
     for name, found in identified.fits.items():
         measured = identified.measured[name]
         modes = ", ".join(f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in found.modes)
-        order = "–" if found.order is None else str(found.order)
         several = len(measured.places) > 1
         variation = f"{100 * measured.spread:.1f} %" if several else "–"
         lines.append(
-            f"{name:10s}{order:>6s}{100 * found.residual:9.2f} %{variation:>13s}"
-            f"{found.printer_delay * 1e3:7.2f} ms   {modes or 'none'}"
+            f"{name:10s}{100 * found.residual:9.2f} %{variation:>13s}"
+            f"{round(found.lag * 1e3, 2) + 0.0:7.2f} ms   {modes or 'none'}"
         )
     return lines
-
-
-def kind(found: Fit) -> str:
-    """Return how many poles describe an axis, or that its response is kept as measured."""
-    return "response as measured" if found.order is None else f"order {found.order}"
 
 
 def _moves(name: str, G: ImpulseResponse) -> str:
@@ -97,15 +85,9 @@ class IdentificationReport:
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)
             )
-        if identified.nonlinearity is None and identified.mode_shift is None:
-            for name, found in identified.fits.items():
-                cost = self._uncompensated(found.residual)
-                messages += [f"{name}: {text}{cost}" for text in found.warnings]
         messages += [text for one in identified.couplings for text in one.warnings()]
-        if "Gxtheta" in identified.fits:
-            if identified.x_c is None:
-                messages.append(f"x_c was not measured; {self.plant.x_c:g} mm is assumed")
-        elif identified.racks and not identified.racking_below_noise and "Gxx" in identified.fits:
+        racks = identified.racks and "Gxx" in identified.fits
+        if racks and not (identified.racking_below_noise or "Gxtheta" in identified.fits):
             messages.append(
                 "racking was not measured: on an H-bot the profile cancels ringing only. Test x at "
                 "several places, 20 mm apart or more, to measure it; a CoreXY does not rack"
@@ -169,21 +151,9 @@ class IdentificationReport:
         """Return what is known in addition to the functions, a line each."""
         rows = []
         if "Gxtheta" in self.identified.fits:
-            measured = "" if self.identified.x_c is not None else " (not measured)"
-            rows.append(("x_c", f"{self.plant.x_c:.2f} mm{measured}"))
+            rows.append(("x_c", f"{self.plant.x_c:.2f} mm"))
         moving = self.identified.along_x
         rows += [("along x", _moves(name, G)) for name, G in moving.items()]
-        as_measured = [
-            name
-            for name, one in self.identified.fits.items()
-            if one.order is None and name not in moving
-        ]
-        if as_measured:
-            rows.append((
-                "model",
-                f"{' and '.join(as_measured)}: the response as measured, since modes miss much "
-                "of it; those listed only describe it",
-            ))  # fmt: skip
         rows.append(("sensor", self._sensor()))
         rows += [("uncertainty", text) for text in self._uncertainties()]
         rows += [("repeats", text) for text in self._repetitions()]
@@ -204,13 +174,6 @@ class IdentificationReport:
     def _uncertainties(self) -> list[str]:
         found = self.identified
         lines = []
-        for name, one in found.uncertainties.items():
-            if not any(one.hz):
-                lines.append(f"{name}: unknown from a single recording")
-                continue
-            large = zip(one.hz, one.importance, strict=True)
-            hz = ", ".join(f"±{200.0 * sd:.2f} %" for sd, size in large if size > 0.02)
-            lines.append(f"{name}: modes {hz}; gain ±{200.0 * one.gain:.2f} %")
         if found.lever_arm_sd is not None:
             x_c, size = found.lever_arm_sd
             lines.append(f"x_c ±{2.0 * x_c:.2f} mm, racking ±{200.0 * size:.2f} %")
@@ -219,8 +182,6 @@ class IdentificationReport:
     def as_json(self) -> dict[str, Any]:
         identified = self.identified
         uncertainty: dict[str, Any] = {"share": round(identified.model_error, 5)}
-        for name, one in identified.uncertainties.items():
-            uncertainty[name] = {"hz": one.hz, "damping": one.damping, "gain": one.gain}
         if identified.lever_arm_sd is not None:
             x_c, size = identified.lever_arm_sd
             uncertainty |= {"x_c_mm": round(x_c, 4), "racking": round(size, 5)}
@@ -241,9 +202,8 @@ class IdentificationReport:
     def _function(self, name: str) -> dict[str, Any]:
         found, measured = self.identified.fits[name], self.identified.measured[name]
         return {
-            "order": found.order,
             "residual": round(found.residual, 6),
-            "delay_ms": round(found.printer_delay * 1e3, 4),
+            "lag_ms": round(found.lag * 1e3, 4),
             "recording_late_ms": round(found.recording_delay * 1e3, 4),
             "spread": round(measured.spread, 6),
             "runs": len(measured.places),
@@ -254,7 +214,7 @@ class IdentificationReport:
 
     def origin(self) -> list[str]:
         rows = [
-            f"{name}: {kind(found)}, fit error {100 * found.residual:.2f} %, "
+            f"{name}: {100 * found.residual:.2f} % unexplained, "
             f"{len(self.identified.measured[name].places)} runs"
             for name, found in self.identified.fits.items()
         ]

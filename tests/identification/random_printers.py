@@ -74,12 +74,9 @@ def judge(seed: int) -> dict[str, Any]:
 
 
 def causes(found: Identified) -> list[str]:
-    """Return the causes of faults that were reported, else the warnings."""
+    """Return the causes of faults that were reported."""
     reported = [found.nonlinearity.cause] if found.nonlinearity else []
-    reported += ["along x"] if found.mode_shift else []
-    if reported:
-        return reported
-    return [text for fit in found.fits.values() for text in fit.warnings]
+    return reported + (["along x"] if found.mode_shift else [])
 
 
 def table(rows: Iterable[dict[str, Any]]) -> str:

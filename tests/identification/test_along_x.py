@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,28 +11,29 @@ from hframe_post.arrays import TS, Complex
 from hframe_post.identification.diagnosis.scatter import (
     ModeShift,
     find_mode_shift,
-    position_spread,
-    refit,
     with_noise,
 )
-from hframe_post.identification.fitting.along_x import (
+from hframe_post.identification.estimation.along_x import (
     at_common_frequencies,
     factor,
     fit_places,
     racking_along_x,
 )
-from hframe_post.identification.fitting.fit import Fit
-from hframe_post.identification.fitting.modal import Data, Structure, fit
+from hframe_post.identification.estimation.axes import fit_known_start
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import Settings, identify
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
-    weights,
 )
 from hframe_post.identification.responses.measured import RunResponse, with_common_delay
-from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse, transfer_function
+from hframe_post.model.impulse_response import (
+    Elsewhere,
+    ImpulseResponse,
+    Linear,
+    transfer_function,
+)
 from tests.identification.test_identify_strokes import recorded
 from tests.modes import deviation_of_mode
 from tests.quantities import below, near
@@ -58,12 +58,8 @@ def measured(place: float, change: float, rng: np.random.Generator) -> Frequency
 def shift(change: float, seed: int) -> ModeShift | None:
     rng = np.random.default_rng(seed)
     runs = [measured(place, change, rng) for place in PLACES]
-    mean = average(runs)
-    model = fit(Data(HZ, mean.H, weights(mean), BAND, (-1.6e-4, 5e-3)), Structure(2, False))
-    G, delay = model.discrete(model.delay, model.gain), model.delay
-    found = Fit(G, 4, 0.0, 1.0, model.gain, 0.0, delay, (0.0, delay), model, ())
-    places = list(zip(PLACES, runs, strict=True))
-    return find_mode_shift(found, places, partial(refit, model))
+    found = fit_known_start(average(runs), None)
+    return find_mode_shift(found.G, HERE_HZ, list(zip(PLACES, runs, strict=True)))
 
 
 @pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
@@ -76,16 +72,6 @@ def test_the_shift_of_a_mode_is_found(change: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_no_shift_is_found_for_modes_that_stay(seed: int) -> None:
     assert shift(0.0, seed) is None
-
-
-def test_position_spread_is_large_near_a_mode_that_shifts() -> None:
-    rng = np.random.default_rng(1)
-    runs = [measured(place, 0.1, rng) for place in PLACES]
-    still = [measured(place, 0.0, rng) for place in PLACES]
-    peak = np.array([HERE_HZ])
-    assert abs(position_spread(runs).at(peak)[0]) > 0.3
-    assert abs(position_spread(runs).at(np.array([5.0]))[0]) < 0.05
-    assert abs(position_spread(still).at(peak)[0]) < 0.05
 
 
 # ---------------------------------------------------------------------- responses of all places
@@ -112,6 +98,10 @@ def shown(H: Complex) -> FrequencyResponse:
     return FrequencyResponse(HZ, H, 0.9999 * one, one, 10.0)
 
 
+def as_response(G: Linear) -> ImpulseResponse:
+    return ImpulseResponse.from_transfer_function(transfer_function(G), 500, 0.0)
+
+
 def off(found: Complex, wanted: Complex) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
@@ -121,13 +111,8 @@ def test_each_place_has_its_response_and_its_frequency() -> None:
     true, rng = moving(0.05), np.random.default_rng(0)
     at = (80.0, 140.0, 200.0)
     places = [(x, with_noise(shown(true.at(x).response(OMEGA)), rng)) for x in at]
-    whole = fit(
-        Data(HZ, (mean := average([one for _, one in places])).H, weights(mean), BAND, (0.0, 5e-3)),
-        Structure(1, False),
-    )
-    together = Fit(true, None, 0.0, 1.0, 1.0, 0.0, 0.0, (0.0, 0.0), whole, ())
+    together = fit_known_start(average([one for _, one in places]), None)
     found = fit_places(together, places, None).G
-    assert isinstance(found, ImpulseResponse)
     for x in (80.0, 100.0, 140.0, 180.0, 200.0):
         below(off(found.at(x).response(OMEGA), true.at(x).response(OMEGA)), 0.03, f"error, {x} mm")
         near(factor(found, x), factor(true, x), 0.003, "factor of the frequency")
@@ -151,7 +136,7 @@ def test_racking_moves_with_the_axis_and_keeps_its_measured_size() -> None:
     slope = shown(racking.response(OMEGA))
     larger = {80.0: 0.9, 140.0: 1.0, 200.0: 1.2}
     seen = [(x, x - x_c, shown(size * (x - x_c) * slope.H)) for x, size in larger.items()]
-    found = racking_along_x(transfer_function(racking), G, slope, seen)
+    found = racking_along_x(as_response(racking), G, slope, seen)
     below(off(found.response(OMEGA), slope.H), 0.01, "error of racking where it holds")
     for one in found.elsewhere:
         stretched = replace(found, elsewhere=()).stretched(1.0 / factor(G, one.x))

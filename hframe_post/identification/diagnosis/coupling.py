@@ -6,7 +6,6 @@ not repeat is reported, and not compensated.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +17,6 @@ from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.shared import in_print, shared
 from hframe_post.identification.responses.crossed import Crossed
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling
 
 REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
@@ -55,10 +53,6 @@ class MeasuredCoupling:
     def counts(self) -> bool:
         """Return whether several recordings show it alike."""
         return self.unexplained is not None and self.unexplained <= REPEATS
-
-    def cross(self, delay: float) -> tuple[Coupling, ...]:
-        """Return what is compensated, for a printer with this delay, s."""
-        return tuple(_late(term, delay / TS) for term in self.terms)
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
@@ -127,17 +121,6 @@ def find_coupling(
         float(runs[0].across.hz[most]), float(sizes[most]), float(np.abs(error[most])),
         found.left if found.parts else None,
     )  # fmt: skip
-
-
-def _late(term: Coupling, samples: float) -> Coupling:
-    """Return a coupling this many samples later."""
-    G = term.G
-    assert isinstance(G, ImpulseResponse)
-    k = np.arange(len(G.deviation) + math.ceil(samples), dtype=float)
-    later = np.interp(k - samples, k[: len(G.deviation)], G.deviation, 0.0, 0.0)
-    # what follows the velocity comes later, too: −lag·(1 − 1/z)·(z^−d − 1)
-    later += G.lag * np.clip(samples + 1.0 + G.lead - k, 0.0, 1.0) * (k > G.lead)
-    return replace(term, G=replace(G, deviation=later))
 
 
 def _smoothed(values: Array | Complex, n: int) -> Complex:

@@ -9,7 +9,9 @@ What no linear model explains counts as noise, whose power by frequency is that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -19,8 +21,19 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.kernel import Mode, transfer
-from hframe_post.identification.estimation.regression import Data, Posterior, regress
-from hframe_post.identification.responses.frequency_response import SENSOR, FrequencyResponse
+from hframe_post.identification.estimation.regression import (
+    LEAST_GAIN,
+    Data,
+    Posterior,
+    Prior,
+    cost,
+    regress,
+)
+from hframe_post.identification.responses.frequency_response import (
+    SENSOR,
+    FrequencyResponse,
+    largest_answer,
+)
 from hframe_post.model.impulse_response import ImpulseResponse
 
 BEFORE = 4  # samples of q before the command, since it is band-limited
@@ -28,70 +41,155 @@ AFTER = 436  # samples in which it decays; modes may ring for longer
 LONGEST = 1900  # samples of q
 SILENT = 2e-3  # of the largest q
 NOISE_HZ = 4.0  # over which the noise is alike
-NOISE = 0.1  # share of the response that counts as noise at first
+NOISE = 0.1  # share of command and response that counts as noise at first
 LEAST_NOISE = 2e-3  # and at least
-ROUNDS = 3  # in which the noise is found
 LAG_SD = 10.0  # samples
 LEAST_FREQUENCIES = 50
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
+USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
+TAILS = tuple(2.0 * np.pi * TS * hz for hz in (1.2, 2.0, 3.5, 6.0))  # slow poles, tried
+LIKELIER = 3.0  # of log evidence, from which there is a slow pole
+EXACT, NEARLY = 1e-3, 5e-3  # standard deviation of the gain of a sensor that is (nearly) exact
+TAIL_SD = 0.03  # of the share of a slow pole
+NONE = 1e-6  # standard deviation of what is zero
+NOTHING = (0.0, NONE)  # gain at rest of a coupling
 
 
-def estimated(measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR) -> Estimated:
+def estimated(
+    measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR, start: Prior | None = None,
+    swept: bool = False,
+) -> Estimated:  # fmt: skip
     """Return the response of an axis that was measured, with what is not known of it.
 
-    All delay is the printer's. sensor: mean and standard deviation of its gain. Raises
-    IdentificationError if there are too few frequencies.
+    All delay is the printer's. sensor: mean and standard deviation of its gain. start: what is
+    expected, by default modes are sought. swept: whether by a slow sweep, which repeats what is not
+    linear, and begins above slow poles that look like a wrong gain. Raises IdentificationError if
+    there are too few frequencies.
     """
-    hz = measured.hz
-    if len(hz) < LEAST_FREQUENCIES:
-        raise IdentificationError(f"only {len(hz)} frequencies were excited, too few for a model")
-    found, modelled = _regressed(measured, sensor)
+    found, modelled = _regressed(measured, sensor, start, swept=swept)
     gain = float(sensor[0] + found.mean[0])
-    k = np.arange(-BEFORE, LONGEST, dtype=float)
-    q = found.response(k)
-    last = int(np.flatnonzero(np.abs(q) > SILENT * np.abs(q).max())[-1]) + 1
-    unknown = _unknown(found.known(k[:last]) / gain**2)
-    G = ImpulseResponse(q[:last] / gain, BEFORE, lag=float(found.mean[1] / gain), unknown=unknown)
-    strongest = float(hz[np.argmax(np.abs(modelled))])
+    lag = float(found.mean[1] + (found.mean[2] / found.tail if found.tail else 0.0))
+    G = _response(found, 1.0, lag / gain, 1.0 / gain)
+    strongest = float(measured.hz[np.argmax(np.abs(modelled))])
     return Estimated(G, gain, 0.0, strongest, found.prior)
 
 
-def _regressed(
-    measured: FrequencyResponse, sensor: tuple[float, float]
-) -> tuple[Posterior, Complex]:
-    """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
-    k = np.arange(-BEFORE, AFTER, dtype=float)
-    hz, H, power = measured.hz, measured.H, measured.power
-    z: Complex = np.exp(2j * np.pi * TS * hz)
-    twice = z - 2.0 + 1.0 / z
-    X = np.column_stack([np.ones(len(hz)), 1.0 / z - 1.0, twice[:, None] * z[:, None] ** -k])
-    precision = np.array([sensor[1] ** -2.0, LAG_SD**-2.0])
-    output = power * np.abs(H) ** 2 / np.clip(measured.coherence, 1e-9, 1.0)
-    noise, prior = NOISE**2 * output, None
-    for _ in range(ROUNDS):
-        weight = np.sqrt(2.0 * measured.averages * power / _smoothed(noise, hz, output))
+def estimated_coupling(measured: FrequencyResponse, gain: float, in_time: bool) -> Estimated:
+    """Return the response of what is 0 at rest and swept, in the units in which it was measured.
 
-        def rows(columns: Complex, weight: Array = weight) -> Array:
+    gain: of the sensor. in_time: whether its start is known, so that it may show a lag. Raises
+    IdentificationError if there are too few frequencies.
+    """
+    scale = largest_answer(measured) / USUAL_PEAK
+    scaled = replace(measured, H=measured.H / scale)
+    found, modelled = _regressed(scaled, NOTHING, None, swept=True)
+    lag, sd = float(found.mean[1]), float(np.sqrt(found.covariance[1, 1]))
+    # of log evidence, that a lag brings (the ratio of Savage and Dickey)
+    if not in_time or 0.5 * (lag / sd) ** 2 - np.log(LAG_SD / sd) < LEAST_GAIN:
+        found, modelled = _regressed(scaled, NOTHING, found.prior, 0.0, swept=True)
+    G = _response(found, 0.0, float(found.mean[1]) * scale / gain, scale / gain)
+    strongest = float(measured.hz[np.argmax(np.abs(modelled))])
+    return Estimated(G, gain, 0.0, strongest, found.prior)
+
+
+def _response(found: Posterior, rest: float, lag: float, scale: float) -> ImpulseResponse:
+    """Return the response, as far as it is loud, and what is not known of it."""
+    k = np.arange(-BEFORE, LONGEST, dtype=float)
+    q = found.response(k)
+    last = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
+    unknown = _unknown(found.known(k[:last]) * scale**2)
+    return ImpulseResponse(scale * q[:last], BEFORE, rest, lag, unknown=unknown)
+
+
+def _regressed(
+    measured: FrequencyResponse, sensor: tuple[float, float], prior: Prior | None,
+    lag_sd: float = LAG_SD, swept: bool = False,
+) -> tuple[Posterior, Complex]:  # fmt: skip
+    """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
+    if len(measured.hz) < LEAST_FREQUENCIES:
+        raise IdentificationError(
+            f"only {len(measured.hz)} frequencies were excited, too few for a model"
+        )
+    largest_answer(measured)
+    linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
+    least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
+    own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
+    left = np.zeros(len(H))
+    for noise in (NOISE**2 * least, own, own):
+        weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
+        found = regress(linear.data(weight, sensor[1]), prior)
+        if swept and left.any() and sensor[1] > EXACT:
+            found = _sure(found, partial(linear.data, weight))
+        prior, modelled = found.prior, linear.modelled(found)
+        # what no linear model explains counts as noise, which in a sweep does not average out
+        if noise is own or not swept:
+            left = power * np.abs(H - modelled) ** 2 / (1.0 if swept else measured.averages)
+    return found, modelled
+
+
+class _Linear:
+    """A measured response as a linear function of (g − ĝ, g·lag, g·q) and of what modes add."""
+
+    def __init__(self, measured: FrequencyResponse, gain: float, lag_sd: float) -> None:
+        self._k = np.arange(-BEFORE, AFTER, dtype=float)
+        self._z: Complex = np.exp(2j * np.pi * TS * measured.hz)
+        self._H, self._gain, self._lag_sd = measured.H, gain, lag_sd
+        self._velocity = 1.0 - 1.0 / self._z
+        self._acceleration = self._z - 2.0 + 1.0 / self._z
+
+    def data(self, weight: Array, gain_sd: float, tail: float = 0.0) -> Data:
+        """Return the data of a regression, for 1 / noise (k,). tail: of a slow pole, or 0."""
+
+        def rows(columns: Complex) -> Array:
             weighted = (weight * columns.T).T
             return np.concatenate([weighted.real, weighted.imag])
 
         def by_modes(modes: Sequence[Mode], onset: int) -> Array:
-            return rows(twice[:, None] * transfer(z, modes, onset))
+            return rows(self._ringing(modes, onset))
 
-        posterior = regress(Data(rows(X), rows(H - sensor[0]), k, precision, by_modes), prior)
-        prior = posterior.prior
-        columns = np.hstack([X, twice[:, None] * transfer(z, prior.modes, prior.onset)])
-        modelled = sensor[0] + columns @ posterior.mean.astype(complex)
-        noise = output - power * (2.0 * (modelled.conj() * H).real - np.abs(modelled) ** 2)
-    return posterior, modelled
+        sds = [gain_sd, self._lag_sd, *([TAIL_SD] if tail else [])]
+        return Data(
+            rows(self._columns(tail)), rows(self._H - self._gain), self._k,
+            np.array(sds) ** -2.0, by_modes, tail,
+        )  # fmt: skip
+
+    def modelled(self, found: Posterior) -> Complex:
+        """Return the mean of the response (k,)."""
+        ringing = self._ringing(found.prior.modes, found.prior.onset)
+        columns = np.hstack([self._columns(found.tail), ringing])
+        return np.asarray(self._gain + columns @ found.mean.astype(complex))
+
+    def _columns(self, tail: float) -> Complex:
+        pole = []
+        if tail:  # a slow pole is late by 1/β, besides its q
+            q = self._acceleration / (np.exp(tail) * self._z - 1.0)
+            pole = [(q - self._velocity) / tail]
+        q = self._acceleration[:, None] * self._z[:, None] ** -self._k
+        return np.column_stack([np.ones(len(self._z)), -self._velocity, *pole, q])
+
+    def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
+        return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
 
 
-def _smoothed(noise: Array, hz: Array, output: Array) -> Array:
+def _sure(found: Posterior, data: Callable[..., Data]) -> Posterior:
+    """Return the posterior with an exact sensor, if the measurement does not deny that clearly.
+
+    A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
+    """
+    prior = found.prior
+    slow = [data(NEARLY, beta) for beta in TAILS]
+    if min(cost(one, prior) for one in slow) < found.cost - LIKELIER:
+        return min((regress(one, prior) for one in slow), key=lambda one: one.cost)
+    if cost(data(EXACT), prior) < found.cost + LEAST_GAIN:
+        return regress(data(EXACT), prior)
+    return found
+
+
+def _smoothed(noise: Array, hz: Array) -> Array:
     """Return the power of the noise (k,), alike over NOISE_HZ."""
     bins = max(int(NOISE_HZ / (hz[1] - hz[0])), 1)
-    least = LEAST_NOISE**2 * uniform_filter1d(output, bins, mode="nearest")
-    return np.asarray(np.maximum(uniform_filter1d(noise, bins, mode="nearest"), least))
+    return np.asarray(uniform_filter1d(noise, bins, mode="nearest"))
 
 
 def _unknown(covariance: Array) -> Array:

@@ -3,13 +3,18 @@
     y = X θ + Ψ a + e,   e ~ N(0, I),   θ = (s, q),   s ~ N(0, S),   q ~ N(0, K_D),   a ~ N(0, a² I)
 
 s are a few scalars, q the samples in which the response decays, and Ψ is what modes add, which may
-ring for longer than q is. With P = Xᵀ X + diag(S⁻¹, K_D⁻¹) = L Lᵀ and the modes integrated last,
+ring for longer than q is. With W = [X Ψ], Π = diag(S, K_D, a² I), P = Wᵀ W + Π⁻¹ = L Lᵀ and the
+mean θ̂ = P⁻¹ Wᵀ y,
 
-    −log p(y) = ½ log det K_D + log det L − ½ |L⁻¹Xᵀy|² + log det R − ½ |R⁻¹Ψᵀv|² + log det (aI) + …
+    −log p(y) = ½ log det Π + log det L + ½ |y − W θ̂|² + ½ θ̂ᵀ Π⁻¹ θ̂ + …
+
+Modes are added one at a time, each where it gains most, as long as the evidence of the whole grows
+by LEAST_GAIN. Thousands are tried, so they are integrated last: with P of X alone,
+
+    −log p(y) = … + log det R − ½ |R⁻¹Ψᵀv|² + log det (aI)
     M = I − Zᵀ Z,   Z = L⁻¹ Xᵀ,   v = M y,   R Rᵀ = Ψᵀ M Ψ + I/a²
 
-Z and v do not change with the modes, so that thousands of modes can be tried. They are added one at
-a time, each where it gains most, as long as the evidence of the whole grows by LEAST_GAIN.
+where M and v do not change with the modes.
 """
 
 from __future__ import annotations
@@ -21,21 +26,23 @@ import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.estimation.kernel import Decay, Mode, ringing
+from hframe_post.identification.estimation.kernel import Decay, Mode, ringing, slow
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
-TRIED_HZ = np.geomspace(12.0, 115.0, 60)
-TRIED_OMEGA = 2.0 * np.pi * TS * TRIED_HZ[0] / 1.5, 2.0 * np.pi * TS * TRIED_HZ[-1] * 1.3
+OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
 STEPS = 1e-3, 0.02  # of log ω and log ζ, that count alike
-TRIED_DAMPING = (0.02, 0.05, 0.12, 0.3)
 DAMPING = (0.01, 0.9)
+TRIED = tuple(
+    Mode(2.0 * np.pi * TS * hz, zeta)
+    for hz in np.geomspace(12.0, 115.0, 60) for zeta in (0.02, 0.05, 0.12, 0.3)
+)  # fmt: skip
 CLOSEST = 0.03  # relative distance of two modes
 LATEST = 8  # samples: onset of the modes at the latest
-BETA, ALPHA = (1.5e-3, 0.2), (7e-3, 4.0)  # bounds of K_D's decay and roughness
-ROUNDING = 1e-11  # of XᵀX; some hundred columns, of which low noise makes some nearly alike
+C, BETA, ALPHA = (1e-6, 30.0), (1.5e-3, 0.2), (7e-3, 4.0)  # bounds of K_D's hyperparameters
+ROUNDING = 1e-11  # of XᵀX, for some hundred columns
 WORST = 1e15  # cost of what cannot be computed
 
 
@@ -44,7 +51,8 @@ class Data:
     """Measured y (r,), by columns X (r, n + m) of scalars and of q at samples k (m,).
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
-    by_modes: gives Ψ (r, 2·modes) of modes and their onset.
+    by_modes: gives Ψ (r, 2·modes) of modes and their onset. tail: decay per sample of the
+    last scalar, if it is the size of a slow pole; else 0.
     """
 
     X: Array
@@ -52,6 +60,7 @@ class Data:
     k: Array
     precision: Array
     by_modes: Callable[[Sequence[Mode], int], Array]
+    tail: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +81,29 @@ class Posterior:
     k: Array
     prior: Prior
     cost: float
+    tail: float = 0.0
 
     def response(self, k: Array) -> Array:
-        """Return the mean (l,) of decay and modes together, at samples k (l,)."""
-        return np.asarray(self._columns(k) @ self.mean[self._scalars :])
+        """Return the mean (l,) of tail, decay and modes together, at samples k (l,)."""
+        columns = self._columns(k)
+        return np.asarray(columns @ self.mean[-columns.shape[1] :])
 
     def known(self, k: Array) -> Array:
-        """Return the covariance (l, l) of decay and modes together, at samples k (l,)."""
+        """Return the covariance (l, l) of tail, decay and modes together, at samples k (l,)."""
         columns = self._columns(k)
-        return columns @ self.covariance[self._scalars :, self._scalars :] @ columns.T
-
-    @property
-    def _scalars(self) -> int:
-        return len(self.mean) - len(self.k) - 2 * len(self.prior.modes)
+        own = slice(-columns.shape[1], None)
+        return columns @ self.covariance[own, own] @ columns.T
 
     def _columns(self, k: Array) -> Array:
-        return np.hstack([k[:, None] == self.k, ringing(k, self.prior.modes, self.prior.onset)])
+        modes = ringing(k, self.prior.modes, self.prior.onset)
+        tail = [slow(k, self.tail)] if self.tail else []
+        return np.column_stack([*tail, k[:, None] == self.k, modes])
 
 
 def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> Posterior:
     """Return the posterior of greatest evidence.
 
-    start: hyperparameters to begin with; by default modes are sought. most: number of modes.
+    start: hyperparameters to begin with, by default none. most: number of modes.
     """
     search = _Search(data, start or Prior(FIRST))
     if start is None:
@@ -101,13 +111,19 @@ def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> P
     search.fit_decay()
     search.refine()
     if start is None:
-        search.add_modes(most)
-        search.fit_decay()
-        search.refine()
+        if search.add_modes(most):
+            search.fit_decay()
+            search.refine()
         plain = _Search(data, Prior(replace(FIRST, c=1.0)))
         plain.fit_decay()
         search = min(search, plain, key=lambda one: one.cost())
+    search.drop_modes()
     return search.posterior()
+
+
+def cost(data: Data, prior: Prior) -> float:
+    """Return −log evidence of hyperparameters."""
+    return _Normal.of(data, data.by_modes(prior.modes, prior.onset)).solved(prior.decay)[2]
 
 
 class _Search:
@@ -115,29 +131,14 @@ class _Search:
 
     def __init__(self, data: Data, prior: Prior) -> None:
         self._data, self.prior = data, prior
-        self._n = len(data.precision)
-        self._A, self._b = _definite(data.X.T @ data.X), data.X.T @ data.y
+        self._without_modes = _Normal.of(data, np.zeros((len(data.y), 0)))
         self._integrate()
 
-    def _solved(self, decay: Decay) -> tuple[Array, Array, float]:
-        """Return L, L⁻¹Xᵀy and −log evidence without modes."""
-        P, log_det = self._precision(decay)
-        L = linalg.cholesky(P, lower=True, overwrite_a=True, check_finite=False)
-        z = linalg.solve_triangular(L, self._b, lower=True, check_finite=False)
-        return L, z, float(0.5 * log_det + np.log(np.diag(L)).sum() - 0.5 * z @ z)
-
-    def _precision(self, decay: Decay) -> tuple[Array, float]:
-        """Return P and log det K_D."""
-        inverse, log_det = decay.precision(self._data.k)
-        P = self._A.copy()
-        P[self._n :, self._n :] += inverse
-        P[np.arange(self._n), np.arange(self._n)] += self._data.precision
-        return P, log_det
-
     def _integrate(self) -> None:
-        L, z, self._without = self._solved(self.prior.decay)
+        """Integrate over s and q, for the modes that will be tried."""
+        L, mean, _ = self._without_modes.solved(self.prior.decay)
         self._Z = linalg.solve_triangular(L, self._data.X.T, lower=True, check_finite=False)
-        self._v = self._data.y - self._Z.T @ z
+        self._v = self._data.y - self._data.X @ mean
 
     def _by_modes(self, modes: Sequence[Mode], onset: int) -> float:
         """Return by how much modes change −log evidence."""
@@ -149,19 +150,31 @@ class _Search:
         decaying = self._Z @ Psi
         return Psi.T @ Psi - decaying.T @ decaying, Psi.T @ self._v
 
-    def cost(self) -> float:
-        return self._without + self._by_modes(self.prior.modes, self.prior.onset)
+    def _normal(self) -> _Normal:
+        return _Normal.of(self._data, self._data.by_modes(self.prior.modes, self.prior.onset))
 
-    def add_modes(self, most: int) -> None:
-        """Add modes while each makes the measurement likelier than chance."""
-        tried = tuple(Mode(2.0 * np.pi * TS * hz, z) for hz in TRIED_HZ for z in TRIED_DAMPING)
+    def cost(self) -> float:
+        return self._normal().solved(self.prior.decay)[2]
+
+    def add_modes(self, most: int) -> bool:
+        """Add modes while each makes the measurement likelier than chance; tell if any does."""
+        first = self.prior
         while len(self.prior.modes) < most:
             before, now = self.prior, self.cost()
-            self.prior = replace(before, modes=(*before.modes, self._likeliest(tried)))
+            self.prior = replace(before, modes=(*before.modes, self._likeliest(TRIED)))
             self.refine()
             if self.cost() > now - LEAST_GAIN:
                 self.prior = before
-                return
+                break
+        return self.prior is not first
+
+    def drop_modes(self) -> None:
+        """Drop modes without which the measurement is as likely."""
+        for mode in self.prior.modes:
+            before, now = self.prior, self.cost()
+            self.prior = replace(before, modes=tuple(one for one in before.modes if one != mode))
+            if self.cost() > now + LEAST_GAIN:
+                self.prior = before
 
     def _likeliest(self, tried: Sequence[Mode]) -> Mode:
         """Return the mode that adds most to those that there are."""
@@ -182,7 +195,7 @@ class _Search:
             return
         start = np.log([[mode.omega, mode.zeta] for mode in self.prior.modes]).ravel()
         steps = np.tile(STEPS, len(self.prior.modes))
-        bounds = np.log([TRIED_OMEGA, DAMPING] * len(self.prior.modes))
+        bounds = np.log([OMEGA, DAMPING] * len(self.prior.modes))
 
         def modes(x: Array) -> tuple[Mode, ...]:
             return tuple(Mode(float(w), float(z)) for w, z in np.exp(x).reshape(-1, 2))
@@ -202,21 +215,14 @@ class _Search:
 
     def fit_decay(self) -> None:
         """Move K_D to greater evidence."""
-        data = self._data
-        Psi = data.by_modes(self.prior.modes, self.prior.onset)
-        X_Psi, Psi_Psi, y_Psi = data.X.T @ Psi, Psi.T @ Psi, Psi.T @ data.y
+        normal = self._normal()
 
         def decay(x: Array) -> Decay:
-            c, beta, alpha = np.exp(x)
-            return Decay(float(c), float(np.clip(beta, *BETA)), float(np.clip(alpha, *ALPHA)))
+            c, beta, alpha = np.clip(np.exp(x), *np.transpose([C, BETA, ALPHA])).tolist()
+            return Decay(c, beta, alpha)
 
         def cost(x: Array) -> float:
-            try:
-                L, z, without = self._solved(decay(x))
-            except linalg.LinAlgError:
-                return WORST
-            X = linalg.solve_triangular(L, X_Psi, lower=True, check_finite=False)
-            return without + _integrated(Psi_Psi - X.T @ X, y_Psi - X.T @ z)
+            return normal.solved(decay(x))[2]
 
         now = self.prior.decay
         start = np.log([now.c, now.beta, now.alpha])
@@ -226,19 +232,50 @@ class _Search:
 
     def posterior(self) -> Posterior:
         """Return the posterior."""
-        Psi = self._data.by_modes(self.prior.modes, self.prior.onset)
-        X_Psi = self._data.X.T @ Psi
-        of_modes = _definite(Psi.T @ Psi) + np.eye(Psi.shape[1]) / AMPLITUDE**2
-        P, _ = self._precision(self.prior.decay)
-        whole = linalg.cho_factor(np.block([[P, X_Psi], [X_Psi.T, of_modes]]), lower=True)
-        covariance = linalg.cho_solve(whole, np.eye(len(whole[0])))
-        mean = linalg.cho_solve(whole, np.concatenate([self._b, Psi.T @ self._data.y]))
-        return Posterior(mean, covariance, self._data.k, self.prior, self.cost())
+        L, mean, cost = self._normal().solved(self.prior.decay)
+        covariance = linalg.cho_solve((L, True), np.eye(len(L)), check_finite=False)
+        return Posterior(mean, covariance, self._data.k, self.prior, cost, self._data.tail)
 
 
-def _definite(A: Array) -> Array:
-    """Return A, to which so little was added that rounding leaves it positive definite."""
-    return A + np.diag(ROUNDING * A.diagonal())
+@dataclass(frozen=True, slots=True)
+class _Normal:
+    """The normal equations A θ = b of (s, q, a), and yᵀy, without what is expected of θ.
+
+    k (m,): samples of q. precision (n,): S⁻¹.
+    """
+
+    A: Array
+    b: Array
+    y_y: float
+    k: Array
+    precision: Array
+
+    @classmethod
+    def of(cls, data: Data, Psi: Array) -> _Normal:
+        columns = np.hstack([data.X, Psi])
+        A = columns.T @ columns
+        # rounding must leave A positive definite, where low noise makes columns nearly alike
+        A[np.diag_indices_from(A)] *= 1.0 + ROUNDING
+        return cls(A, columns.T @ data.y, float(data.y @ data.y), data.k, data.precision)
+
+    def solved(self, decay: Decay) -> tuple[Array, Array, float]:
+        """Return L of P = L Lᵀ, the mean of θ, and −log evidence.
+
+        The evidence is that of this very mean. Rounding can then only lower it, while the same by
+        L alone grows beyond all bounds where P is nearly singular.
+        """
+        inverse, log_det = decay.precision(self.k)
+        P, n, q = self.A.copy(), len(self.precision), len(self.precision) + len(self.k)
+        P[n:q, n:q] += inverse
+        diagonal = P.reshape(-1)[:: len(P) + 1]
+        diagonal[:n] += self.precision
+        diagonal[q:] += AMPLITUDE**-2.0
+        L = linalg.cholesky(P, lower=True, check_finite=False)
+        mean = linalg.cho_solve((L, True), self.b, check_finite=False)
+        left = self.y_y - 2.0 * float(self.b @ mean) + float(mean @ P @ mean)
+        integrated = np.log(np.diag(L)).sum() - 0.5 * np.log(self.precision).sum()
+        integrated += (len(P) - q) * np.log(AMPLITUDE)
+        return L, mean, float(0.5 * (log_det + left) + integrated)
 
 
 def _apart(modes: Sequence[Mode]) -> bool:

@@ -1,8 +1,6 @@
 """The motion of a sweep along one axis, and its file.
 
-    quiet, mark, quiet, extra rest, sweep, quiet, mark, quiet
-
-The length of the extra rest encodes the run's place (``place_mark``).
+    quiet, mark, quiet, sweep, quiet, mark, quiet
 
 The sweep is a sine of acceleration whose frequency grows at a constant rate. The two marks are
 one short chirp, equal bit by bit: the response to the second is that to the first, later, so
@@ -30,8 +28,8 @@ from hframe_post.identification.recordings.packed import unpacked
 from hframe_post.printer.settings import Sweep
 from hframe_post.writers.stream import digits
 
-LONGEST_REST = 300  # samples; the remainder of an extra rest follows the sweep
 MARK_HZ = (10.0, 100.0)
+SETTLED = 300  # samples more of rest after the sine, in which the answer of a slow pole dies away
 MARK_SAMPLES = 401
 CSV_HEAD = "t,x,y"
 
@@ -53,11 +51,11 @@ def _sway(sweep: Sweep, room: float) -> float:
     return min(sweep.sway, 0.25 * room)
 
 
-def trajectory(sweep: Sweep, speed: float, room: float, rest: int = 0) -> Array:
+def trajectory(sweep: Sweep, speed: float, room: float) -> Array:
     """Return the displacement (n,), mm, every 1 ms, from rest at 0 to rest at 0.
 
     Differences of the samples never exceed the sweep's amplitude, its stroke plus sway, ``speed``
-    (mm/s) and ``room`` (mm). rest: samples of extra rest before the sweep.
+    (mm/s) and ``room`` (mm).
     """
     quiet = np.zeros(round(sweep.quiet / TS))
     mark = alignment_mark(sweep, speed, room)
@@ -67,8 +65,8 @@ def trajectory(sweep: Sweep, speed: float, room: float, rest: int = 0) -> Array:
     slow = 2.0 * np.pi * min(0.5, sweep.start_hz / 4.0) * np.arange(samples) * TS
     swaying = sine + _sway(sweep, room) * _window(samples) * np.sin(slow)
     sine = _bounded(swaying, sweep, speed, room)
-    before, after = np.zeros(rest), np.zeros(LONGEST_REST - rest)
-    return np.concatenate([quiet, mark, quiet, before, sine, after, quiet, mark, quiet])
+    settle = np.zeros(SETTLED)
+    return np.concatenate([quiet, mark, quiet, sine, settle, quiet, mark, quiet])
 
 
 def alignment_mark(sweep: Sweep, speed: float, room: float) -> Array:

@@ -38,7 +38,6 @@ from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.player import VELOCITY_HEADROOM, plain
 from hframe_post.gcode.commands import STAMP
-from hframe_post.identification.recordings import place_mark
 from hframe_post.identification.recordings.accelerometer import FULL_SCALE
 from hframe_post.identification.recordings.excitation import peaks, trajectory
 from hframe_post.printer.firmware_tables import RECORDED
@@ -139,8 +138,7 @@ def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list
     """
     made = []
     for name, at in zip(named_places("xy"[axis], places), places, strict=True):
-        rest = place_mark.rest(at[0])
-        displacement = trajectory(*within_limits(printer), room(printer, axis, at), rest)
+        displacement = trajectory(*within_limits(printer), room(printer, axis, at))
         command = np.tile(at, (len(displacement), 1))
         command[:, axis] += displacement
         made.append(Run(name, axis, at, frozen(command)))

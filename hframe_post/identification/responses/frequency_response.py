@@ -193,6 +193,15 @@ def share_left(H: Complex, response: FrequencyResponse, weight: Array) -> float:
     return float(np.sqrt(max(1.0 - most**2 / float(sizes), 0.0)))
 
 
+def lowest(x: Array, costs: Sequence[float]) -> float:
+    """Return the x (n,), evenly spaced, of the lowest cost, by a parabola through three."""
+    k = int(np.clip(np.argmin(costs), 1, len(x) - 2))
+    before, here, after = costs[k - 1 : k + 2]
+    curve = before - 2.0 * here + after
+    step = float(np.clip(0.5 * (before - after) / curve, -1.0, 1.0)) if curve > 0.0 else 0.0
+    return float(x[k] + step * (x[1] - x[0]))
+
+
 # ---------------------------------------------------------------------- harmonics
 
 WINDOW, HOP = 1000, 500  # samples
@@ -263,9 +272,7 @@ def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
 # ---------------------------------------------------------------------- noise and distortion
 
 NOISE_FLOOR = 0.003  # relative noise of H that is assumed at the least
-# gain of a sensor, as mean and standard deviation: of any sensor, and of an exact one
-SENSOR = (1.0, 0.03)
-EXACT = (1.0, 1e-4)
+SENSOR = (1.0, 0.03)  # gain of a sensor, as mean and standard deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,29 +291,34 @@ class Distortion:
         return np.asarray(real + 1j * imaginary)
 
     def removed_from(self, response: FrequencyResponse) -> FrequencyResponse:
-        """Return the linear part of a response, as far as it is known."""
-        return replace(response, H=response.H * (1.0 - self.certain * self.at(response.hz)))
+        """Return the linear part of a response, as far as it is known; the rest counts as noise.
 
-    def remaining(self, hz: Array) -> Array:
-        """Return the relative error (k,) that ``removed_from`` may leave, at least 30 %."""
-        return np.asarray(max(1.0 - self.certain, 0.3) * np.abs(self.at(hz)))
+        At least 30 % of a distortion may remain.
+        """
+        share = self.at(response.hz)
+        power = max(1.0 - self.certain, 0.3) ** 2 * np.abs(share) ** 2 * response.averages
+        return replace(
+            response, H=response.H * (1.0 - self.certain * share),
+            coherence=response.coherence / (1.0 + response.coherence * power),
+        )  # fmt: skip
 
 
-def mode_range(band_hz: tuple[float, float]) -> tuple[float, float]:
-    """Return the frequencies (Hz) between which modes may lie, for a measured band."""
-    return 0.5 * band_hz[0], band_hz[1]
-
-
-def weights(part: FrequencyResponse, noise_floor: float | Array = NOISE_FLOOR) -> Array:
-    """Return one over the standard deviation of H, (k,).
-
-    The standard deviation is at least ``noise_floor`` of |H| and 0.2 % of the largest |H|.
-    Frequencies that the sweep hardly excites get 0. Raises IdentificationError without a signal.
-    """
+def largest_answer(part: FrequencyResponse) -> float:
+    """Return the largest |H|; raise IdentificationError if nothing was measured."""
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
     largest = float(np.abs(part.H).max(initial=0.0))
     if largest == 0.0 or not (part.power * part.coherence).any():
         raise IdentificationError("the frequency response or its coherence is zero in the band")
-    sd = np.hypot(np.hypot(part.noise, noise_floor) * np.abs(part.H), 0.002 * largest)
+    return largest
+
+
+def weights(part: FrequencyResponse) -> Array:
+    """Return one over the standard deviation of H, (k,).
+
+    The standard deviation is at least 0.3 % of |H| and 0.2 % of the largest |H|.
+    Frequencies that the sweep hardly excites get 0. Raises IdentificationError without a signal.
+    """
+    largest = largest_answer(part)
+    sd = np.hypot(np.hypot(part.noise, NOISE_FLOOR) * np.abs(part.H), 0.002 * largest)
     return np.asarray((part.power > 1e-3 * np.median(part.power)) / sd)

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Complex, Flags
-from hframe_post.identification.fitting.modal import Modal
+from hframe_post.arrays import TS, Array, Complex, Flags
+from hframe_post.identification.estimation.modes import Modes
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.model.impulse_response import ImpulseResponse
 
 BELOW = 1.0 / 3.0  # of the strongest mode's frequency
 LIGHT = 0.2  # of the motion at rest, and a greater damping ratio than frames on feet have
@@ -62,34 +63,37 @@ class Rocking:
         return replace(self, shared=bool(second[near].max(initial=0.0) > SHARED * self.share))
 
 
-def without_rocking(model: Modal) -> Modal:
-    """Return the motion of the nozzle relative to the bed."""
-    flags = _rocking(model)
-    return model.without(flags) if flags.any() else model
+def rocking_flags(modes: Modes) -> Flags:
+    """Flag the modes (n,) that are the frame's: light, and far below the strongest."""
+    strongest = modes.omega[np.argmax(modes.sizes)]
+    light = (modes.sizes < LIGHT) & (modes.zeta < LIGHT)
+    return np.asarray(light & (modes.omega < BELOW * strongest))
 
 
-def largest_rocking(model: Modal) -> Rocking | None:
-    flags = _rocking(model)
+def largest(modes: Modes) -> Rocking | None:
+    """Return the mode of the frame that shows most, if any is the frame's."""
+    flags = rocking_flags(modes)
     if not flags.any():
         return None
-    zeta = model.parameters.zeta
-    share = np.where(flags, np.hypot(model.c, model.d) / (2.0 * zeta * abs(model.gain)), 0.0)
+    share = np.where(flags, modes.sizes / (2.0 * modes.zeta), 0.0)
     k = int(np.argmax(share))
-    hz = float(model.parameters.omega[k] / (2.0 * np.pi))
-    return Rocking(hz, float(zeta[k]), float(share[k]))
+    return Rocking(float(modes.hz[k]), float(modes.zeta[k]), float(share[k]))
 
 
-def _rocking(model: Modal) -> Flags:
-    """Flag the modes (modes,) that are the frame's; racking, 0 at rest, has none."""
-    omega, zeta = model.parameters.omega, model.parameters.zeta
-    size = np.hypot(model.c, model.d)
-    strongest = omega[np.argmax(size)] if len(omega) else 0.0
-    light = (size < LIGHT * abs(model.gain)) & (zeta < LIGHT)
-    return np.asarray(light & (omega < BELOW * strongest))
+def without_frame(G: ImpulseResponse, modes: Modes) -> ImpulseResponse:
+    """Return G without the modes of the frame, and 1 at rest again."""
+    frame = modes.only(rocking_flags(modes))
+    kept = 1.0 - float(frame.c.sum())
+    late = modes.delay / TS
+    k = np.arange(len(G.deviation), dtype=float) - G.lead
+    whole = np.arange(len(k), dtype=float)
+    gone = np.interp(k - late, whole, frame.deviation(len(k)), 0.0, 0.0)
+    lag = frame.lag + late * frame.c.sum()
+    return replace(G, deviation=(G.deviation - gone) / kept, lag=float(G.lag - lag) / kept)
 
 
 def left_below(
-    runs: Sequence[FrequencyResponse], model: Modal, resonance_hz: float
+    runs: Sequence[FrequencyResponse], model: Modes, resonance_hz: float
 ) -> Rocking | None:
     """Return a mode below half the lowest resonance that all runs show and the model leaves."""
     found = [_light_mode(run, model, resonance_hz / 2.0) for run in runs]
@@ -100,7 +104,7 @@ def left_below(
     return seen[-1]
 
 
-def _light_mode(run: FrequencyResponse, model: Modal, highest_hz: float) -> Rocking | None:
+def _light_mode(run: FrequencyResponse, model: Modes, highest_hz: float) -> Rocking | None:
     part = run.within((run.hz[0], highest_hz))
     if len(part.hz) < 20:
         return None

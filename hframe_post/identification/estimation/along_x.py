@@ -12,24 +12,22 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.identification.fitting.fit import Fit, fit_known_start
+from hframe_post.identification.estimation.axes import Fit, begun, fit_known_start
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
     average,
+    lowest,
 )
 from hframe_post.model.impulse_response import (
-    LONGEST,
     MOST_PLACES,
     Elsewhere,
     ImpulseResponse,
     Linear,
 )
-from hframe_post.model.transfer_function import TransferFunction
 
 SAME_PLACE = 5.0  # mm
 FACTORS = np.exp(np.arange(-0.35, 0.3501, 0.005))  # of frequencies, that are tried
-SETTLED = 1e-3  # of its largest deviation, below which a response of racking has ended
 DIGITS = 4  # of factors
 LEAST_ARM = 20.0  # mm; nearer to x_c, racking does not tell its size
 
@@ -49,15 +47,12 @@ def fit_places(found: Fit, places: Places, sensor: tuple[float, float] | None) -
         for x, response in at.items()
     }
     own = fits[middle].G
-    assert isinstance(own, ImpulseResponse)
-    elsewhere = []
-    for x, one in fits.items():
-        assert isinstance(one.G, ImpulseResponse)
-        if x != middle:
-            elsewhere.append(Elsewhere(x, _frequency(own, one.G), one.G))
+    elsewhere = [
+        Elsewhere(x, _frequency(own, one.G), one.G) for x, one in fits.items() if x != middle
+    ]
     G = replace(own, x=middle, elsewhere=tuple(elsewhere))
     rocking = fits[middle].rocking and (found.rocking or fits[middle].rocking)
-    return replace(fits[middle], G=G, recording_delay=found.recording_delay, rocking=rocking)
+    return begun(replace(fits[middle], G=G, rocking=rocking), found.recording_delay)
 
 
 def factor(G: Linear, place: float) -> float:
@@ -89,7 +84,7 @@ def at_common_frequencies(
 
 
 def racking_along_x(
-    racking: TransferFunction,
+    racking: ImpulseResponse,
     along: ImpulseResponse,
     slope: FrequencyResponse,
     measured: Sequence[tuple[float, float, FrequencyResponse]],
@@ -100,9 +95,7 @@ def racking_along_x(
     ``racking`` is the model of. measured: place and lever arm (mm), and what the nozzle did in y,
     at common frequencies.
     """
-    whole = ImpulseResponse.from_transfer_function(racking, LONGEST, 0.0)
-    loud = np.flatnonzero(np.abs(whole.deviation) > SETTLED * np.abs(whole.deviation).max())
-    own = replace(whole, deviation=whole.deviation[: int(loud[-1]) + 1], x=along.x)
+    own = replace(racking, x=along.x)
     power = float((slope.power * np.abs(slope.H) ** 2).sum())
     elsewhere: list[Elsewhere] = []
     for place, arm, response in measured:
@@ -132,12 +125,8 @@ def _frequency(G: ImpulseResponse, there: ImpulseResponse) -> float:
 
     Deviations are displacements, so what moves a print most counts most.
     """
-    left = np.array([_off(G.stretched(1.0 / factor), there) for factor in FACTORS.tolist()])
-    k = int(np.clip(np.argmin(left), 1, len(left) - 2))
-    before, here, after = left[k - 1 : k + 2]
-    curve = before - 2.0 * here + after
-    step = np.clip(0.5 * (before - after) / curve, -1.0, 1.0) if curve > 0.0 else 0.0
-    return round(float(FACTORS[k] * np.exp(step * np.log(FACTORS[1] / FACTORS[0]))), DIGITS)
+    left = [_off(G.stretched(1.0 / factor), there) for factor in FACTORS.tolist()]
+    return round(float(np.exp(lowest(np.log(FACTORS), left))), DIGITS)
 
 
 def _off(one: ImpulseResponse, other: ImpulseResponse) -> float:

@@ -1,0 +1,329 @@
+"""The responses of all axes, from recordings of each kind.
+
+===============  ================================================================================
+strokes          the start is known, so all delay is the printer's
+our own sweep    the start is known within the sensor's period; x and y are taken to have the same
+                 delay of printer and drivers, besides what their damping explains
+others           all delay is the recording's, but for what damping explains
+===============  ================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation import known_start, unknown_start
+from hframe_post.identification.estimation.estimated import Estimated
+from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.rocking import (
+    Rocking,
+    largest,
+    left_below,
+    rocking_flags,
+    without_frame,
+)
+from hframe_post.identification.responses.frequency_response import (
+    SENSOR,
+    FrequencyResponse,
+    advanced,
+    average,
+    share_left,
+)
+from hframe_post.model.impulse_response import ImpulseResponse
+
+RINGS = 0.3  # damping ratio below which a mode visibly rings
+# share of the measurement that a response without an assumed mode may leave: of drawn linear
+# printers 0.005 to 0.035, of real ones 0.06 to 0.3
+LINEAR = 0.05
+UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
+ASSUMED = 0.9995  # coherence of what modes foresee
+GAIN_BY_MODES = 0.005  # standard deviation of the gain, if modes explain the recording
+EARLY = 4e-3  # s by which the rough start may be late
+LONGEST_DELAY = 5e-3  # s, of motors and drivers
+TOGETHER = 5e-5  # s by which noise may part the delays of x and y
+LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
+DESCRIBED_LATE = 2e-3  # s by which their delay may differ from the response's lag
+SLOW = 1.5  # times the lowest frequency, up to which a printer follows its command
+FOLLOWED = 0.35  # share of the command by which it may be off there
+NEAR = 1e-5  # s; likewise where the delay is known
+
+
+@dataclass(frozen=True, slots=True)
+class Excited:
+    """Responses of one axis where they were excited, on a common delay of nearly 0.
+
+    resonance_hz: of the lowest clear resonance.
+    """
+
+    runs: Sequence[FrequencyResponse]
+    resonance_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Swept:
+    """What our own sweeps show of one axis, and bounds of their delay in s.
+
+    sensor: mean and standard deviation of its gain.
+    """
+
+    whole: FrequencyResponse
+    delay_bounds: tuple[float, float]
+    sensor: tuple[float, float] = SENSOR
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The response ``G`` and how it was found.
+
+    residual: share of the measurement that it leaves, weighted with input power. gain: of the
+    sensor, not part of G. recording_delay: s, not part of G.
+    measured: what was estimated; G is that without a frame that rocks. sum: of modes, that
+    describes the measurement; of racking, none. highest_hz: up to which it was measured. rocking:
+    of the frame.
+    """
+
+    G: ImpulseResponse
+    residual: float
+    gain: float
+    recording_delay: float
+    measured: Estimated
+    sum: Modes | None = None
+    highest_hz: float = np.inf
+    rocking: Rocking | None = None
+
+    @property
+    def lag(self) -> float:
+        """Return how late the printer is at a constant speed, s."""
+        return self.G.lag * TS
+
+    @property
+    def modes(self) -> list[tuple[float, float]]:
+        """Return (Hz, damping ratio) of each mode that rings and counts, lowest first."""
+        if self.sum is None:
+            return []
+        modes = self.sum.only(~rocking_flags(self.sum))
+        hz, zeta = modes.hz, modes.zeta
+        listed = (modes.sizes > LISTED) & (zeta < RINGS) & (hz <= self.highest_hz)
+        return sorted(zip(hz[listed].tolist(), zeta[listed].tolist(), strict=True))
+
+    def response(self, hz: Array) -> Complex:
+        """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
+        return self.measured.response(hz)
+
+
+# ---------------------------------------------------------------------- a known start
+
+
+def fit_known_start(whole: FrequencyResponse, sensor: tuple[float, float] | None) -> Fit:
+    """Return the response of recordings whose start is known: all delay is the printer's.
+
+    sensor: mean and standard deviation of its gain, if calibrated. Raises IdentificationError.
+    """
+    found = known_start.estimated(whole, sensor or SENSOR)
+    late = found.G.lag * TS
+    delays = (late - DESCRIBED_LATE, late + DESCRIBED_LATE)
+    return _described(found, whole, delays)
+
+
+def fit_swept(axes: Mapping[str, Swept]) -> dict[str, Fit]:
+    """Return the responses of our own sweeps. Raises IdentificationError."""
+    rough = {name: _RoughlySwept(axis) for name, axis in axes.items()}
+    bounds = [one.printer_delay_bounds for one in rough.values()]
+    low = max((low for low, _ in bounds), default=0.0)
+    high = min((high for _, high in bounds), default=0.0)
+    return {
+        name: one.fit((low + high) / 2.0 if low <= high + TOGETHER else None)
+        for name, one in rough.items()
+    }
+
+
+class _RoughlySwept:
+    """An axis whose recordings are taken to start in the middle of their bounds."""
+
+    def __init__(self, axis: Swept) -> None:
+        self._axis, (low, high) = axis, axis.delay_bounds
+        self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
+        self._whole = advanced(axis.whole, self._middle)
+        self._found = known_start.estimated(self._whole, axis.sensor, swept=True)
+        modes = self._in_modes(self._found, self._whole)
+        left = share_left(modes.response(self._whole.hz), self._whole, self._whole.power)
+        self._late = modes.delay if left < LINEAR else None
+
+    def _in_modes(self, found: Estimated, whole: FrequencyResponse) -> Modes:
+        delays = (-self._half, LONGEST_DELAY)
+        return _in_modes(found, whole, delays, self._axis.sensor, speed=False)
+
+    @property
+    def printer_delay_bounds(self) -> tuple[float, float]:
+        """Return bounds of the delay of motors and drivers, s; wide if damping tells nothing."""
+        if self._late is None:
+            return 0.0, LONGEST_DELAY
+        return max(self._late - self._half, 0.0), max(self._late + self._half, 0.0)
+
+    def fit(self, printer_delay: float | None) -> Fit:
+        """Return the fit, with a printer's delay (s) that may be known from other axes."""
+        start = 0.0
+        if self._late is not None:
+            delay = max(self._late, 0.0) if printer_delay is None else printer_delay
+            start = min(max(self._late - delay, -self._half), self._half)
+        whole = advanced(self._whole, start)
+        found = self._found
+        if start:
+            found = known_start.estimated(whole, self._axis.sensor, found.prior, swept=True)
+        fit = _without_its_frame(found, whole, self._in_modes(found, whole))
+        _check_followed(whole, fit)
+        return begun(fit, self._middle + start)
+
+
+def begun(found: Fit, late: float) -> Fit:
+    """Return the fit of recordings that began ``late``, s, found from what they were without it."""
+    assert found.sum is not None
+    return replace(
+        found, recording_delay=late, measured=replace(found.measured, delay=late),
+        sum=replace(found.sum, delay=found.sum.delay + late),
+    )  # fmt: skip
+
+
+def _check_followed(whole: FrequencyResponse, found: Fit) -> None:
+    """Raise IdentificationError unless the printer follows its command where it is slow."""
+    slow = whole.hz <= SLOW * whole.hz[0]
+    in_time = whole.H[slow] * np.exp(2j * np.pi * whole.hz[slow] * found.lag)
+    if abs(in_time.mean() / found.gain - 1.0) > FOLLOWED or abs(found.gain - 1.0) > FOLLOWED:
+        raise IdentificationError(
+            "the sensor does not follow the command at low frequencies. Check the axis map "
+            "(--axes) and that the recording belongs to the command"
+        )
+
+
+def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:
+    """Return what x does to the angle, which is 0 at rest.
+
+    whole: rad/mm, as measured by a sensor of that gain in the recordings that ``x`` is of. in_time:
+    whether they tell their start. Raises IdentificationError.
+    """
+    recording_delay = x.recording_delay
+    found = known_start.estimated_coupling(advanced(whole, recording_delay), gain, in_time)
+    left = share_left(found.response(whole.hz), whole, whole.power)
+    found = replace(found, delay=recording_delay)
+    return Fit(found.G, left, gain, recording_delay, found, None, float(whole.hz[-1]))
+
+
+# ---------------------------------------------------------------------- an unknown start
+
+
+def fit_unknown_start(axes: Mapping[str, Excited]) -> dict[str, Fit]:
+    """Return the responses of recordings whose start and gain are unknown: all delay is theirs.
+
+    Where a response that begins with its command explains a recording, the printer is late at low
+    speed by what the damping of its modes explains, and the rest is the recording's start. Of other
+    printers even that is unknown (``unknown_start``). If one axis is of these, all are: they are
+    then assumed not to be late, and one of each would pull x and y apart. Raises
+    IdentificationError.
+    """
+    fits = dict[str, Fit]()
+    for name, axis in axes.items():
+        found = _from_its_damping(axis)
+        if found is None:
+            return {each: _with_an_ideal_mode(one) for each, one in axes.items()}
+        fits[name] = found
+    return fits
+
+
+def _from_its_damping(axis: Excited) -> Fit | None:
+    """Return the response that is as late at low speed as the damping of its modes explains.
+
+    None if no linear model explains the recording.
+    """
+    whole = average(axis.runs)
+    gain, late = unknown_start.gain_and_delay(whole)
+    late -= EARLY
+    scaled = replace(whole, H=whole.H / gain)
+    rough = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
+    in_time = advanced(scaled, late)
+    if share_left(rough.response(whole.hz), in_time, whole.power) > LINEAR:
+        return None
+    if not any(mode.zeta < RINGS for mode in rough.modes):  # too stiff to ring, so in time with it
+        late += rough.G.lag * TS
+        found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
+        found = replace(found, gain=gain * found.gain, delay=late)
+        return _described(found, whole, (late - NEAR, late + NEAR))
+    seen = whole.hz >= rough.resonance_hz * unknown_start.MEASURED
+    lag = rough.G.lag * TS
+    bounds = (lag - DESCRIBED_LATE, lag + DESCRIBED_LATE)
+    modes = _in_modes(rough, in_time.where(seen), bounds, UNCALIBRATED, speed=False)
+    late += modes.delay
+    assumed = advanced(_assumed_below(rough.resonance_hz, in_time, modes), modes.delay)
+    found = known_start.estimated(assumed, (modes.gain, GAIN_BY_MODES))
+    found = replace(found, gain=gain * found.gain, delay=late)
+    fit = _described(found, whole, (late - NEAR, late + NEAR))
+    rocking = fit.rocking or _left_below(axis, fit)
+    return replace(fit, rocking=rocking) if fit.residual < LINEAR else None
+
+
+def _assumed_below(
+    resonance_hz: float, measured: FrequencyResponse, modes: Modes
+) -> FrequencyResponse:
+    """Return a measured response with that of modes far below the resonance.
+
+    Motion is small there, and what a sensor rounds is wrong in phase and size; modes foresee it.
+    """
+    low = measured.hz < resonance_hz * unknown_start.MEASURED
+    H = np.where(low, modes.response(measured.hz), measured.H)
+    return replace(measured, H=H, coherence=np.where(low, ASSUMED, measured.coherence))
+
+
+def response_again(found: Fit, run: FrequencyResponse) -> ImpulseResponse:
+    """Return the response of one of the recordings that ``fit_unknown_start`` was made of."""
+    if found.measured.prior is None or found.sum is None:
+        return unknown_start.estimated(run).G
+    assumed = _assumed_below(found.measured.resonance_hz, run, found.sum)
+    scaled = advanced(replace(assumed, H=assumed.H / found.gain), found.recording_delay)
+    return known_start.estimated(scaled, (1.0, GAIN_BY_MODES), found.measured.prior).G
+
+
+def _with_an_ideal_mode(axis: Excited) -> Fit:
+    """Return the response that follows its command below the resonance as one mode does."""
+    whole = average(axis.runs)
+    found = unknown_start.estimated(whole)
+    fit = _described(found, whole, (found.delay - NEAR, found.delay + NEAR))
+    return replace(fit, rocking=_left_below(axis, fit))
+
+
+def _left_below(axis: Excited, found: Fit) -> Rocking | None:
+    assert found.sum is not None
+    return left_below(axis.runs, found.sum, axis.resonance_hz)
+
+
+# ---------------------------------------------------------------------- both
+
+
+def _described(found: Estimated, whole: FrequencyResponse, delays: tuple[float, float]) -> Fit:
+    """Return the fit of a response whose modes are late as these bounds tell, s."""
+    gain = (found.gain, 0.03 * abs(found.gain))
+    return _without_its_frame(found, whole, _in_modes(found, whole, delays, gain, speed=True))
+
+
+def _without_its_frame(found: Estimated, whole: FrequencyResponse, modes: Modes) -> Fit:
+    """Return the fit of a response, without a frame that rocks. whole: with the sensor's gain."""
+    G, rocking = found.G, largest(modes)
+    if rocking is not None:
+        G = without_frame(G, replace(modes, delay=modes.delay - found.delay))
+    left = share_left(found.response(whole.hz), whole, whole.power)
+    return Fit(
+        G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]), rocking
+    )  # fmt: skip
+
+
+def _in_modes(
+    found: Estimated, whole: FrequencyResponse, delays: tuple[float, float],
+    gain: tuple[float, float], speed: bool,
+) -> Modes:  # fmt: skip
+    ringing = [mode for mode in found.modes if mode.zeta < RINGS]
+    start = ringing or [Mode(2.0 * np.pi * TS * found.resonance_hz, 0.1)]
+    return described(whole, start, delays, gain, speed)

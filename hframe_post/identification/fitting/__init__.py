@@ -1,1 +1,0 @@
-"""Models of the printer fitted to frequency responses."""
