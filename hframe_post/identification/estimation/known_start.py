@@ -48,9 +48,10 @@ LEAST_FREQUENCIES = 50
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
 USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
-TAILS = tuple(2.0 * np.pi * TS * hz for hz in (1.2, 2.0, 3.5, 6.0))  # slow poles, tried
-LIKELIER = 3.0  # of log evidence, from which there is a slow pole
-EXACT, NEARLY = 1e-3, 5e-3  # standard deviation of the gain of a sensor that is (nearly) exact
+TAILS = tuple(2.0 * np.pi * TS * hz for hz in (1.2, 1.6, 2.2, 3.0, 4.2, 6.0))
+# of log evidence: from which a slow pole is sought, and from which there is one
+WORTH_TRYING, LIKELIER = 1.0, 3.0
+EXACT, NEARLY = 1e-3, 2e-3  # standard deviation of the gain of a sensor that is (nearly) exact
 TAIL_SD = 0.03  # of the share of a slow pole
 NONE = 1e-6  # standard deviation of what is zero
 NOTHING = (0.0, NONE)  # gain at rest of a coupling
@@ -177,13 +178,15 @@ def _sure(found: Posterior, data: Callable[..., Data]) -> Posterior:
 
     A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
     """
-    prior = found.prior
+    prior, sure = found.prior, found
+    exact = cost(data(EXACT), prior)
+    if exact < found.cost + LEAST_GAIN:
+        sure = regress(data(EXACT), prior)
     slow = [data(NEARLY, beta) for beta in TAILS]
-    if min(cost(one, prior) for one in slow) < found.cost - LIKELIER:
-        return min((regress(one, prior) for one in slow), key=lambda one: one.cost)
-    if cost(data(EXACT), prior) < found.cost + LEAST_GAIN:
-        return regress(data(EXACT), prior)
-    return found
+    if min(cost(one, prior) for one in slow) > min(found.cost, exact) - WORTH_TRYING:
+        return sure
+    best = min((regress(one, prior) for one in slow), key=lambda one: one.cost)
+    return best if best.cost < min(found.cost, sure.cost) - LIKELIER else sure
 
 
 def _smoothed(noise: Array, hz: Array) -> Array:
