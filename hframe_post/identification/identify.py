@@ -228,8 +228,9 @@ def _fit_all(
         if one.known_start:
             fits[name] = fit_known_start(inside, sensor)
         elif name not in fits:
-            whole = distortions[name].removed_from(inside) if name in distortions else inside
-            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR)
+            linear = name not in distortions
+            whole = inside if linear else distortions[name].removed_from(inside)
+            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR, linear)
     fits |= fit_swept(swept)
     return {name: fits[name] for name in measured}
 

@@ -59,16 +59,16 @@ NOTHING = (0.0, NONE)  # gain at rest of a coupling
 
 def estimated(
     measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR, start: Prior | None = None,
-    swept: bool = False,
+    swept: bool = False, linear: bool = True,
 ) -> Estimated:  # fmt: skip
     """Return the response of an axis that was measured, with what is not known of it.
 
     All delay is the printer's. sensor: mean and standard deviation of its gain. start: what is
     expected, by default modes are sought. swept: whether by a slow sweep, which repeats what is not
-    linear, and begins above slow poles that look like a wrong gain. Raises IdentificationError if
+    linear, and begins above slow poles that look like a wrong gain. linear: whether it may have those. Raises IdentificationError if
     there are too few frequencies.
     """
-    found, modelled = _regressed(measured, sensor, start, swept=swept)
+    found, modelled = _regressed(measured, sensor, start, swept=swept, linear=linear)
     gain = float(sensor[0] + found.mean[0])
     lag = float(found.mean[1] + (found.mean[2] / found.tail if found.tail else 0.0))
     G = _response(found, 1.0, lag / gain, 1.0 / gain)
@@ -105,7 +105,7 @@ def _response(found: Posterior, rest: float, lag: float, scale: float) -> Impuls
 
 def _regressed(
     measured: FrequencyResponse, sensor: tuple[float, float], prior: Prior | None,
-    lag_sd: float = LAG_SD, swept: bool = False,
+    lag_sd: float = LAG_SD, swept: bool = False, linear: bool = True,
 ) -> tuple[Posterior, Complex]:  # fmt: skip
     """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
     if len(measured.hz) < LEAST_FREQUENCIES:
@@ -113,16 +113,16 @@ def _regressed(
             f"only {len(measured.hz)} frequencies were excited, too few for a model"
         )
     largest_answer(measured)
-    linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
+    problem, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
     for noise in (NOISE**2 * least, own, own):
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
-        found = regress(linear.data(weight, sensor[1]), prior)
+        found = regress(problem.data(weight, sensor[1]), prior)
         if swept and left.any() and sensor[1] > EXACT:
-            found = _sure(found, partial(linear.data, weight))
-        prior, modelled = found.prior, linear.modelled(found)
+            found = _sure(found, partial(problem.data, weight), linear)
+        prior, modelled = found.prior, problem.modelled(found)
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
             left = power * np.abs(H - modelled) ** 2 / (1.0 if swept else measured.averages)
@@ -173,17 +173,18 @@ class _Linear:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
 
 
-def _sure(found: Posterior, data: Callable[..., Data]) -> Posterior:
+def _sure(found: Posterior, data: Callable[..., Data], linear: bool) -> Posterior:
     """Return the posterior with an exact sensor, if the measurement does not deny that clearly.
 
-    A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
+    A slow pole, which nothing shows but that it seems to be a gain, may explain it then, unless the
+    printer is not linear, which can look like one as well.
     """
     prior, sure = found.prior, found
     exact = cost(data(EXACT), prior)
     if exact < found.cost + LEAST_GAIN:
         sure = regress(data(EXACT), prior)
     slow = [data(NEARLY, beta) for beta in TAILS]
-    if min(cost(one, prior) for one in slow) > min(found.cost, exact) - WORTH_TRYING:
+    if not linear or min(cost(one, prior) for one in slow) > min(found.cost, exact) - WORTH_TRYING:
         return sure
     best = min((regress(one, prior) for one in slow), key=lambda one: one.cost)
     return best if best.cost < min(found.cost, sure.cost) - LIKELIER else sure

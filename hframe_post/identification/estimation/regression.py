@@ -169,11 +169,11 @@ class _Search:
         return self.prior is not first
 
     def drop_modes(self) -> None:
-        """Drop modes without which the measurement is as likely."""
+        """Drop modes without which the measurement is likelier."""
         for mode in self.prior.modes:
             before, now = self.prior, self.cost()
             self.prior = replace(before, modes=tuple(one for one in before.modes if one != mode))
-            if self.cost() > now + LEAST_GAIN:
+            if self.cost() > now:
                 self.prior = before
 
     def _likeliest(self, tried: Sequence[Mode]) -> Mode:
