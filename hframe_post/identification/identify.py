@@ -228,9 +228,8 @@ def _fit_all(
         if one.known_start:
             fits[name] = fit_known_start(inside, sensor)
         elif name not in fits:
-            linear = name not in distortions
-            whole = inside if linear else distortions[name].removed_from(inside)
-            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR, linear)
+            whole = distortions[name].removed_from(inside) if name in distortions else inside
+            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR)
     fits |= fit_swept(swept)
     return {name: fits[name] for name in measured}
 

@@ -21,7 +21,6 @@ from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.identification.estimation.modes import Modes, described
-from hframe_post.identification.estimation.regression import Prior
 from hframe_post.identification.estimation.rocking import (
     Rocking,
     largest,
@@ -70,13 +69,12 @@ class Excited:
 class Swept:
     """What our own sweeps show of one axis, and bounds of their delay in s.
 
-    sensor: mean and standard deviation of its gain. linear: whether no distortion was found.
+    sensor: mean and standard deviation of its gain.
     """
 
     whole: FrequencyResponse
     delay_bounds: tuple[float, float]
     sensor: tuple[float, float] = SENSOR
-    linear: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +150,10 @@ class _RoughlySwept:
         self._axis, (low, high) = axis, axis.delay_bounds
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
         self._whole = advanced(axis.whole, self._middle)
-        self._found = self._estimated(self._whole, None)
+        self._found = known_start.estimated(self._whole, axis.sensor, swept=True)
         modes = self._in_modes(self._found, self._whole)
         left = share_left(modes.response(self._whole.hz), self._whole, self._whole.power)
         self._late = modes.delay if left < LINEAR else None
-
-    def _estimated(self, whole: FrequencyResponse, prior: Prior | None) -> Estimated:
-        axis = self._axis
-        return known_start.estimated(whole, axis.sensor, prior, swept=True, linear=axis.linear)
 
     def _in_modes(self, found: Estimated, whole: FrequencyResponse) -> Modes:
         delays = (-self._half, LONGEST_DELAY)
@@ -181,7 +175,7 @@ class _RoughlySwept:
         whole = advanced(self._whole, start)
         found = self._found
         if start:
-            found = self._estimated(whole, found.prior)
+            found = known_start.estimated(whole, self._axis.sensor, found.prior, swept=True)
         fit = _without_its_frame(found, whole, self._in_modes(found, whole))
         _check_followed(whole, fit)
         return begun(fit, self._middle + start)

@@ -36,21 +36,15 @@ class Decay:
         The sequence is a Markov chain, so the inverse is tridiagonal.
         """
         m, rho = len(k), np.exp(-self.alpha)
-        alike = 2.0 * rho / (1.0 + rho * rho)  # of neighbours
-        fresh = (1.0 - rho * rho) ** 3 / (1.0 + rho * rho)
-        at = np.arange(m)
-        B = np.zeros((m, m))
-        B[at, at] = fresh**-0.5
-        B[at[1:], at[:-1]] = -2.0 * rho * fresh**-0.5
-        B[at[2:], at[:-2]] = rho * rho * fresh**-0.5
-        for first in (0, int(np.searchsorted(k, 1.0))):
-            if first + 1 < m:
-                B[first : first + 2] = 0.0
-                B[first, first] = 1.0
-                B[first + 1, first : first + 2] = np.array([-alike, 1.0]) / np.sqrt(1.0 - alike**2)
+        fresh = -np.expm1(-2.0 * self.alpha)  # 1 − ρ²
         log_sd = np.maximum(np.log(self.c) - self.beta * np.abs(k), LEAST_LOG_SD)
-        B = B / np.exp(log_sd)
-        return B.T @ B, float(-2.0 * np.log(np.diag(B)).sum())
+        inner = np.full(m, (1.0 + rho * rho) / fresh)
+        inner[[0, -1]] = 1.0 / fresh
+        inverse = np.diag(inner)
+        at = np.arange(m - 1)
+        inverse[at, at + 1] = inverse[at + 1, at] = -rho / fresh
+        sd = np.exp(log_sd)
+        return inverse / np.outer(sd, sd), float(2.0 * log_sd.sum() + (m - 1) * np.log(fresh))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,5 +90,5 @@ def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
 
 
 def slow(k: Array, beta: float) -> Array:
-    """Return q (m,) at samples k (m,) of a first-order lag, which is 1/β samples late."""
-    return np.where(k > 0.0, np.exp(-beta * np.maximum(k, 0.0)) / beta, 0.0)
+    """Return q (m,) at samples k (m,) of a first-order lag, which is 1 sample late."""
+    return np.where(k > 0.0, np.exp(-beta * np.maximum(k, 0.0)), 0.0)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy import optimize
 from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
 
@@ -48,29 +49,29 @@ LEAST_FREQUENCIES = 50
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
 USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
-TAILS = tuple(2.0 * np.pi * TS * hz for hz in (1.2, 1.6, 2.2, 3.0, 4.2, 6.0))
-# of log evidence: from which a slow pole is sought, and from which there is one
-WORTH_TRYING, LIKELIER = 1.0, 3.0
+TAILS, TAIL_STEP = (0.5, 2.0), 0.03  # slow poles, as shares of the lowest frequency; of its log
+TAIL_ROUNDS = 3
+LIKELIER = 3.0  # of log evidence, from which there is a slow pole
 EXACT, NEARLY = 1e-3, 2e-3  # standard deviation of the gain of a sensor that is (nearly) exact
-TAIL_SD = 0.03  # of the share of a slow pole
+TAIL_SD = 5.0  # samples by which a slow pole is late
 NONE = 1e-6  # standard deviation of what is zero
 NOTHING = (0.0, NONE)  # gain at rest of a coupling
 
 
 def estimated(
     measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR, start: Prior | None = None,
-    swept: bool = False, linear: bool = True,
+    swept: bool = False,
 ) -> Estimated:  # fmt: skip
     """Return the response of an axis that was measured, with what is not known of it.
 
     All delay is the printer's. sensor: mean and standard deviation of its gain. start: what is
     expected, by default modes are sought. swept: whether by a slow sweep, which repeats what is not
-    linear, and begins above slow poles that look like a wrong gain. linear: whether it may have those. Raises IdentificationError if
+    linear, and begins above slow poles that look like a wrong gain. Raises IdentificationError if
     there are too few frequencies.
     """
-    found, modelled = _regressed(measured, sensor, start, swept=swept, linear=linear)
+    found, modelled = _regressed(measured, sensor, start, swept=swept)
     gain = float(sensor[0] + found.mean[0])
-    lag = float(found.mean[1] + (found.mean[2] / found.tail if found.tail else 0.0))
+    lag = float(found.mean[1] + (found.mean[2] if found.tail else 0.0))
     G = _response(found, 1.0, lag / gain, 1.0 / gain)
     strongest = float(measured.hz[np.argmax(np.abs(modelled))])
     return Estimated(G, gain, 0.0, strongest, found.prior)
@@ -105,7 +106,7 @@ def _response(found: Posterior, rest: float, lag: float, scale: float) -> Impuls
 
 def _regressed(
     measured: FrequencyResponse, sensor: tuple[float, float], prior: Prior | None,
-    lag_sd: float = LAG_SD, swept: bool = False, linear: bool = True,
+    lag_sd: float = LAG_SD, swept: bool = False,
 ) -> tuple[Posterior, Complex]:  # fmt: skip
     """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
     if len(measured.hz) < LEAST_FREQUENCIES:
@@ -113,16 +114,16 @@ def _regressed(
             f"only {len(measured.hz)} frequencies were excited, too few for a model"
         )
     largest_answer(measured)
-    problem, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
+    linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
     for noise in (NOISE**2 * least, own, own):
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
-        found = regress(problem.data(weight, sensor[1]), prior)
+        found = regress(linear.data(weight, sensor[1]), prior)
         if swept and left.any() and sensor[1] > EXACT:
-            found = _sure(found, partial(problem.data, weight), linear)
-        prior, modelled = found.prior, problem.modelled(found)
+            found = _sure(found, partial(linear.data, weight), float(measured.hz[0]))
+        prior, modelled = found.prior, linear.modelled(found)
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
             left = power * np.abs(H - modelled) ** 2 / (1.0 if swept else measured.averages)
@@ -163,9 +164,9 @@ class _Linear:
 
     def _columns(self, tail: float) -> Complex:
         pole = []
-        if tail:  # a slow pole is late by 1/β, besides its q
+        if tail:  # of one that is late by one sample, besides its q
             q = self._acceleration / (np.exp(tail) * self._z - 1.0)
-            pole = [(q - self._velocity) / tail]
+            pole = [q - self._velocity]
         q = self._acceleration[:, None] * self._z[:, None] ** -self._k
         return np.column_stack([np.ones(len(self._z)), -self._velocity, *pole, q])
 
@@ -173,21 +174,26 @@ class _Linear:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
 
 
-def _sure(found: Posterior, data: Callable[..., Data], linear: bool) -> Posterior:
+def _sure(found: Posterior, data: Callable[..., Data], lowest_hz: float) -> Posterior:
     """Return the posterior with an exact sensor, if the measurement does not deny that clearly.
 
-    A slow pole, which nothing shows but that it seems to be a gain, may explain it then, unless the
-    printer is not linear, which can look like one as well.
+    A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
     """
     prior, sure = found.prior, found
     exact = cost(data(EXACT), prior)
     if exact < found.cost + LEAST_GAIN:
         sure = regress(data(EXACT), prior)
-    slow = [data(NEARLY, beta) for beta in TAILS]
-    if not linear or min(cost(one, prior) for one in slow) > min(found.cost, exact) - WORTH_TRYING:
-        return sure
-    best = min((regress(one, prior) for one in slow), key=lambda one: one.cost)
-    return best if best.cost < min(found.cost, sure.cost) - LIKELIER else sure
+    tails = np.log(2.0 * np.pi * TS * lowest_hz * np.array(TAILS))
+    for _ in range(TAIL_ROUNDS):
+        tail = optimize.minimize_scalar(
+            lambda log_tail, prior: cost(data(NEARLY, np.exp(log_tail)), prior), args=(prior,),
+            bounds=tails, method="bounded", options={"xatol": TAIL_STEP},
+        )  # fmt: skip
+        if tail.fun > min(found.cost, exact):
+            return sure
+        late = regress(data(NEARLY, np.exp(tail.x)), prior)
+        prior = late.prior
+    return late if late.cost < min(found.cost, sure.cost) - LIKELIER else sure
 
 
 def _smoothed(noise: Array, hz: Array) -> Array:

@@ -30,6 +30,8 @@ from hframe_post.identification.estimation.kernel import Decay, Mode, ringing, s
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
+MUCH = Decay(1.0, 0.04, 0.1)  # so much that it needs no modes
+ENOUGH, MOST_ROUNDS = 0.5, 3  # gain of log evidence, up to which a search goes on
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
 OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
@@ -108,14 +110,12 @@ def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> P
     search = _Search(data, start or Prior(FIRST))
     if start is None:
         search.add_modes(most)
-    search.fit_decay()
-    search.refine()
+    search.improve()
     if start is None:
         if search.add_modes(most):
-            search.fit_decay()
-            search.refine()
-        plain = _Search(data, Prior(replace(FIRST, c=1.0)))
-        plain.fit_decay()
+            search.improve()
+        plain = _Search(data, Prior(MUCH))
+        plain.improve()
         search = min(search, plain, key=lambda one: one.cost())
     search.drop_modes()
     return search.posterior()
@@ -188,6 +188,15 @@ class _Search:
 
         apart = [j for j, one in enumerate(tried) if _apart((*modes, one))]
         return tried[min(apart, key=cost)]
+
+    def improve(self) -> None:
+        """Move K_D and the modes in turn, as long as the evidence grows."""
+        for _ in range(MOST_ROUNDS):
+            before = self.cost()
+            self.fit_decay()
+            self.refine()
+            if not self.prior.modes or before - self.cost() < ENOUGH:
+                break
 
     def refine(self) -> None:
         """Move the modes and their onset to greater evidence."""
