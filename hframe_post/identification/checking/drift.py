@@ -49,7 +49,7 @@ LEAST_FREQUENCIES = 50
 LEAST_EXPLAINED = 0.3  # of what a linear model can explain, by the stretched response
 UNMOVED = 0.5  # the same by the old response, from which on it is that of this printer
 FARTHEST = 0.1  # change of frequencies, relative
-STEPS_HZ, STEPS = 5e-4, 0.01  # relative, by which motor steps shift a peak in every run
+STEPS_HZ, STEPS = 5e-4, 0.01  # relative, by which motor steps shift and change every run
 LEAST_CHANGE = NOTICED * STEPS  # share of the response
 GAIN = 0.05  # standard deviation of log g
 BANDS_HZ, BAND = (12.0, 130.0), 0.25  # between the centres of bands: of log ω
@@ -97,8 +97,9 @@ def drift(model: Linear, recorded: Recorded) -> Drift:
     sd = [float(np.hypot(one[1:].std(), by * one[0])) for one, by in ((f, STEPS_HZ), (h, STEPS))]
     peak = Peak((main, float(f[0])), (height, float(h[0])), (sd[0], sd[1]))
     band, new = (float(part.hz[0]), float(part.hz[-1])), found.response
-    left = [left_unseen(one, recorded.unseen, band) for one in (G, new)]
-    return Drift(new, found.seen or peak.certain, (left[0], left[1]), peak)
+    before, now, apart = left_unseen(G, new, recorded.unseen, band)
+    seen = (found.seen or peak.certain) and apart > STEPS
+    return Drift(new, seen, (before, now), peak)
 
 
 def _impulse_response(G: Linear) -> ImpulseResponse:

@@ -112,16 +112,21 @@ def scaling(part: FrequencyResponse) -> Callable[[Complex], tuple[float, float, 
     return nearest
 
 
-def left_unseen(G: Linear, unseen: tuple[Array, Array], band_hz: tuple[float, float]) -> float:
-    """Return the share that a model leaves of an answer it was not fitted to.
+def left_unseen(
+    old: Linear, new: Linear, unseen: tuple[Array, Array], band_hz: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return the shares that two models leave of an answer they were not fitted to.
 
-    Its own answer is cut off where the recording ends.
+    The third is the share that the old one leaves of the new one's answer. Both are cut off where
+    the recording ends.
     """
     u, a = unseen
     n = 4 * len(u)
-    answer = irfft(at_hz(G, rfftfreq(n, TS)) * rfft(u, n), n)[: len(u)]
-    measured, modelled = (whole_record(u, one, 0.0).within(band_hz) for one in (a, answer))
-    return scaling(measured)(modelled.H)[2]
+    U = rfft(u, n)
+    modelled = [irfft(at_hz(G, rfftfreq(n, TS)) * U, n)[: len(u)] for G in (old, new)]
+    H_old, H_new, measured = (whole_record(u, one, 0.0).within(band_hz) for one in (*modelled, a))
+    left = scaling(measured)
+    return left(H_old.H)[2], left(H_new.H)[2], scaling(H_new)(H_old.H)[2]
 
 
 def explained(part: FrequencyResponse) -> Callable[[Complex], float]:
