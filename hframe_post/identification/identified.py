@@ -25,7 +25,7 @@ DRIFT = 0.02
 # it the error of 23 of 24 rectangles and strokes, 12 minutes or 18 days later on two printers, was
 # in the predicted range, with 0.02 that of 15; the commands were as good
 DRIFT_ALONE = 0.03
-BY_SHIFT = 5.0  # times the relative shift of a mode is the change of the answer, usually
+BY_SHIFT = 5.0  # times the relative shift of a mode is the change of the response, usually
 AXIS = {"Gxx": "x", "Gyy": "y"}
 RIGID = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
 
@@ -64,7 +64,7 @@ class Measured:
 class Repetition:
     """What two or more recordings of an axis at one place tell of each other.
 
-    share: of the answer that one does not foresee of another, by the root of 2, so that it is
+    share: of the response that one does not foresee of another, by the root of 2, so that it is
     what each has of its own. functions: the response of each.
     """
 

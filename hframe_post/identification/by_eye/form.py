@@ -119,7 +119,7 @@ def _blocks(racking: dict[str, object], source: str) -> Blocks:
 
 
 def _numbers(row: object, count: int, message: str, least: float = 0.0) -> list[float]:
-    """Return a row of so many numbers. Raises HframeError with the message otherwise."""
+    """Return a row of ``count`` numbers. Raises HframeError with the message otherwise."""
     if (
         not isinstance(row, list)
         or len(row) != count

@@ -112,9 +112,9 @@ def printed_racking(
     levers = np.abs(read.comb.borders()[1:, None] + LEVER - centres)  # (blocks, centres)
     path, _ = read.comb.path()
     unscaled = [PrintedRacking(1.0, *mode, middle, 0.0) for mode in MODES]
-    answers = [FiniteFilter(one.response(x), 0).run(path - path[0]) for one in unscaled]
+    responses = [FiniteFilter(one.response(x), 0).run(path - path[0]) for one in unscaled]
     cost = np.tile((OFF_CENTRE / USUALLY_OFF) ** 2, (len(MODES), len(GAINS), 1))
-    for of_mode, theta in zip(cost, answers, strict=True):
+    for of_mode, theta in zip(cost, responses, strict=True):
         blocks = list(half_waves_by_block(read.comb, theta))
         for lever, seen, (heights, _) in zip(levers, read.seen, blocks[1:], strict=True):
             lowest = seen_from / np.outer(GAINS, heights)  # lever from which a wave is seen
@@ -123,7 +123,7 @@ def printed_racking(
         of_mode += _spacing(blocks[read.of][1], read)
     likely = likelihood(cost)
     x_c = float(likely.sum(axis=(0, 1)) @ centres)
-    found = _mean(likely.sum(axis=2), np.array(answers), x_c)
+    found = _mean(likely.sum(axis=2), np.array(responses), x_c)
     clear = found.uncertainty < UNKNOWN and cost.min() < INCONSISTENT * len(read.seen)
     return found if clear else None
 
@@ -155,15 +155,15 @@ def _spacing(places: Array, read: Blocks) -> float:
     return float((places[last] - places[0] - read.distance) / (2.0 * RULER)) ** 2
 
 
-def _mean(likely: Array, answers: Array, x_c: float) -> PrintedRacking:
+def _mean(likely: Array, responses: Array, x_c: float) -> PrintedRacking:
     """Return the racking that is nearest to the mean of all, by their angles on the comb.
 
-    likely: by mode and κ. answers: θ for a κ of 1, by mode, every 1 ms.
+    likely: by mode and κ. responses: θ for a κ of 1, by mode, every 1 ms.
     """
-    mean = (likely @ GAINS) @ answers
-    power = (answers**2).sum(axis=1)
-    gains = np.maximum(answers @ mean / power, GAINS[0])
-    best = int(np.argmin(((gains[:, None] * answers - mean) ** 2).sum(axis=1)))
+    mean = (likely @ GAINS) @ responses
+    power = (responses**2).sum(axis=1)
+    gains = np.maximum(responses @ mean / power, GAINS[0])
+    best = int(np.argmin(((gains[:, None] * responses - mean) ** 2).sum(axis=1)))
     expected = float((likely @ GAINS**2) @ power)
     apart = np.sqrt(max(1.0 - float(mean @ mean) / expected, 0.0))
     return PrintedRacking(float(gains[best]), *MODES[best], x_c, float(apart))

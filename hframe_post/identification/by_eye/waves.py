@@ -5,7 +5,7 @@ once; the other one goes on along the wall. From then on the first one rings. It
 long as they are higher than some hundredths of a millimetre, which is not known exactly: waves of
 hard and soft corners tell it.
 
-A mode with the poles s₁ and s̄₁ answers a command U with G·U, G = |s₁|²/((s − s₁)(s − s̄₁)). Of a
+A mode with the poles s₁ and s̄₁ responds to a command U with G·U, G = |s₁|²/((s − s₁)(s − s̄₁)). Of a
 command of straight lines, s²U is pulses at the samples, so an ``ImpulseResponse`` is exact. Its
 deviation is the inverse Laplace transform of G/s² for an axis, without the double pole at rest,
 which is the command and its lag of 2ζ/ω; and of modes' product G for what follows acceleration.

@@ -44,7 +44,7 @@ class Peak:
 class Drift:
     """A response as it is now.
 
-    seen: whether the fitted motion shows a change. left: share of the unseen answer that the old
+    seen: whether the fitted motion shows a change. left: share of the unseen response that the old
     and the new model leave. peak: the main resonance.
     """
 

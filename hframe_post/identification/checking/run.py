@@ -71,14 +71,14 @@ def at_hz(G: Linear, hz: Array) -> Complex:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A motion along an axis: the response to fit, and command and answer (n,), mm/s², to judge."""
+    """A motion along an axis: G to fit, and command and response (n,), mm/s², to judge."""
 
     response: FrequencyResponse
     unseen: tuple[Array, Array]
 
 
 def of_run(run: Run) -> Recorded:
-    """Return what is before the second mark, when the sine's answer has died away, and the mark.
+    """Return what is before the second mark, when the sine's response has died away, and the mark.
 
     Raises IdentificationError.
     """
@@ -115,9 +115,9 @@ def scaling(part: FrequencyResponse) -> Callable[[Complex], tuple[float, float, 
 def left_unseen(
     old: Linear, new: Linear, unseen: tuple[Array, Array], band_hz: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """Return the shares that two models leave of an answer they were not fitted to.
+    """Return the shares that two models leave of a response they were not fitted to.
 
-    The third is the share that the old one leaves of the new one's answer. Both are cut off where
+    The third is the share that the old one leaves of the new one's response. Both are cut off where
     the recording ends.
     """
     u, a = unseen

@@ -25,7 +25,7 @@ LEAST_SIZE = 0.06  # of the command, below which there is none, unless it is com
 TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
 SMOOTHED_HZ = 1.0  # over which neighbouring frequencies are averaged; modes are wider
 ABOVE_NOISE = 3.0
-PITCHES = 0.3  # of the answer along, from which that in z is reported
+PITCHES = 0.3  # of the response along, from which that in z is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +105,10 @@ def find_coupling(
     alike = repeats and len(found.axes) == 1
     sizes = np.abs(found.C.mean(axis=0, keepdims=True) if alike else found.C).max(axis=0)
     most, error = int(np.argmax(sizes)), along.G.response(omega) - 1.0
-    answer, other = (Y, "y") if axis == "x" else (X, "x")
+    moved, other = (Y, "y") if axis == "x" else (X, "x")
     least = LEAST_SHARE * in_print(error, omega)
     terms = [
-        Coupling(answer, Y - answer, G, lever, 0.0 if lever is None else float(found.centre[lever]))
+        Coupling(moved, Y - moved, G, lever, 0.0 if lever is None else float(found.centre[lever]))
         for G, lever, size in zip(found.parts, found.axes, found.sizes, strict=False)
         if repeats and size > least
     ]
@@ -164,7 +164,7 @@ def pitch_note(found: Sequence[Pitch]) -> str:
     """Return what pitching costs, in one note for all axes."""
     shown = " and ".join(f"{one.share:.1f} times {one.axis} at {one.hz:.0f} Hz" for one in found)
     return (
-        f"the head pitches: the sensor's z answers {shown}. Around there a sensor above the nozzle "
-        "feels another motion than the nozzle makes, so compensation may bring less than predicted "
-        "('--sensor-offset 0,0,0' if it sits at the nozzle's height)"
+        f"the head pitches: the sensor's z responds {shown}. Around there a sensor above the "
+        "nozzle feels another motion than the nozzle makes, so compensation may bring less than "
+        "predicted ('--sensor-offset 0,0,0' if it sits at the nozzle's height)"
     )

@@ -12,13 +12,13 @@ hardening    e³, of a belt stretched by e = u − x              1 − G
 one-sided    e²                                                1 − G
 ===========  ================================================  ===============
 
-u is the command; x and v = dx/dt are the linear printer's answer to it; G is that printer without
+u is the command; x and v = dx/dt are the linear printer's response to it; G is that printer without
 its delay. Friction and backlash grow alike with frequency. They differ in phase, since the carriage
 turns around later than the motor, and where the motion becomes as small as the play.
 
-Stepper motors make harmonics, too: 1 to 2.6 % of the answer with steps of 20 µm, more than 10 µm of
-backlash. But their phases depend on the position within a step, and the sweep's slow sway carries
-it across many steps, so they correlate with no cause. A harmonic counts as far as it does.
+Stepper motors make harmonics, too: 1 to 2.6 % of the response with steps of 20 µm, more than 10 µm
+of backlash. But their phases depend on the position within a step, and the sweep's slow sway
+carries it across many steps, so they correlate with no cause. A harmonic counts as far as it does.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class Nonlinearity:
         advice = ADVICE[self.cause].format(size=self.size, microns=1e3 * self.size)
         where = " and ".join(f"{100 * s:.1f} % in {axis}" for axis, s in self.shares.items())
         return (
-            f"the printer is not linear: it answers a sine with harmonics ({where}). The likely "
-            f"cause is {advice}"
+            f"the printer is not linear: it responds to a sine with harmonics ({where}). The "
+            f"likely cause is {advice}"
         )
 
 
@@ -139,7 +139,7 @@ class _Match:
 def _match(axis: AxisSweeps, cause: str, share: float) -> _Match:
     """Simulate a cause on up to two runs and compare the harmonics, without their noise.
 
-    share: of the harmonic in the answer's amplitude.
+    share: of the harmonic in the response's amplitude.
     """
     order = ORDER[cause]
     some = axis.runs[:: max(1, -(-len(axis.runs) // 2))]
@@ -152,8 +152,8 @@ def _match(axis: AxisSweeps, cause: str, share: float) -> _Match:
     scale = 0.0
     for _ in range(rounds):
         size *= scale or 1.0
-        answers = [harmonics(u, sweep.acceleration(cause, size)) for sweep, u in sweeps]
-        simulated = Harmonics.from_runs([answer for answer in answers if answer])
+        responses = [harmonics(u, sweep.acceleration(cause, size)) for sweep, u in sweeps]
+        simulated = Harmonics.from_runs([response for response in responses if response])
         shape = simulated.amplitude[used, order - 1]
         power = float(np.vdot(shape, shape).real)
         along = float(np.vdot(shape, values).real)
@@ -191,7 +191,7 @@ class SimulatedSweep:
 
     def __init__(self, command: Array, printer: LinearPrinter) -> None:
         self._m = len(command)
-        tail = 2000  # samples in which the answer dies away
+        tail = 2000  # samples in which the response dies away
         self._n = next_fast_len(self._m + tail, real=True)
         hz = rfftfreq(self._n, TS)
         self._s: Complex = 2j * np.pi * hz
@@ -211,8 +211,8 @@ class SimulatedSweep:
         """
         if cause == "backlash":
             change = with_backlash(self._u, size) - self._u
-            return self._heard(change, self._s**2 * self._G)
-        return size * self._heard(self._force(cause), 1.0 - self._G)
+            return self._recorded(change, self._s**2 * self._G)
+        return size * self._recorded(self._force(cause), 1.0 - self._G)
 
     def _force(self, cause: str) -> Array:
         if cause == "friction":
@@ -222,7 +222,7 @@ class SimulatedSweep:
         e = irfft((1.0 - self._G) * self._U, self._n)
         return np.asarray(e**3 if cause == "hardening" else e**2)
 
-    def _heard(self, signal: Array, path: Complex) -> Array:
+    def _recorded(self, signal: Array, path: Complex) -> Array:
         return np.asarray(irfft(rfft(signal) * path * self._output, self._n)[: self._m])
 
 

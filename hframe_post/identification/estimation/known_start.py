@@ -33,7 +33,7 @@ from hframe_post.identification.estimation.regression import (
 from hframe_post.identification.responses.frequency_response import (
     SENSOR,
     FrequencyResponse,
-    largest_answer,
+    largest_response,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 
@@ -83,7 +83,7 @@ def estimated_coupling(measured: FrequencyResponse, gain: float, in_time: bool) 
     gain: of the sensor. in_time: whether its start is known, so that it may show a lag. Raises
     IdentificationError if there are too few frequencies.
     """
-    scale = largest_answer(measured) / USUAL_PEAK
+    scale = largest_response(measured) / USUAL_PEAK
     scaled = replace(measured, H=measured.H / scale)
     found, modelled = _regressed(scaled, NOTHING, None, swept=True)
     lag, sd = float(found.mean[1]), float(np.sqrt(found.covariance[1, 1]))
@@ -113,7 +113,7 @@ def _regressed(
         raise IdentificationError(
             f"only {len(measured.hz)} frequencies were excited, too few for a model"
         )
-    largest_answer(measured)
+    largest_response(measured)
     linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)

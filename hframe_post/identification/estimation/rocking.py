@@ -19,15 +19,15 @@ from hframe_post.model.impulse_response import ImpulseResponse
 
 BELOW = 1.0 / 3.0  # of the strongest mode's frequency
 LIGHT = 0.2  # of the motion at rest, and a greater damping ratio than frames on feet have
-SHARED = 0.4  # of the answer, that the bed has at least if the whole printer rocks
-VISIBLE = 0.15  # of the answer, from which a peak is reported
+SHARED = 0.4  # of the response, that the bed has at least if the whole printer rocks
+VISIBLE = 0.15  # of the response, from which a peak is reported
 
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
     """A light mode far below the others.
 
-    share: of the answer at its peak. shared: whether a second sensor, on the bed, moves as well;
+    share: of the response at its peak. shared: whether a second sensor, on the bed, moves as well;
     None without one.
     """
 
@@ -38,7 +38,7 @@ class Rocking:
 
     def message(self, axis: str) -> str:
         seen = (
-            f"{axis}: something answers at {self.hz:.1f} Hz with {100 * self.share:.0f} % of the "
+            f"{axis}: something resonates at {self.hz:.1f} Hz with {100 * self.share:.0f} % of the "
             "motion"
         )
         if self.shared is None:
@@ -58,7 +58,7 @@ class Rocking:
         )
 
     def compared(self, hz: Array, second: Array) -> Rocking:
-        """Return the same with what a second sensor tells by its answer (k,) at hz (k,)."""
+        """Return the same with what a second sensor tells by its response (k,) at hz (k,)."""
         near = np.abs(hz / self.hz - 1.0) < 0.1
         return replace(self, shared=bool(second[near].max(initial=0.0) > SHARED * self.share))
 

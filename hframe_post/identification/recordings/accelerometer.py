@@ -157,8 +157,8 @@ def _clipped(values: Array) -> int | None:
     for extreme, end in ((levels[0], values <= levels[3]), (levels[-1], values >= levels[-4])):
         # a slow sensor shows a clipped peak as one sample, but all peaks alike
         at = np.flatnonzero(values == extreme)
-        beside = int(np.count_nonzero(end)) - len(at)
-        if len(levels) > MANY_LEVELS and len(at) >= max(OFTEN, OFTEN_THAN_NEAR * beside):
+        near = int(np.count_nonzero(end)) - len(at)
+        if len(levels) > MANY_LEVELS and len(at) >= max(OFTEN, OFTEN_THAN_NEAR * near):
             found.append(int(at[0]))
         first, last = _runs(values == extreme)
         flat = last - first >= 5

@@ -28,7 +28,7 @@ from hframe_post.identification.recordings.clock_sync import (
 
 ONSET = 0.01  # s, uncertainty of the onset: −8 to 9 ms for the paper's plants and 40 others
 RESTING = 16  # samples before and after a motion; a spline feels none farther away
-SEGMENT = 1024  # samples over which an answer's spectrum is computed
+SEGMENT = 1024  # samples over which a response's spectrum is computed
 HEADING_HZ = (2.0, 8.0)
 LEAST_LOW = 1e-4  # share of the command's energy that must be slow to show an axis
 
@@ -67,10 +67,10 @@ def acceleration(position: Array) -> Array:
 
 
 def aligned(command: Array, recording: Recording, channel: int) -> Aligned:
-    """Return the recording on the command's clock, by the answer in ``channel`` (0, 1, 2: x, y, z).
+    """Return the recording on the command's clock, by its response in ``channel`` (0 to 2).
 
     command (m,): mm/s² every 1 ms. Drift comes from the command's two marks. The start is that of
-    the recording if it is ``started``; otherwise it is where the answer sets in, within 10 ms.
+    the recording if it is ``started``; otherwise it is where the response sets in, within 10 ms.
 
     Raises IdentificationError if the command has no marks, or if the recording does not cover it,
     does not follow it, or follows it in another channel.
@@ -162,7 +162,7 @@ def _check_length(sensor: Resampler, moving: Integers, started: bool) -> None:
 
 
 def _onset(command: Array, a: Array) -> float:
-    """Return when the answer a (m,) sets in, s: where its impulse response first rises."""
+    """Return when the response a (m,) sets in, s: where its impulse response first rises."""
     low, high = energy_band(command, (0.01, 0.99))
     n = next_fast_len(len(command) + int(2.0 * UNKNOWN_START * RATE))
     hz = fftfreq(n, TS)

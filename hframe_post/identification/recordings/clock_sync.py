@@ -1,9 +1,9 @@
 """The sensor's clock relative to that of the command, and recordings resampled to the latter.
 
 A sensor's clock starts elsewhere and runs at another rate: t_sensor = start + (1 + drift)·t.
-A sweep hides both, since a stretched answer is simply that of another plant. So a command that
-can be aligned well has two equal marks, one before and one after the sweep: the answer to the
-second is the answer to the first, later, whatever the plant.
+A sweep hides both, since a stretched response is simply that of another plant. So a command that
+can be aligned well has two equal marks, one before and one after the sweep: the response to the
+second is the response to the first, later, whatever the plant.
 
 Everything is correlated as an envelope, |⟨u + jû, a⟩| with û the Hilbert transform of u,
 because a plant shifts the phase (racking by 90° to begin with).
@@ -27,7 +27,7 @@ MOST_DRIFT = 0.022  # a little more than the worst clocks have
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number, without marks
 CLOCKS, SOME = 11, 3  # drifts that are tried, and every how many windows count for that
-UNKNOWN_START = 0.25  # s between start and answer that no plant explains
+UNKNOWN_START = 0.25  # s between start and response that no plant explains
 ROUNDS = 6
 DISPERSION = 0.02  # s by which a plant's delay may differ from window to window
 LEAST_CORRELATION = 0.4  # below it the recording is of something else
@@ -81,12 +81,12 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """The two marks of a command, in samples: their starts, their length, that of their answers."""
+    """The two marks of a command, in samples: starts, their length, and that of the responses."""
 
     first: int
     second: int
     length: int
-    answer: int
+    response: int
 
 
 def moving_samples(command: Array) -> Integers:
@@ -104,7 +104,7 @@ def find_marks(command: Array, moving: Integers) -> Marks | None:
     if np.abs(first - second).max() > AT_REST * np.abs(command).max():
         return None
     rests = (starts[0], starts[1] - ends[0], len(command) - ends[-1])
-    tail = min(480, int(min(rests) * 0.8))  # samples in which the answer to a mark dies away
+    tail = min(480, int(min(rests) * 0.8))  # samples in which the response to a mark dies away
     return Marks(int(starts[0]), int(starts[-1]), len(first), len(first) + tail)
 
 
@@ -118,7 +118,7 @@ def clock_from_marks(command: Array, marks: Marks, track: Array) -> tuple[float,
     width = int(np.ceil(MOST_DRIFT * distance)) + 1
     mark = command[marks.first : marks.first + marks.length]
     track = banded(track, _followed_band(mark))
-    track = np.concatenate([track, np.zeros((marks.answer, 3))])  # at rest where it ends
+    track = np.concatenate([track, np.zeros((marks.response, 3))])  # at rest where it ends
     likeness = _envelope(mark, track)
     padded = np.concatenate([likeness, np.zeros(distance + width)])
     later = maximum_filter1d(padded, 2 * width + 1, mode="constant")[distance:][: len(likeness)]
@@ -129,24 +129,24 @@ def clock_from_marks(command: Array, marks: Marks, track: Array) -> tuple[float,
 
 
 def _lag_between_marks(track: Array, at: int, marks: Marks, distance: int, width: int) -> float:
-    """Return the samples from the first mark's answer, which begins at ``at``, to the other's."""
-    n = marks.answer + 10
-    answer = track[at : at + n]
+    """Return the samples from the first mark's response, which begins at ``at``, to the other's."""
+    n = marks.response + 10
+    response = track[at : at + n]
     low = max(at + distance - width, 0)
     region = track[low : at + distance + width + n]
-    if len(region) < n or len(answer) < n:
+    if len(region) < n or len(response) < n:
         raise not_found()
     products = sum(
-        fftconvolve(r, a[::-1], "valid") for r, a in zip(region.T, answer.T, strict=True)
+        fftconvolve(r, a[::-1], "valid") for r, a in zip(region.T, response.T, strict=True)
     )
-    likeness = products / np.sqrt(_energy(region, n) * max((answer**2).sum(), 1e-300))
+    likeness = products / np.sqrt(_energy(region, n) * max((response**2).sum(), 1e-300))
     best = int(np.argmax(likeness))
     if likeness[best] < LEAST_CORRELATION:
         raise not_found()
     repeated = region[best : best + n]
     size = next_fast_len(2 * n, real=True)
     omega = 2.0 * np.pi * rfftfreq(size)
-    cross = (rfft(answer, size, axis=0).conj() * rfft(repeated, size, axis=0)).sum(axis=1)
+    cross = (rfft(response, size, axis=0).conj() * rfft(repeated, size, axis=0)).sum(axis=1)
     return low + best - at + _peak(cross, omega)
 
 
@@ -222,7 +222,7 @@ class _Windows:
     def rough(self) -> tuple[float, float]:
         """Return start, s, and drift of the clock on which most windows are found.
 
-        On a clock that is 1 % off, a window of fast motion is not like its own answer.
+        On a clock that is 1 % off, a window of fast motion is not like its own response.
         """
         first, found = int(self._places[0]), []
         for drift in np.linspace(-MOST_DRIFT, MOST_DRIFT, CLOCKS):

@@ -29,7 +29,7 @@ from hframe_post.printer.settings import Sweep
 from hframe_post.writers.stream import digits
 
 MARK_HZ = (10.0, 100.0)
-SETTLED = 300  # samples more of rest after the sine, in which the answer of a slow pole dies away
+SETTLED = 300  # samples more of rest after the sine, in which the response of a slow pole dies away
 MARK_SAMPLES = 401
 CSV_HEAD = "t,x,y"
 

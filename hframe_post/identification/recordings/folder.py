@@ -261,7 +261,7 @@ def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement |
 def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside | None:
     """Return a recording with the command that its name ends with, or else of the same axis.
 
-    A command in the same folder goes before others. None if there is no such command.
+    A command in the same folder goes before others. None if there is none.
     """
     own, axis = stem(one.path.name), one.name.direction
     meant = [c for c in commands if own.endswith(c.run)]

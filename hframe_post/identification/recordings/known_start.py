@@ -49,7 +49,7 @@ class KnownStart:
 def known_start(
     recording: Recording, samples: int, ended: float | None
 ) -> tuple[KnownStart, tuple[str, ...]]:
-    """Return the start of a command of so many samples, and what was unusual about it.
+    """Return the start of a command of that many samples, and what was unusual about it.
 
     ended: print time in s at which the motion had ended, if the recording's name tells. Raises
     IdentificationError if nothing tells.

@@ -74,7 +74,7 @@ class Found:
 class _Fit:
     """A test compared with a recording.
 
-    start: s on the command's clock; like: share explained; pulses, sweeping: answers to
+    start: s on the command's clock; like: share explained; pulses, sweeping: responses to
     accelerations of 1, (1,), along the direction in which the recording is strongest, axis (3,).
     """
 
@@ -154,7 +154,7 @@ def _rate(slope: float, expected: float) -> tuple[float, float]:
 
 
 def _along_line(a: Array, line: Line, seconds: float) -> tuple[Array, Array]:
-    """Return, at each sample, the line's frequency in Hz and the answer's size there, (n,) each.
+    """Return, at each sample, the line's frequency in Hz and the response's size there, (n,) each.
 
     seconds: over which the size is averaged.
     """
@@ -166,7 +166,7 @@ def _along_line(a: Array, line: Line, seconds: float) -> tuple[Array, Array]:
 
 
 def _levels(a: Array, line: Line) -> tuple[Array, Array]:
-    """Return frequencies (k,) and the answers (k,) to pulses there, mm/s² per Hz."""
+    """Return frequencies (k,) and the responses (k,) to pulses there, mm/s² per Hz."""
     hz, size = _along_line(a, line, 1.0)
     keep = (hz >= line.first + 0.5) & (hz <= line.last - 0.5)
     # a square wave's fundamental is 4/π times as large, half of it at positive frequencies

@@ -4,8 +4,8 @@
 
 Figures are strokes to and fro, zigzags of infill and paths with square corners, of random size,
 direction, feed rate and acceleration. They are planned as a print is. A printer with friction or
-play answers a hum otherwise than a stroke, so the best linear model of a print is that of a motion
-like a print's. During the rests it rings out.
+play responds to a hum otherwise than to a stroke, so the best linear model of a print is that of a
+motion like a print's. During the rests it rings out.
 
 The random numbers are our own, so that equal settings give an equal motion with any library. They
 begin with the place, so that the recording of one place does not follow the command of another.

@@ -1,6 +1,6 @@
 """The axis along which a recorded printer moved, as its sensor sees it.
 
-Below its resonances the printer follows its command, so the answer there points along the swept
+Below its resonances the printer follows its command, so the response there points along the swept
 axis, whatever way the sensor is mounted.
 """
 
@@ -18,19 +18,19 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
 SHOWN = 2.0  # times the coherence that noise has, from which a frequency is seen
-ROUGH = 0.01  # share of an answer that is not linear, where nothing is noisy
+ROUGH = 0.01  # share of a response that is not linear, where nothing is noisy
 LATEST = 0.08  # s by which the rough start may be off
 SLOW_HZ = 25.0  # below it a printer moves more than it racks
-ACROSS = 0.5  # of the answer at low frequencies that may be out of phase
+ACROSS = 0.5  # of the response at low frequencies that may be out of phase
 
 
 @dataclass(frozen=True, slots=True)
 class Direction:
     """Where the swept axis points, as the sensor sees it.
 
-    axis (3,): unit vector. delay: s by which the answer is late, ±2 ms. resonance_hz: of the
+    axis (3,): unit vector. delay: s by which the response is late, ±2 ms. resonance_hz: of the
     lowest strong resonance. excited_hz: lowest frequency from which on the command explains the
-    answer.
+    response.
     """
 
     axis: Array
@@ -68,7 +68,7 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
 
 
 def _weights(response: FrequencyResponse) -> Array:
-    """Return the weights (k,) of answers, which fall with their noise."""
+    """Return the weights (k,) of responses, which fall with their noise."""
     gamma = np.clip(response.coherence, 0.0, 1.0)
     return np.asarray(np.sqrt(gamma / (1.0 - gamma + ROUGH)))
 
@@ -94,7 +94,7 @@ def _excited(response: FrequencyResponse) -> Flags:
 
 
 def _first_resonance(hz: Array, size: Array, excited: Flags) -> float:
-    """Return the lowest frequency at which the answer has a clear peak.
+    """Return the lowest frequency at which the response has a clear peak.
 
     A peak far below the strongest one counts if it is half as high: a frame that rocks is not.
     """
@@ -115,10 +115,10 @@ def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:
     return np.convolve(padded, np.ones(n) / n, "valid")
 
 
-def _at_rest(answer: Complex, hz: Array, weight: Array) -> Array:
-    """Return the answer (3,) at rest by a line through (3, k) answers: racking grows with j·f."""
+def _at_rest(response: Complex, hz: Array, weight: Array) -> Array:
+    """Return the response (3,) at rest by a line through (3, k): racking grows with j·f."""
     columns = np.column_stack([weight, 1j * weight * hz / hz[-1]])
     stacked = np.concatenate([columns.real, columns.imag])
-    answer = answer * weight
-    wanted = np.concatenate([answer.T.real, answer.T.imag])
+    response = response * weight
+    wanted = np.concatenate([response.T.real, response.T.imag])
     return np.asarray(np.linalg.lstsq(stacked, wanted)[0][0])

@@ -13,7 +13,7 @@ The record is at rest at both ends and padded with rest, so no segment cuts a re
 remaining leakage smooths H over the width of the window's spectrum: for a Hann window of T
 seconds, a resonance of damping ζ and frequency f is about 1 / (3 (T ζ f)²) too low at its peak.
 
-A linear printer answers a sine with a sine. The sweep's phase φ(t) is known, so the answer is
+A linear printer responds to a sine with a sine. The sweep's phase φ(t) is known, so the response is
 split into harmonics A_k(t) e^{jkφ} in short windows. What appears at the half orders k + ½ is
 noise.
 """
@@ -231,7 +231,7 @@ class Harmonics:
         return np.asarray((self.hz > LOWEST_HZ) & (order * self.hz < HIGHEST_HZ))
 
     def share(self, order: int) -> float:
-        """Return a harmonic's share of the answer's amplitude; 0 where all of it may be noise."""
+        """Return a harmonic's share of the response's amplitude; 0 where all of it may be noise."""
         used = self.used(order)
         if not used.any():
             return 0.0
@@ -249,7 +249,7 @@ def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
     marks = find_marks(command, moving_samples(command))
     if marks is None:
         return None
-    part = slice(marks.first + marks.length + marks.answer, marks.second)
+    part = slice(marks.first + marks.length + marks.response, marks.second)
     # the slow sway beneath the sweep lies below 1.5 Hz and does not belong to its phase
     sos = butter(4, 1.5, "highpass", fs=1.0 / TS, output="sos")
     phase = np.unwrap(np.angle(hilbert(sosfiltfilt(sos, command[part]))))
@@ -303,7 +303,7 @@ class Distortion:
         )  # fmt: skip
 
 
-def largest_answer(part: FrequencyResponse) -> float:
+def largest_response(part: FrequencyResponse) -> float:
     """Return the largest |H|; raise IdentificationError if nothing was measured."""
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
@@ -319,6 +319,6 @@ def weights(part: FrequencyResponse) -> Array:
     The standard deviation is at least 0.3 % of |H| and 0.2 % of the largest |H|.
     Frequencies that the sweep hardly excites get 0. Raises IdentificationError without a signal.
     """
-    largest = largest_answer(part)
+    largest = largest_response(part)
     sd = np.hypot(np.hypot(part.noise, NOISE_FLOOR) * np.abs(part.H), 0.002 * largest)
     return np.asarray((part.power > 1e-3 * np.median(part.power)) / sd)

@@ -1,6 +1,6 @@
 """The full response of the nozzle, 2 × 2, from runs in several directions and at several places.
 
-A run along the unit vector d at the place p answers in i = x and y with
+A run along the unit vector d at the place p makes i = x and y respond with
 
     H_i(f) = Σ_j G_ij(f, p)·d_j
     G_ij(f, p) = G_ij(f, p̄) + Σ_c (p_c − p̄_c)·S_cij(f),    j, c = x, y
@@ -63,10 +63,10 @@ class FullResponse:
     power: Array
     averages: float
 
-    def entry(self, answer: int, command: int) -> FrequencyResponse:
+    def entry(self, moved: int, command: int) -> FrequencyResponse:
         """Return what a command in an axis (0: x, 1: y) does to another, or to itself."""
-        H = self.G[:, answer, command]
-        signal, noise = np.abs(H) ** 2, self.averages * self.variance[:, answer, command]
+        H = self.G[:, moved, command]
+        signal, noise = np.abs(H) ** 2, self.averages * self.variance[:, moved, command]
         coherence = np.divide(signal, signal + noise, out=np.zeros(len(H)), where=signal > 0.0)
         return FrequencyResponse(self.hz, H, coherence, self.power, self.averages)
 
@@ -91,8 +91,8 @@ def full_response(runs: Sequence[DirectedRun]) -> FullResponse:
     hz, averages = responses[0].hz, min(response.averages for response in responses)
     G, variance = np.zeros((len(hz), 2, 2), complex), np.zeros((len(hz), 2, 2))
     slopes = np.zeros((len(hz), 2, 2, 2), complex)
-    for i, answers in enumerate(([run.x for run in runs], [run.y for run in runs])):
-        solution, covariance = _solved(A, answers)
+    for i, responses in enumerate(([run.x for run in runs], [run.y for run in runs])):
+        solution, covariance = _solved(A, responses)
         for column, (j, c) in enumerate(names):
             if c is None:
                 G[:, i, j], variance[:, i, j] = solution[:, column], covariance[:, column]
@@ -125,10 +125,10 @@ def _columns(directions: Array, away: Array) -> tuple[list[tuple[int, int | None
     return names, A
 
 
-def _solved(A: Array, answers: Sequence[FrequencyResponse]) -> tuple[Complex, Array]:
-    """Return the unknowns and their variances, (k, m) each, from answers to the columns (n, m)."""
-    H = np.array([answer.H for answer in answers])
-    noise = np.array([answer.noise for answer in answers]) * np.abs(H)
+def _solved(A: Array, responses: Sequence[FrequencyResponse]) -> tuple[Complex, Array]:
+    """Return the unknowns and variances, (k, m) each, from responses to the columns (n, m)."""
+    H = np.array([response.H for response in responses])
+    noise = np.array([response.noise for response in responses]) * np.abs(H)
     # places are on a line no better than this share of the strongest of them
     least = NOISE_FLOOR * np.abs(H).max(axis=0) + 1e-9
     variance = noise**2 + least**2

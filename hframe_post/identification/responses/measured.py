@@ -131,7 +131,7 @@ class RunResponse:
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
     late: half-width of the uncertainty of the recording's start, s. command (m,): mm along the
     swept axis. harmonics: None if the command has no marks. across, z: of the other axis, and of z
-    in runs along one axis. second (k,): size of the answer of a second sensor, at the frequencies
+    in runs along one axis. second (k,): size of the response of a second sensor, at the frequencies
     of ``response``. direction: unit vector of the motion; both responses are per motion along the
     axis. point: x and y of the sensor, mm. These five: of uncalibrated runs only.
     """

@@ -2,7 +2,7 @@
 
     runs → own clock and direction → responses along and across → one delay and gain for each axis
 
-The answer points along the motion at low frequencies. Runs in two directions with the sensor
+The response points along the motion at low frequencies. Runs in two directions with the sensor
 mounted alike show where x and y point; of one direction the other lies at right angles, by gravity.
 """
 
@@ -65,8 +65,8 @@ def uncalibrated_responses(runs: Sequence[Run], settings: Settings) -> dict[int,
 def _located(run: Run, settings: Settings) -> _Located:
     try:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
-        answers = [_response(found, axis, settings) for axis in np.eye(3)]
-        return _Located(run, found, run.direction, direction(answers))
+        responses = [_response(found, axis, settings) for axis in np.eye(3)]
+        return _Located(run, found, run.direction, direction(responses))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
 
@@ -109,14 +109,14 @@ def _run_response(
 
 
 def _second(one: _Located, settings: Settings) -> Array | None:
-    """Return the size (k,) of a second sensor's answer; its clock is that of the first."""
+    """Return the size (k,) of a second sensor's response; its clock is that of the first."""
     first, second, found = one.run.nozzle, one.run.second, one.aligned
     if second is None:
         return None
     start = found.start + float(first.t[0] - second.t[0])
     sensor = Resampler(second.t, second.a - second.a.mean(axis=0))
-    answer = replace(found, acceleration=sensor.resampled(start, found.drift, len(found.command)))
-    H = np.array([_response(answer, axis, settings).H for axis in np.eye(3)])
+    response = replace(found, acceleration=sensor.resampled(start, found.drift, len(found.command)))
+    H = np.array([_response(response, axis, settings).H for axis in np.eye(3)])
     return np.asarray(np.linalg.norm(H, axis=0))
 
 
@@ -152,7 +152,7 @@ def _mounted_alike(one: _Located, other: _Located) -> bool:
 def _with_common_gain(
     responses: Sequence[RunResponse], low: float, resonance_hz: float
 ) -> list[RunResponse]:
-    """Return the responses with the gain of the first, as the answers below resonance show it.
+    """Return the responses with the gain of the first, as the responses below resonance show it.
 
     Sensors, and the strength of the excitation, may differ from session to session.
     """
