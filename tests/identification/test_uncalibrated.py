@@ -117,6 +117,16 @@ def test_modes_are_those_of_the_printer_and_below_them_it_follows_its_command() 
         assert np.abs(delay).max() < 2e-4
 
 
+def written_config(folder: Path) -> Path:
+    """Write the printer.cfg of a short test."""
+    config = folder / "printer.cfg"
+    config.write_text(
+        "[printer]\nkinematics: corexy\n[resonance_tester]\nprobe_points: 140, 147.5, 20\n"
+        "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
+    )
+    return config
+
+
 @pytest.mark.slow
 def test_belts_tell_both_axes() -> None:
     """Neither test of belts moves one axis alone."""
@@ -128,11 +138,7 @@ def test_belts_tell_both_axes() -> None:
 @pytest.mark.slow
 def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) -> None:
     """At 394, 1600 and 3200 Hz, of one mounting; each lost 35 ms at four times."""
-    config = tmp_path / "printer.cfg"
-    config.write_text(
-        "[printer]\nkinematics: corexy\n[resonance_tester]\nprobe_points: 140, 147.5, 20\n"
-        "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
-    )
+    config = written_config(tmp_path)
     for k, kind in enumerate(SENSORS, 1):
         made = recorded(MACHINE, short(X), drawn_sensor(k, kind), 3, k).recording
         since = made.t - made.t[0]
@@ -158,11 +164,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
 @pytest.mark.slow
 def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> None:
     """The motion's first 30 ms and last 80 ms are missing, and slow motion is noisy."""
-    config = tmp_path / "printer.cfg"
-    config.write_text(
-        "[printer]\nkinematics: corexy\n[resonance_tester]\nprobe_points: 140, 147.5, 20\n"
-        "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
-    )
+    config = written_config(tmp_path)
     chip = replace(drawn_sensor(2, "lis2dw-394"), noise=8.0)
     for name, belt in zip("BA", BELTS, strict=True):
         former = MOTIONS["former pulses"] | {"max_freq": 105.0}

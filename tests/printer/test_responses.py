@@ -127,27 +127,27 @@ def test_a_verified_profile_and_its_digest_know_the_response(tmp_path: Path) -> 
     assert np.array_equal(deviation(checked.plant.Gxx), deviation(verified.plant.Gxx))
 
 
-def test_a_checked_profile_keeps_what_is_not_known(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    plant = replace(PAPER.plant, Gxx=measured(), Gyy=doubted(), Gxtheta=None)
+def after_check(folder: Path, Gxx: ImpulseResponse, moved: ImpulseResponse) -> ImpulseResponse:
+    """Write a profile, update Gxx as a check does, and return what the new profile says."""
+    mine = folder / "mine.toml"
+    plant = replace(PAPER.plant, Gxx=Gxx, Gyy=measured(), Gxtheta=None)
     mine.write_text(with_plant("example-corexy", plant, WINDOWS, []))
-
-    moved = doubted().stretched(1.02)
-    checked = parse(with_check(str(mine), {"Gyy": moved}, 0.03, None), "mine").plant.Gyy
+    checked = parse(with_check(str(mine), {"Gxx": moved}, 0.03, None), "mine").plant.Gxx
     assert isinstance(checked, ImpulseResponse)
+    return checked
+
+
+def test_a_checked_profile_keeps_what_is_not_known(tmp_path: Path) -> None:
+    moved = doubted().stretched(1.02)
+    checked = after_check(tmp_path, doubted(), moved)
     assert checked.lag == pytest.approx(1.02 * 2.3, abs=1e-4)  # ms
     assert checked.drift == 0.02
     assert checked.unknown == pytest.approx(moved.unknown, abs=1e-4)  # µm
 
 
 def test_a_check_moves_all_places(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    plant = replace(PAPER.plant, Gxx=placed(), Gyy=measured(), Gxtheta=None)
-    mine.write_text(with_plant("example-corexy", plant, WINDOWS, []))
-
     moved = placed().stretched(1.02)
-    checked = parse(with_check(str(mine), {"Gxx": moved}, 0.03, None), "mine").plant.Gxx
-    assert isinstance(checked, ImpulseResponse)
+    checked = after_check(tmp_path, placed(), moved)
     for one, other in zip(checked.nodes, moved.nodes, strict=True):
         assert one[0] == other[0]
         assert one[1].deviation == pytest.approx(other[1].deviation, abs=1e-4)  # µm
