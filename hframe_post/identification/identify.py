@@ -27,25 +27,20 @@ from hframe_post.identification.diagnosis.nonlinearity import (
     Nonlinearity,
     find_nonlinearity,
 )
-from hframe_post.identification.diagnosis.scatter import (
-    find_mode_shift,
-    lever_arm_uncertainty,
-)
+from hframe_post.identification.diagnosis.scatter import ModeShift, find_mode_shift
 from hframe_post.identification.estimation.along_x import (
-    at_common_frequencies,
     fit_places,
-    racking_along_x,
 )
 from hframe_post.identification.estimation.axes import (
     Fit,
     Swept,
     fit_known_start,
-    fit_racking,
     fit_swept,
     fit_unknown_start,
     response_again,
 )
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
+from hframe_post.identification.racking import find_racking
 from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
@@ -56,21 +51,15 @@ from hframe_post.identification.responses.frequency_response import (
     spread,
 )
 from hframe_post.identification.responses.measured import (
-    Line,
     Run,
     RunGroup,
-    RunResponse,
     Settings,
-    centre,
-    line,
     nozzle_responses,
 )
 from hframe_post.identification.responses.strokes import stroke_responses
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.stream.running import one_blas_thread
 
-OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 SAME_PLACE = 5.0  # mm
 
 __all__ = ["Identified", "Measured", "Run", "Settings", "identify"]
@@ -86,43 +75,15 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits, nonlinearity = _fit_axes(groups, measured, settings)
     fits = {name: _compared(found, groups[name]) for name, found in fits.items()}
-    shifts = {
-        name: find_mode_shift(fits[name].G, fits[name].measured.resonance_hz, one.places)
-        for name, one in measured.items()
-    }
-    moving = {name: shift for name, shift in shifts.items() if shift is not None}
+    moving = _moving(measured, fits)
     if nonlinearity is None:
         fits |= _along_x(moving, measured, fits, settings)
-    arm, moves = None, _moves(fits)
-    x_runs = groups["Gxx"].runs if "Gxx" in groups else []
-    if x_runs:
-        x_runs = x_runs if moves is None else [_unmoved(run, moves) for run in x_runs]
-        arm = _lever_arm(x_runs, settings, "Gxx" in moving)
-        arm = arm if arm is None or moves is None else _by_the_middle(arm, x_runs)
-    least = 1.0 if arm and arm.beyond_noise <= OFF_LINE else 3.0
-    racking = arm if arm and arm.over_noise > least else None
-    if racking:
-        # made of the same recordings as Gxx, so their delay is known by now
-        delay = fits["Gxx"].recording_delay
-        measured["Gxtheta"] = Measured(racking.by_place, racking.slope, racking.off, (delay, delay))
-    if "Gxtheta" in measured:
-        low = max(settings.band_hz[0], groups["Gxx"].excited_hz)
-        seen = measured["Gxtheta"].mean.within((low, settings.band_hz[1]))
-        # an unknown excitation is wrong in x alone, an unknown sensor where it measures
-        calibrated = groups["Gxx"].resonance_hz is None
-        gain = fits["Gyy" if calibrated and "Gyy" in fits else "Gxx"].gain
-        fits["Gxtheta"] = fit_racking(seen, fits["Gxx"], gain, calibrated)
-    x_c = lever_arm_sd = None
-    if racking:
-        along = average([run.response for run in x_runs])
-        places, ys = [run.place for run in x_runs], [run.y for run in x_runs]
-        x_c, _ = centre(racking, along.H)
-        lever_arm_sd = lever_arm_uncertainty(places, ys, along)
-    if moves is not None and x_c is not None:
-        turned = [(run.place, run.place - x_c, run.y) for run in x_runs]
-        found = fits["Gxtheta"]
-        G = racking_along_x(found.G, moves, measured["Gxtheta"].mean, turned)
-        fits["Gxtheta"] = replace(found, G=G)
+    racking, sought = None, False
+    if "Gxx" in groups:
+        racking, sought = find_racking(groups["Gxx"], fits, settings, "Gxx" in moving)
+    x_c = None
+    if racking is not None:
+        measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
     warnings = _unknown_start(measured)
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
@@ -131,10 +92,19 @@ def identify(runs: Sequence[Run], settings: Settings) -> Identified:
     pitches = [_pitching(AXIS[name], groups[name], settings) for name in on_head]
     pitched = [one for one in pitches if one is not None]
     return Identified(
-        measured, fits, x_c, warnings, settings.racks, arm is not None and racking is None,
-        moving.get("Gxx"), nonlinearity, lever_arm_sd, repetitions,
+        measured, fits, x_c, warnings, settings.racks, sought and racking is None,
+        moving.get("Gxx"), nonlinearity, racking.lever_arm_sd if racking else None, repetitions,
         [one for one in couplings if one is not None], [pitch_note(pitched)] if pitched else [],
     )  # fmt: skip
+
+
+def _moving(measured: Mapping[str, Measured], fits: Mapping[str, Fit]) -> dict[str, ModeShift]:
+    """Return how the modes of each axis shift along x, of those that do."""
+    shifts = {
+        name: find_mode_shift(fits[name].G, fits[name].measured.resonance_hz, one.places)
+        for name, one in measured.items()
+    }
+    return {name: shift for name, shift in shifts.items() if shift is not None}
 
 
 def _along_x(
@@ -150,27 +120,6 @@ def _along_x(
         places = [(x, run.within(settings.band_hz)) for x, run in measured[name].places]
         found[name] = fit_places(fits[name], places, _sensor(name, settings))
     return found
-
-
-def _moves(fits: Mapping[str, Fit]) -> ImpulseResponse | None:
-    """Return the response along x, if it changes along x."""
-    G = fits["Gxx"].G if "Gxx" in fits else None
-    return G if G is not None and G.elsewhere else None
-
-
-def _unmoved(run: RunResponse, moves: ImpulseResponse) -> RunResponse:
-    """Return the run as if its frequencies were those where the response itself holds."""
-    response, y = (at_common_frequencies(one, moves, run.place) for one in (run.response, run.y))
-    return replace(run, response=response, y=y)
-
-
-def _by_the_middle(arm: Line, runs: Sequence[RunResponse]) -> Line:
-    """Return the line with what was measured nearest the middle instead of the mean.
-
-    Where modes move, the outer places may rack differently, and would pull x_c to one side.
-    """
-    run = min(runs, key=lambda run: abs(run.place - arm.middle))
-    return replace(arm, middle=run.place, at_middle=run.y.H)
 
 
 def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
@@ -311,25 +260,6 @@ def _find_nonlinearity(
             printer = LinearPrinter(found.sum.response, found.sum.gain, found.sum.delay)
             axes[AXIS[name]] = AxisSweeps(known, printer)
     return find_nonlinearity(axes, step)
-
-
-def _lever_arm(runs: list[RunResponse], settings: Settings, changes: bool) -> Line | None:
-    """Return the line over positions whose slope is racking.
-
-    None if the kinematics cannot rack or the positions are less than 20 mm apart. changes: whether
-    the printer changes along x, so that no straight line can be expected.
-    """
-    places, across = [run.place for run in runs], [run.y for run in runs]
-    if not settings.racks or np.ptp(places) < 20.0:
-        return None
-    found = line(places, across)
-    if found.over_noise <= 3.0 or changes or found.beyond_noise <= OFF_LINE:
-        return found
-    raise IdentificationError(
-        "what the nozzle does in y while x sweeps does not grow with the position: "
-        f"{100 * found.beyond_noise:.0f} % of it deviate from a straight line. "
-        "Are files of two places exchanged, or was the sensor moved between runs?"
-    )
 
 
 def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:
