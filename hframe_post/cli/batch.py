@@ -22,7 +22,6 @@ from hframe_post.cli.options import (
     files_read,
     force_option,
     limits_option,
-    old_option,
     on_limit_option,
     printer_option,
     say,
@@ -72,7 +71,6 @@ def address(text: str) -> str:
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
     "dask.distributed.",
 )  # fmt: skip
-@old_option("--send", "files are always sent to a cluster", is_flag=True, expose_value=False)
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
 @click.pass_context

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -25,7 +24,6 @@ from hframe_post.cli.options import (
     limits_option,
     log,
     number,
-    old_option,
     on_limit_option,
     printer_option,
     progress_bar,
@@ -41,7 +39,6 @@ from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.choice import verification_as_text
-from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.profile import played_by
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.process import processor_count
@@ -50,16 +47,6 @@ from hframe_post.writers.files import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
-
-
-class FirmwareChoice(click.Choice[str]):
-    """A firmware that the output can be written for."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name. Raises PrinterError for a firmware that is no longer supported."""
-        if value == "reprapfirmware":
-            named(value, "--firmware")
-        return super().convert(value, param, ctx)
 
 
 @click.command()
@@ -78,7 +65,7 @@ class FirmwareChoice(click.Choice[str]):
 @printer_option
 @compensation_option
 @click.option(
-    "--firmware", type=FirmwareChoice(tuple(FIRMWARES)),
+    "--firmware", type=click.Choice(tuple(FIRMWARES)),
     help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
 )  # fmt: skip
 @limits_option
@@ -90,7 +77,6 @@ class FirmwareChoice(click.Choice[str]):
     help="How far G-code for Klipper may differ from the computed motion, at most 0.1 mm; 0 writes "
     "a line for every millisecond, and begins lifts at rest.",
 )  # fmt: skip
-@old_option("--every-sample", "use --tolerance 0", new="tolerance", value=0.0, is_flag=True)
 @click.option(
     "--retract", type=click.Choice(["standing", "moving"]), default="standing", show_default=True,
     help="For Klipper: retract before the travel as in the file, or during it where there is time.",
@@ -120,8 +106,7 @@ def convert(
     source: Path, more: tuple[str, ...], output: Path | None, format_name: str | None, printer: str,
     firmware: str | None, compensation: str | None, limits: LimitSource,
     extrusion: Extrusion | None, on_limit: str, force: bool, tolerance: float | None,
-    retract: Retract, predict: str, max_error: dict[str, float] | None,
-    error_measure: str | None, speed_up: float | None, model_error: float | None,
+    retract: Retract, predict: str, max_error: dict[str, float] | None, speed_up: float | None,
     jobs: int | None, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
@@ -184,9 +169,7 @@ def convert(
             clamp=on_limit == "clamp",
             tolerance=TOLERANCE if tolerance is None else tolerance or None,
             retract=retract,
-            speed=speed_from_options(
-                profile, source, max_error, error_measure, speed_up, model_error
-            ),
+            speed=speed_from_options(profile, source, max_error, speed_up),
             force=force,
             jobs=jobs or processor_count(),
             page=report_file if html else None,

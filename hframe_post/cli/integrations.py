@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from platformdirs import user_data_path
 
-from hframe_post.cli.options import files_read, old_option, printer_option, say
+from hframe_post.cli.options import files_read, printer_option, say
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
@@ -43,8 +43,7 @@ def klipper_macros(printer: str) -> None:
     metavar="CALIBRATION.GCODE", help="G-code to print without filament.",
 )  # fmt: skip
 @printer_option
-@old_option("--quiet", "redirect standard error instead", "-q", is_flag=True)
-def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
+def calibrate_marlin(output: Path, printer: str) -> None:
     """Write G-code whose duration shows which planner and timer a Marlin board has.
 
     x moves along the middle of y, in two parts of about a minute and a half each. Home the
@@ -59,8 +58,6 @@ def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     found = calibration(load(printer))
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).writelines(found.lines)
-    if quiet:
-        return
     say(" " * 44 + "".join(f"{part:>10s}" for part in found.parts))
     for board, durations in found.durations.items():
         say(f"{board:44s}" + "".join(f"{seconds:9.2f}s" for seconds in durations))

@@ -25,34 +25,6 @@ SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it 
 _CHOICE = "hframe_post.choice"  # in a context's meta
 
 
-def old_option(
-    name: str, advice: str, *short: str, removed: bool = False, new: str = "", value: Any = None,
-    expose_value: bool = True, **settings: Any,
-) -> Callable[[Command], Command]:  # fmt: skip
-    """Return the decorator for a hidden option whose use is a warning, or an error if removed.
-
-    advice: what to do instead. new: parameter that gets the value in its place, or ``value`` where
-    the old option is a flag. expose_value: whether the command receives the old option.
-    """
-
-    def check(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
-        source = context.get_parameter_source(parameter.name or "")
-        if source is not click.core.ParameterSource.COMMANDLINE:
-            return given
-        if removed:
-            raise click.UsageError(f"{name} was removed: {advice}")
-        say(f"Warning: {name} will be removed: {advice}")
-        if new:
-            replacement = {new: given if value is None else value}
-            context.default_map = {**(context.default_map or {}), **replacement}
-        return given
-
-    return click.option(
-        name, *short, hidden=True, callback=check, is_eager=bool(new),
-        expose_value=expose_value and not removed and not new, **settings,
-    )  # fmt: skip
-
-
 def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
     choice = choose(requested, os.environ)
     context.meta[_CHOICE] = choice
@@ -96,12 +68,10 @@ on_limit_option = click.option(
 )  # fmt: skip
 
 
-def force_option(command: Command) -> Command:
-    command = old_option("--i-know", "use --force", new="force", is_flag=True)(command)
-    return click.option(
-        "--force", is_flag=True,
-        help="Compensate even if the profile's plant was not measured on your printer.",
-    )(command)  # fmt: skip
+force_option = click.option(
+    "--force", is_flag=True,
+    help="Compensate even if the profile's plant was not measured on your printer.",
+)  # fmt: skip
 
 
 seed_option = click.option(
@@ -171,10 +141,6 @@ def print_options(command: Command) -> Command:
         click.argument(
             "source", metavar="[IN.GCODE]", required=False,
             type=click.Path(path_type=Path, allow_dash=True),
-        ),
-        old_option(
-            "--path", "without a file the rectangle is taken", expose_value=False,
-            type=click.Choice(["rectangle"]),
         ),
         printer_option, limits_option, extrusion_option,
     )  # fmt: skip

@@ -12,7 +12,6 @@ from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
     files_read,
-    old_option,
     on_limit_option,
     opened,
     print_options,
@@ -56,13 +55,6 @@ from hframe_post.writers.files import Outputs
     help="Compare with input shapers: with the best frequency and damping for the profile's model, "
     "and as Klipper's calibration would set them for it.",
 )  # fmt: skip
-@old_option(
-    "--against", "use --shapers", new="shapers", value=True, type=click.Choice(["shapers"])
-)  # fmt: skip
-@old_option("--layers", "use --json or --report", is_flag=True)
-@old_option(
-    "--verbose", "convert -v logs the stages", "-v", is_flag=True, expose_value=False
-)  # fmt: skip
 @json_option
 @click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
@@ -72,7 +64,7 @@ from hframe_post.writers.files import Outputs
 def simulate(
     source: Path | None, printer: str, limits: LimitSource, extrusion: Extrusion | None,
     on_limit: str, plant_file: str | None, shares: tuple[float, ...], draws: int, seed: int,
-    steps: bool, shapers: bool, layers: bool, json_file: Path | None, report_file: Path | None,
+    steps: bool, shapers: bool, json_file: Path | None, report_file: Path | None,
     quiet: bool,
 ) -> None:  # fmt: skip
     """Predict the error of a print without compensation, with fbs, and with racking compensation.
@@ -104,7 +96,7 @@ def simulate(
             extrusion=extrusion, clamp=on_limit == "clamp",
             page=report_file, title=source.name if source else "", notes=head, outputs=outputs,
         )  # fmt: skip
-        text = "\n".join([*head, report.as_text(layers)])
+        text = "\n".join([*head, report.as_text()])
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
             options = Options("racking", (), limits, True, extrusion=extrusion)

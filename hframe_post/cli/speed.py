@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from hframe_post.cli.options import number, old_option, share
+from hframe_post.cli.options import number
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.features import KINDS
 
@@ -48,13 +48,6 @@ def speed_factor(text: str) -> float:
 
 def speed_options(command: F) -> F:
     for option in (
-        old_option(
-            "--model-error", "set speed.model_error in the profile", type=share
-        ),
-        old_option(
-            "--error-measure", "set speed.error_measure in the profile",
-            type=click.Choice(["p95", "rms", "peak"]),
-        ),
         click.option(
             "--speed-up", type=speed_factor, metavar="N|max",
             help="With --max-error: at most N times the file's feed rates; limits.flow and "
@@ -73,14 +66,10 @@ def speed_options(command: F) -> F:
 
 
 def speed_from_options(
-    printer: Printer, source: Path, max_error: dict[str, float] | None, measure: str | None,
-    speed_up: float | None, model_error: float | None,
+    printer: Printer, source: Path, max_error: dict[str, float] | None, speed_up: float | None
 ) -> Speed:  # fmt: skip
     """Return the profile's speed settings, changed by the options. Raises UsageError."""
-    options: dict[str, Any] = {
-        "max_error": max_error, "error_measure": measure, "speed_up": speed_up,
-        "model_error": model_error,
-    }  # fmt: skip
+    options: dict[str, Any] = {"max_error": max_error, "speed_up": speed_up}
     given = {name: value for name, value in options.items() if value is not None}
     speed = replace(printer.known_speed, **given)
     if not speed.max_error and given.keys() - {"max_error"}:

@@ -92,8 +92,6 @@ def chosen_format(output: Path | None, asked: str | None, source: Path | None = 
     if asked is not None and asked not in FORMATS:
         raise HframeError(f"unknown format {asked!r}; known formats are {', '.join(FORMATS)}")
     suffix, packing = _suffixes(output)
-    if suffix in REMOVED:
-        raise HframeError(f"{suffix} files are not written any more: use {REMOVED[suffix]} instead")
     by_suffix = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
     replaced = "bgcode" if source is not None and is_binary(source) else None
     kind = asked or replaced or by_suffix or "gcode"
@@ -176,7 +174,6 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
 
 
 GCODE = ("gcode", "bgcode")  # what may replace the input
-REMOVED = {".zst": ".gz", ".parquet": ".npz"}
 TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False, divides=True),

@@ -40,7 +40,7 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             }
             for name, errors in trial.errors.items()
         },
-        "limited_by_s": limited_by, "held_by_s": limited_by,  # the old name, for one release
+        "limited_by_s": limited_by,
     }  # fmt: skip
 
 
