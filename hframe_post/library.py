@@ -21,25 +21,25 @@ from numpy.typing import ArrayLike
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
-from hframe_post.conversion.pipeline import TOLERANCE, Options, Retract, prepared, stamp
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import prepared, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import (
     ArgumentError,
     GcodeError,
-    HframeError,
     LeftAloneError,
+    OptionError,
     PrinterError,
 )
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import is_binary, lines_of, reread
-from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
-from hframe_post.printer.settings import STOPS, Printer, Speed
+from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files import Outputs
 
@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
+DEFAULT = Options()
+AS_PAGE = "an HTML report reads the file twice"
+AS_FAST = "--max-error (or speed.max_error of the profile) reads the file several times"
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
 Source = str | Path | IO[bytes] | Iterable[bytes]  # a file of G-code, or its lines
@@ -121,19 +124,8 @@ def convert(
     source: Source,
     target: str | Path | None,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
-    format: str | None = None,  # noqa: A002  the option's name
-    firmware: str | None = None,
-    strategy: str | None = None,
-    predict: Iterable[str] | None = None,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
-    clamp: bool = True,
-    tolerance: float | None = TOLERANCE,
-    retract: Retract = "standing",
-    speed: Speed | None = None,
-    force: bool = False,
-    jobs: int = 1,
     page: str | Path | None = None,
     title: str = "",
     notes: Iterable[str] = (),
@@ -142,65 +134,39 @@ def convert(
 ) -> Report:
     """Convert sliced G-code, write it to the target, and return a report.
 
-    source: a file's path, an open binary file, or lines. target: a path, which may be the
-    source's; ``-`` writes to standard output; None writes nothing. Arguments that are None take
-    what the profile or the target's suffix says.
+    source: a file's path, an open binary file, or lines; a path or a list where it is read several
+    times, for a page or a greatest error. target: a path, which may be the source's; ``-`` writes
+    to standard output; None writes nothing.
 
-    What is written: format is ``gcode``, ``bgcode``, ``steps``, ``step-bits`` or ``samples``;
-    firmware is the one that reads it. strategy: ``racking``, ``fbs`` (ringing only) or ``none``.
-    predict: the strategies whose contour error is reported; ``none`` and the chosen one by
-    default. tolerance: how far, in mm, G-code for Klipper may be off the command; None writes
-    every sample. retract: before a travel (``standing``) or on it (``moving``, Klipper only).
-
-    How the source is read: limits says which of its limits are obeyed, extrusion what E is before
-    the first M82 or M83.
-
-    clamp: compensate less where a command would exceed a limit; else LimitError is raised there.
-    force: compensate even though the profile's plant is not measured. speed: trade accuracy for
-    speed, ``Speed()`` to do so never; the source is then read several times, so it must be a path
-    or a list.
-
-    jobs: number of processes. page: also write an HTML page to this file, under this title, with
-    these notes above the report. outputs: files that appear together with the target. progress:
-    called with the number of bytes of each line read.
+    page: also write an HTML page to this file, under this title, with these notes above the report.
+    outputs: files that appear together with the target. progress: called with the number of bytes
+    of each line read.
 
     Raises HframeError (GcodeError, PrinterError and LimitError name the line or the key;
-    LeftAloneError: the source is not to be converted, or was with these arguments) and OSError;
-    then no file is changed.
+    OptionError: the options do not go together; LeftAloneError: the source is not to be converted,
+    or was with these options) and OSError; then no file is changed.
     """
-    if firmware is not None:
-        printer = profile.played_by(printer, firmware)
-    chosen = strategy_of(strategy or printer.compensation.strategy).name
-    reported = ("none", chosen) if predict is None else predict
+    if options.firmware is not None:
+        printer = profile.played_by(printer, options.firmware)
     path = Path(source) if isinstance(source, str | Path) else None
     output = None if target in (None, "-") else Path(str(target))
-    in_place = path is not None and output is not None and _is_same(path, output)
-    kind = files.chosen_format(output, format, path if in_place else None)
-    if in_place and kind not in files.GCODE:
-        raise HframeError(f"{kind} would replace the G-code {path}: give another target")
-    options = Options(
-        chosen, tuple(dict.fromkeys(strategy_of(name).name for name in reported)), limits, clamp,
-        tolerance if kind in files.GCODE else None, extrusion, retract,
-        printer.asked_speed if speed is None else speed if speed.max_error else None,
-    )  # fmt: skip
+    options = files.with_format(options.resolved(printer), printer, output, path)
     fastest = None
     with ExitStack() as opened:
-        kept = path is not None and kind == ("bgcode" if is_binary(path) else "gcode")
-        opened.enter_context(_comparing_stamps(stamp(printer, options) if kept else "", path))
+        opened.enter_context(_comparing_stamps(printer, options, path))
         if page is not None:
             options = _pictured(options, source, printer, printer.plant)
         if options.speed is not None:
             from hframe_post.studies.speed.search import find_fastest
 
-            fastest = find_fastest(_again(source), printer, options)
+            fastest = find_fastest(_again(source, AS_FAST), printer, options)
             printer, options = fastest.printer, fastest.options
         if outputs is None:
             outputs = opened.enter_context(Outputs([path] if path else []))
         page_file = outputs.open(Path(page)) if page is not None else None
-        lines = _lines_of(source, opened, outputs)
+        lines = _counted(_lines_of(source, opened, outputs), progress)
         written = files.Target(outputs, output, path) if target is not None else None
-        counted = _counted(lines, progress)
-        report = files.convert(counted, written, printer, options, kind, jobs, force)
+        report = files.convert(lines, written, printer, options)
         if fastest is not None:
             from hframe_post.studies.speed.report import speed_as_json, speed_as_text
 
@@ -216,35 +182,25 @@ def convert(
     return report
 
 
-def first_line(
-    printer: Printer,
-    *,
-    strategy: str | None = None,
-    limits: LimitSource = "file",
-    clamp: bool = True,
-) -> bytes:
-    """Return the first line of the G-code that ``convert`` writes with these arguments.
+def first_line(printer: Printer, options: Options = DEFAULT) -> bytes:
+    """Return the first line of the G-code that ``convert`` writes with these options.
 
     A file that begins with it was converted by this version with the same profile and settings.
     """
-    chosen = strategy or printer.compensation.strategy
-    options = Options(chosen, limits=limits, clamp=clamp, speed=printer.asked_speed)
-    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
+    return b"%s %s\n" % (STAMP, stamp(printer, options.resolved(printer)).encode())
 
 
 @one_blas_thread()
 def simulate(
     source: Source,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
     simulated: Printer | None = None,
     model_error: Iterable[float] = (),
     draws: int = 50,
     seed: int = 0,
     steps: bool = False,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
-    clamp: bool = True,
     page: str | Path | None = None,
     title: str = "",
     notes: Iterable[str] = (),
@@ -252,6 +208,7 @@ def simulate(
 ) -> SimulationReport:
     """Predict what every strategy would do for a print: in all, by layer and by feature.
 
+    options: limits, extrusion and clamp; the motion is compensated for by every strategy.
     simulated: the printer whose plant is simulated, if not the one compensated for. model_error:
     for each share (0.05: frequencies, damping and racking gain off by up to 5 %) ``draws`` random
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
@@ -270,7 +227,7 @@ def simulate(
         actual.name,
         Doubts.from_plant(actual.plant, actual.uncertainty),
     )
-    options = Options("racking", tuple(STRATEGIES), limits, clamp, extrusion=extrusion)
+    options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
     if page is not None:
         options = _pictured(options, source, printer, actual.plant)
     with ExitStack() as opened:
@@ -300,17 +257,17 @@ class Tuning:
 def tune(
     source: Source,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
     knots: Iterable[int] | None = None,
     efforts: Iterable[float] | None = None,
     model_error: float | None = None,
     draws: int = 10,
     seed: int = 0,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
 ) -> Tuning:
     """Recommend window and weight for this printer and this kind of print.
 
+    options: limits and extrusion, which say how the source is read.
     knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
     the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
     default ``model_uncertainty``. A model that says how well it is known needs none of them, unless
@@ -326,7 +283,7 @@ def tune(
     draws = 0 if model_error is None and is_doubtful(printer) else draws
     share = model_uncertainty(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
-    options = Options("racking", limits=limits, extrusion=extrusion)
+    options = replace(options, strategy="racking", clamp=False)
     stops = tuple(tuning.StopsTrial(name) for name in STOPS)
     with ExitStack() as opened:
         lines = _lines_of(source, opened)
@@ -362,18 +319,17 @@ def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) 
     """Return options that collect a page's picture, with the best input shaper for the print."""
     from hframe_post.studies.shapers.search import good, paths
 
-    predicted = dict.fromkeys(("none", options.strategy, *options.predict))
+    predicted = dict.fromkeys(("none", *options.strategies))
     pieces = paths(_again(source)(), printer, options)
     shaping = good(plant, pieces, printer.firmware.dialect)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 
 @contextmanager
-def _comparing_stamps(present: str, source: Path | None) -> Iterator[None]:
-    """Let no LeftAloneError pass if the source was converted with other settings.
-
-    present: the stamp of the present settings; empty if the output has another format.
-    """
+def _comparing_stamps(printer: Printer, options: Options, source: Path | None) -> Iterator[None]:
+    """Let no LeftAloneError pass if the source was converted with other settings."""
+    same_format = source and options.format == ("bgcode" if is_binary(source) else "gcode")
+    present = stamp(printer, options) if same_format else ""
     try:
         yield
     except LeftAloneError as found:
@@ -394,10 +350,6 @@ def _original(source: Path | None) -> Path | None:
     return original if original.is_file() else None
 
 
-def _is_same(source: Path, target: Path) -> bool:
-    return source.exists() and target.exists() and source.samefile(target)
-
-
 def _counted(lines: Iterable[bytes], progress: Callable[[int], object] | None) -> Iterable[bytes]:
     for line in lines:
         if progress is not None:
@@ -405,12 +357,15 @@ def _counted(lines: Iterable[bytes], progress: Callable[[int], object] | None) -
         yield line
 
 
-def _again(source: Source) -> Callable[[], Iterable[bytes]]:
-    """Return a function that returns the lines from the first. Raises HframeError."""
+def _again(source: Source, reader: str = AS_PAGE) -> Callable[[], Iterable[bytes]]:
+    """Return a function that returns the lines from the first.
+
+    reader: who reads them, for the OptionError where they can be read only once.
+    """
     if isinstance(source, str | Path):
         return reread(Path(source))
     if isinstance(source, Iterator | IOBase):
-        raise HframeError("the source is read several times: give a path or a list of lines")
+        raise OptionError(f"{reader}: name a file, or in Python give a list of lines")
     return lambda: source
 
 

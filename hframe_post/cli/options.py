@@ -9,12 +9,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
-from hframe_post.model.strategies import STRATEGIES
+from hframe_post.conversion.options import DEFAULTS, SHOWN, Options, Shown
+from hframe_post.errors import ArgumentError, OptionError
 from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
@@ -42,36 +45,59 @@ printer_option = click.option(
     "HFRAME_PRINTER, then the profile that 'hframe-post setup' or 'use' made the default.",
 )  # fmt: skip
 
-compensation_option = click.option(
-    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
-    help="Compensate ringing, racking and other couplings (racking), ringing only (fbs) or nothing "
-    "(none). Default: compensation.strategy of the profile.",
-)  # fmt: skip
 
-limits_option = click.option(
-    "--limits", type=click.Choice(["file", "file-all", "printer"]), default="file",
-    show_default=True, help="Which limits set in the file lower the profile's: those that the "
-    "firmware obeys (Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all "
-    "(file-all), or none (printer).",
-)  # fmt: skip
+def conversion_options(*names: str) -> Callable[[Command], Command]:
+    """Return the decorator that adds these fields of ``Options`` to a command.
 
-extrusion_option = click.option(
-    "--extrusion", type=click.Choice(["absolute", "relative"]),
-    help="Meaning of E before the first M82 or M83 in the file, if a start macro of the printer "
-    "sets it.",
-)  # fmt: skip
+    The command gets all of them as one argument, ``options``. An OptionError is wrong usage.
+    """
 
-on_limit_option = click.option(
-    "--on-limit", type=click.Choice(["error", "clamp"]), default="clamp", show_default=True,
-    help="If the compensated motion would leave the bed or exceed a motor's limits: stop with an "
-    "error, or compensate less there and say so.",
-)  # fmt: skip
+    def add(command: Command) -> Command:
+        @wraps(command)
+        def collected(*arguments: Any, **given: Any) -> Any:
+            asked = {name: given.pop(name) for name in names}
+            values = {
+                name: SHOWN[name].choices[value] if SHOWN[name].choices else value
+                for name, value in asked.items()
+                if value is not None
+            }
+            try:
+                options = replace(given.pop("options", Options()), **values)
+                return command(*arguments, options=options, **given)
+            except OptionError as error:
+                raise click.UsageError(str(error)) from None
+
+        made: Any = collected
+        for name in reversed(names):
+            made = _click_option(name, SHOWN[name], DEFAULTS[name])(made)
+        return cast(Command, made)
+
+    return add
 
 
-force_option = click.option(
-    "--force", is_flag=True,
-    help="Compensate even if the profile's plant was not measured on your printer.",
-)  # fmt: skip
+def _click_option(name: str, shown: Shown, default: Any) -> Callable[[Command], Command]:
+    settings: dict[str, Any] = {"type": float, "show_default": str(default)}
+    if shown.choices:
+        word = shown.word(default)
+        settings = {"type": click.Choice(tuple(shown.choices)), "default": word}
+        settings["show_default"] = word is not None
+    elif default is False:
+        settings = {"is_flag": True}
+    elif shown.read is not None:
+        settings = {"type": _reader(shown.read)}
+    elif shown.least is not None:
+        settings = {"type": click.IntRange(shown.least), "default": shown.unset}
+    return click.option(*shown.flags, name, help=shown.help, metavar=shown.metavar, **settings)
+
+
+def _reader(read: Callable[[str], Any]) -> Callable[[str], Any]:
+    def convert(text: str) -> Any:
+        try:
+            return read(text)
+        except ArgumentError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return convert
 
 
 seed_option = click.option(
@@ -135,18 +161,17 @@ def position(text: str) -> tuple[float, float]:
     return round(x, 3), round(y, 3)
 
 
-def print_options(command: Command) -> Command:
-    """Add the options of a print to study: the file, its printer, and how it is read."""
-    options = (
-        click.argument(
-            "source", metavar="[IN.GCODE]", required=False,
-            type=click.Path(path_type=Path, allow_dash=True),
-        ),
-        printer_option, limits_option, extrusion_option,
+def print_options(*names: str) -> Callable[[Command], Command]:
+    """Return the decorator that adds the file of a print to study, its printer, and options."""
+    source = click.argument(
+        "source", metavar="[IN.GCODE]", required=False,
+        type=click.Path(path_type=Path, allow_dash=True),
     )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+
+    def add(command: Command) -> Command:
+        return source(printer_option(conversion_options(*names)(command)))
+
+    return add
 
 
 @contextmanager

@@ -18,9 +18,8 @@ from hframe_post.cli.options import (
     seed_option,
     share,
 )
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
-from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
@@ -55,7 +54,7 @@ def weight(text: str) -> float:
 
 
 @click.command()
-@print_options
+@print_options("limits", "extrusion")
 @click.option(
     "--knots", "-L", type=click.IntRange(2, 200), multiple=True, metavar="L",
     help="Samples between knots to try; may be repeated. Default: 5, 8, 10, 20.",
@@ -91,9 +90,9 @@ def weight(text: str) -> float:
 )  # fmt: skip
 @json_option
 def tune(
-    source: Path | None, printer: str, limits: LimitSource, extrusion: Extrusion | None,
-    knots: tuple[int, ...], effort: tuple[float, ...], model_error: float | None, draws: int,
-    seed: int, figure: Path | None, output: Path | None, keep_limits: bool, shaper: bool,
+    source: Path | None, printer: str, options: Options, knots: tuple[int, ...],
+    effort: tuple[float, ...], model_error: float | None, draws: int, seed: int,
+    figure: Path | None, output: Path | None, keep_limits: bool, shaper: bool,
     json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best that the motors can follow.
@@ -115,7 +114,6 @@ def tune(
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither --figure nor --output")
-        options = Options("none", limits=limits, extrusion=extrusion)
         with opened(source, profile, quiet=False) as lines, Outputs(reads) as outputs:
             _recommend_shaper(lines, profile, options, open_json(outputs, json_file), json_file)
         return
@@ -131,9 +129,8 @@ def tune(
             drawing = findings.open(figure) if figure is not None else None
             with opened(source, profile, quiet=False) as lines:
                 tuned = library.tune(
-                    lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
-                    model_error=model_error, draws=draws, seed=seed, limits=limits,
-                    extrusion=extrusion,
+                    lines, profile, options, knots=knots or KNOTS, efforts=effort or EFFORTS,
+                    model_error=model_error, draws=draws, seed=seed,
                 )  # fmt: skip
             best, pace = tuned.best, None
             limited = keep_limits or str(source) == "-"  # which cannot be read again
