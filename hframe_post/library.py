@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from io import IOBase
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +30,7 @@ from hframe_post.errors import (
     OptionError,
     PrinterError,
 )
-from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.lines import is_binary, lines_of, reread
+from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
@@ -48,11 +46,7 @@ if TYPE_CHECKING:
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 DEFAULT = Options()
-AS_PAGE = "an HTML report reads the file twice"
-AS_FAST = "--max-error (or speed.max_error of the profile) reads the file several times"
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
-
-Source = str | Path | IO[bytes] | Iterable[bytes]  # a file of G-code, or its lines
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -148,46 +142,38 @@ def convert(
     """
     if options.firmware is not None:
         printer = profile.played_by(printer, options.firmware)
-    path = Path(source) if isinstance(source, str | Path) else None
-    output = None if target in (None, "-") else Path(str(target))
-    options = files.with_format(options.resolved(printer), printer, output, path)
+    given, output = Input(source), None if target in (None, "-") else Path(str(target))
+    options = files.with_format(options.resolved(printer), printer, output, given.path)
+    if given.once:
+        _check_read_once(page, options)
     fastest = None
     with ExitStack() as opened:
-        opened.enter_context(_comparing_stamps(printer, options, path))
+        opened.enter_context(_comparing_stamps(printer, options, given))
+        if outputs is None:
+            outputs = opened.enter_context(Outputs([given.path] if given.path else []))
+        if given.path is not None:
+            _watch(given.path, outputs)
+        page_file = outputs.open(Path(page)) if page is not None else None
         if page is not None:
-            options = _pictured(options, source, printer, printer.plant)
+            options = _pictured(options, given, printer, printer.plant)
         if options.speed is not None:
             from hframe_post.studies.speed.search import find_fastest
 
-            fastest = find_fastest(_again(source, AS_FAST), printer, options)
+            fastest = find_fastest(given.again, printer, options)
             printer, options = fastest.printer, fastest.options
-        if outputs is None:
-            outputs = opened.enter_context(Outputs([path] if path else []))
-        page_file = outputs.open(Path(page)) if page is not None else None
-        lines = _counted(_lines_of(source, opened, outputs), progress)
-        written = files.Target(outputs, output, path) if target is not None else None
-        report = files.convert(lines, written, printer, options)
+        written = files.Target(outputs, output, given.path) if target is not None else None
+        report = files.convert(given.lines(progress), written, printer, options)
         if fastest is not None:
-            from hframe_post.studies.speed.report import speed_as_json, speed_as_text
+            from hframe_post.studies.speed.report import with_speed
 
-            report = replace(
-                report, speed=speed_as_json(fastest), speed_text=speed_as_text(fastest)
-            )
+            report = with_speed(report, fastest)
         if page_file is not None:
             from hframe_post.page.build import page as print_page
 
-            name = title or (path.name if path else "print")
+            name = title or (given.path.name if given.path else "print")
             summary = report.summary(notes).splitlines()
-            page_file.write(print_page(report, _again(source)(), printer, options, name, summary))
+            page_file.write(print_page(report, given.again(), printer, options, name, summary))
     return report
-
-
-def first_line(printer: Printer, options: Options = DEFAULT) -> bytes:
-    """Return the first line of the G-code that ``convert`` writes with these options.
-
-    A file that begins with it was converted by this version with the same profile and settings.
-    """
-    return b"%s %s\n" % (STAMP, stamp(printer, options.resolved(printer)).encode())
 
 
 @one_blas_thread()
@@ -228,15 +214,16 @@ def simulate(
         Doubts.from_plant(actual.plant, actual.uncertainty),
     )
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
+    given = Input(source)
     if page is not None:
-        options = _pictured(options, source, printer, actual.plant)
+        options = _pictured(options, given, printer, actual.plant)
     with ExitStack() as opened:
-        report = simulation.simulate(_lines_of(source, opened), printer, options, study)
+        report = simulation.simulate(given.lines(), printer, options, study)
         if page is not None:
             from hframe_post.page.build import page as print_page
 
             outputs = outputs or opened.enter_context(Outputs([]))
-            html = print_page(report, _again(source)(), printer, options, title, [*notes])
+            html = print_page(report, given.again(), printer, options, title, [*notes])
             outputs.open(Path(page)).write(html)
     return report
 
@@ -285,9 +272,7 @@ def tune(
     plants = drawn(printer.plant, share, draws, seed)
     options = replace(options, strategy="racking", clamp=False)
     stops = tuple(tuning.StopsTrial(name) for name in STOPS)
-    with ExitStack() as opened:
-        lines = _lines_of(source, opened)
-        trials = tuning.tune(lines, printer, grid, plants, options, stops)
+    trials = tuning.tune(Input(source).lines(), printer, grid, plants, options, stops)
     tried = tuple(trial for trial in stops if trial.samples)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
 
@@ -305,38 +290,46 @@ def model_uncertainty(printer: Printer) -> float:
 # ---------------------------------------------------------------------- arguments
 
 
-def _lines_of(source: Source, opened: ExitStack, outputs: Outputs | None = None) -> Iterable[bytes]:
-    """Return the source's lines; a file is closed with ``opened`` and watched by the outputs."""
-    if isinstance(source, str | Path):
-        file = opened.enter_context(Path(source).open("rb"))  # noqa: SIM115
-        if outputs is not None:
-            outputs.watch(file, Path(source))
-        return lines_of(file)
-    return lines_of(cast(IO[bytes], source)) if isinstance(source, IOBase) else source
+def _check_read_once(page: str | Path | None, options: Options) -> None:
+    """Raise OptionError if a source that can be read only once would be read again."""
+    if page is not None:
+        raise OptionError("an HTML report reads the file twice: name a file instead of '-'")
+    if options.speed is not None:
+        raise OptionError(
+            "--max-error (or speed.max_error of the profile) reads the file several times: name a "
+            "file (in Python, also a list of lines), or use --max-error off"
+        )
 
 
-def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) -> Options:
+def _watch(source: Path, outputs: Outputs) -> None:
+    """Let no output appear if the source is changed from now on."""
+    if not source.is_fifo():  # which can be opened only once
+        with source.open("rb") as file:
+            outputs.watch(file, source)
+
+
+def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
     from hframe_post.studies.shapers.search import good, paths
 
     predicted = dict.fromkeys(("none", *options.strategies))
-    pieces = paths(_again(source)(), printer, options)
+    pieces = paths(source.again(), printer, options)
     shaping = good(plant, pieces, printer.firmware.dialect)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 
 @contextmanager
-def _comparing_stamps(printer: Printer, options: Options, source: Path | None) -> Iterator[None]:
+def _comparing_stamps(printer: Printer, options: Options, source: Input) -> Iterator[None]:
     """Let no LeftAloneError pass if the source was converted with other settings."""
-    same_format = source and options.format == ("bgcode" if is_binary(source) else "gcode")
-    present = stamp(printer, options) if same_format else ""
+    same_format = options.format == ("bgcode" if source.binary else "gcode")
+    present = stamp(printer, options) if source.path and same_format else ""
     try:
         yield
     except LeftAloneError as found:
         if found.stamp in ("", present):
             raise
         differs = f" with other settings ({found.stamp}; now {present})" if present else ""
-        original = _original(source)
+        original = _original(source.path)
         advice = f"Convert {original} instead" if original else "Convert the slicer's file instead"
         cause = f"this file is converted already{differs}. {advice}"
         raise GcodeError(cause, found.line) from None
@@ -348,25 +341,6 @@ def _original(source: Path | None) -> Path | None:
         return None
     original = source.with_name(Path(source.stem).stem + source.suffix)
     return original if original.is_file() else None
-
-
-def _counted(lines: Iterable[bytes], progress: Callable[[int], object] | None) -> Iterable[bytes]:
-    for line in lines:
-        if progress is not None:
-            progress(len(line))
-        yield line
-
-
-def _again(source: Source, reader: str = AS_PAGE) -> Callable[[], Iterable[bytes]]:
-    """Return a function that returns the lines from the first.
-
-    reader: who reads them, for the OptionError where they can be read only once.
-    """
-    if isinstance(source, str | Path):
-        return reread(Path(source))
-    if isinstance(source, Iterator | IOBase):
-        raise OptionError(f"{reader}: name a file, or in Python give a list of lines")
-    return lambda: source
 
 
 def _points(values: ArrayLike, name: str) -> Array:

@@ -14,7 +14,7 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.arrays import TS, Array
-from hframe_post.library import first_line
+from hframe_post.conversion.pipeline import first_line
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.paper.results import path
@@ -247,9 +247,10 @@ def test_a_dry_run_writes_nothing(paper: Printer, tmp_path: Path) -> None:
 
 def test_the_first_line_is_known_before_the_conversion(paper: Printer, tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
-    hp.convert(RECTANGLE, out, paper, hp.Options("fbs", clamp=False))
-    assert out.read_bytes().startswith(first_line(paper, hp.Options("fbs", clamp=False)))
-    assert not out.read_bytes().startswith(first_line(paper, hp.Options("fbs")))
+    options = hp.Options("fbs", clamp=False)
+    hp.convert(RECTANGLE, out, paper, options)
+    assert out.read_bytes().startswith(first_line(paper, options.resolved(paper)))
+    assert not out.read_bytes().startswith(first_line(paper, replace(options, clamp=True)))
 
 
 def test_files_that_belong_together_appear_together(paper: Printer, tmp_path: Path) -> None:

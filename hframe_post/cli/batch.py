@@ -12,15 +12,15 @@ from typing import Any
 
 import click
 
-from hframe_post import library
 from hframe_post.batch.cluster import Cluster
 from hframe_post.batch.folders import jobs_for, watch_folder, with_targets
 from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import conversion_options, files_read, printer_option, say
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import first_line
 from hframe_post.errors import HframeError
-from hframe_post.printer.profile import check_identified
+from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.files import Outputs
 
@@ -81,18 +81,18 @@ def batch(
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
     _check_usage(sources, watched, folder)
-    profile = library.load_printer(printer)
-    first_line = library.first_line(profile, options)
+    profile = load(printer)
+    stamped = first_line(profile, options.resolved(profile))
     if options.strategy != "none" and not options.force:
         check_identified(profile)
     try:
-        todo = jobs_for(with_targets(sources, folder), first_line if resume else b"")
+        todo = jobs_for(with_targets(sources, folder), stamped if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
     converter: Converter = LocalProcesses(jobs, printer, options)
     if scheduler is not None:
-        converter = Cluster(scheduler, jobs, printer, options, first_line)
+        converter = Cluster(scheduler, jobs, printer, options, stamped)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
     results = Results(quiet, profile.warnings() if compensates else [])
     interruption = Interruption()
@@ -103,7 +103,7 @@ def batch(
                 _convert(todo, converter, interruption.event, results)
             else:
                 results.say(f"watching {watched}; stop with Ctrl-C")
-                for arrived in watch_folder(watched, folder, first_line, interruption.event):
+                for arrived in watch_folder(watched, folder, stamped, interruption.event):
                     _convert(arrived, converter, interruption.event, results)
         status = results.status
         if interruption.number:

@@ -105,7 +105,7 @@ def convert(
         write_json = open_json(outputs, json_file)
         text_file = outputs.open(dashed(report_file)) if report_file and not html else None
         report = library.convert(
-            source if str(source) != "-" else sys.stdin.buffer,
+            dashed(source) or sys.stdin.buffer,
             None if dry_run else "-" if to_stdout else output or source,
             profile,
             options,
@@ -139,7 +139,7 @@ def _leaving_alone(
     except LeftAloneError as found:
         if html or not source.is_file():
             raise
-        with Outputs(files_read(source)) as outputs, source.open("rb") as file:
+        with Outputs([source]) as outputs, source.open("rb") as file:
             open_json(outputs, json_file)({"left_alone": str(found)})
             if output is not None and not (output.exists() and output.samefile(source)):
                 shutil.copyfileobj(file, outputs.open(dashed(output), source))

@@ -92,7 +92,7 @@ def cura_script(printer: str, folder: Path | None) -> None:
     """
     if printer:
         load(printer)  # raises before anything is written
-        printer = printer if printer in shipped() else str(Path(printer).absolute())
+        printer = anywhere(printer)
     folders = [folder] if folder is not None else script_folders()
     if not folders:
         raise HframeError(
@@ -122,6 +122,11 @@ def script_folders() -> list[Path]:
         for version in sorted(root.iterdir())
         if re.fullmatch(r"\d+\.\d+", version.name) and version.is_dir()
     ]
+
+
+def anywhere(printer: str) -> str:
+    """Return the profile as every folder finds it: a shipped one's name, or an absolute path."""
+    return printer if printer in shipped() else str(Path(printer).absolute())
 
 
 def program() -> str:
@@ -171,9 +176,8 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
-    name = printer if printer in shipped() else str(Path(printer).absolute())
     text = (resources.files("hframe_post.hosts") / "octoprint.py").read_text("utf-8")
-    command = [*program_words(), "-p", name]
+    command = [*program_words(), "-p", anywhere(printer)]
     (home / "plugins").mkdir(exist_ok=True)
     with Outputs() as outputs:
         plugin = text.replace('COMMAND = ["hframe-post"]', f"COMMAND = {command!r}")

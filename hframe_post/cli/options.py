@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
-from hframe_post.conversion.options import DEFAULTS, SHOWN, Options, Shown
+from hframe_post.conversion.options import SHOWN, Options, Shown
 from hframe_post.errors import ArgumentError, OptionError
 from hframe_post.printer.choice import Choice, choose
 
@@ -69,19 +69,19 @@ def conversion_options(*names: str) -> Callable[[Command], Command]:
 
         made: Any = collected
         for name in reversed(names):
-            made = _click_option(name, SHOWN[name], DEFAULTS[name])(made)
+            made = _click_option(name, SHOWN[name])(made)
         return cast(Command, made)
 
     return add
 
 
-def _click_option(name: str, shown: Shown, default: Any) -> Callable[[Command], Command]:
-    settings: dict[str, Any] = {"type": float, "show_default": str(default)}
+def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
+    settings: dict[str, Any] = {"type": float, "show_default": str(shown.default)}
     if shown.choices:
-        word = shown.word(default)
+        word = shown.word(shown.default)
         settings = {"type": click.Choice(tuple(shown.choices)), "default": word}
         settings["show_default"] = word is not None
-    elif default is False:
+    elif shown.default is False:
         settings = {"is_flag": True}
     elif shown.read is not None:
         settings = {"type": _reader(shown.read)}
@@ -177,21 +177,14 @@ def print_options(*names: str) -> Callable[[Command], Command]:
 @contextmanager
 def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Iterable[bytes]]:
     """Yield the lines of the file; without one, of the paper's rectangle."""
-    from hframe_post.gcode.lines import lines_of
+    from hframe_post.gcode.lines import Input
     from hframe_post.studies.inputs import rectangle
 
     if source is None:
         yield rectangle(printer)
         return
-    with click.open_file(str(source), "rb") as file, progress_bar(source, quiet) as advance:
-
-        def lines() -> Iterator[bytes]:
-            for line in lines_of(file):
-                if advance is not None:
-                    advance(len(line))
-                yield line
-
-        yield lines()
+    with progress_bar(source, quiet) as advance:
+        yield Input(dashed(source) or sys.stdin.buffer).lines(advance)
 
 
 BAR_FROM = 2_000_000  # bytes; smaller files take no time

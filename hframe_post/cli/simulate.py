@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +18,9 @@ from hframe_post.cli.options import (
     share,
 )
 from hframe_post.conversion.options import Options
-from hframe_post.model.plant import Plant
-from hframe_post.printer.settings import Printer
+from hframe_post.gcode.lines import Input
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
-    ShaperComparison,
     compare_shapers,
     comparison_as_json,
     comparison_as_text,
@@ -96,22 +93,10 @@ def simulate(
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
             ours = replace(options, strategy="racking", clamp=True)
-            found = _simulate_shapers(source, profile, ours, simulated.plant)
+            printed = Input(source or rectangle(profile))
+            found = compare_shapers(printed.again, profile, ours, simulated.plant)
             text += "\n" + comparison_as_text(found)
             summary["against"] = comparison_as_json(found)
         write_json(summary)
     if not quiet:
         click.echo(text, err=str(json_file) == "-")
-
-
-def _simulate_shapers(
-    source: Path | None, profile: Printer, options: Options, plant: Plant
-) -> list[ShaperComparison]:
-    def lines() -> Iterator[bytes]:
-        if source is None:
-            yield from rectangle(profile)
-        else:
-            with source.open("rb") as file:
-                yield from file
-
-    return compare_shapers(lines, profile, options, plant)

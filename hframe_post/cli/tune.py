@@ -20,6 +20,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
+from hframe_post.gcode.lines import Input
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
@@ -134,7 +135,8 @@ def tune(
                 )  # fmt: skip
             best, pace = tuned.best, None
             limited = keep_limits or str(source) == "-"  # which cannot be read again
-            if best is not None and not limited and (kept := _pieces(source, profile)):
+            printed = () if limited else Input(source or rectangle(profile)).again()
+            if best is not None and (kept := pareto.pieces(printed, profile)):
                 grid = pareto.windows(tuned.trials, best, profile.motors)
                 plants = random_plants(profile.plant, model_error, draws, seed)
                 pace = pareto.pareto(kept, profile, grid, plants)
@@ -159,13 +161,6 @@ def tune(
             raise failure
         if file is not None and best is not None:
             file.write(_recommended_profile(printer, best, pace).encode())
-
-
-def _pieces(source: Path | None, profile: Printer) -> Any:
-    if source is None:
-        return pareto.pieces(rectangle(profile), profile)
-    with source.open("rb") as lines:
-        return pareto.pieces(lines, profile)
 
 
 def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import MotionSummary
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Source, Stages, prepared, stamp
+from hframe_post.conversion.pipeline import Source, Stages, first_line, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.commands import STAMP
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
@@ -41,7 +40,7 @@ class GcodeConversion:
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:
-        yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
+        yield first_line(self._printer, self._options)
         yield SUMMARY
         writer = SpanWriter(self._printer, self._options, prepared(self._printer))
         for span in writer.written(self._source.spans()):

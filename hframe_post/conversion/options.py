@@ -13,10 +13,10 @@ from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from hframe_post.errors import ArgumentError, OptionError
-from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
+from hframe_post.printer.firmware_tables import TABLES
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.process import processor_count
 from hframe_post.stream.features import KINDS
@@ -66,11 +66,12 @@ def speed_factor(text: str) -> float:
 class Shown:
     """How a field appears on the command line.
 
-    flags: its names, the long one last. choices: its values by word. read: turns a word into a
-    value; raises ArgumentError. least: that a whole number may be. unset: returns the value where
-    the command line does not give it, if that is not the default.
+    default: of the field. flags: its names, the long one last. choices: its values by word. read:
+    turns a word into a value; raises ArgumentError. least: that a whole number may be. unset:
+    returns the value where the command line does not give it, if that is not the default.
     """
 
+    default: Any
     flags: tuple[str, ...]
     help: str
     metavar: str | None = None
@@ -86,7 +87,7 @@ class Shown:
 
 def option(default: Any, *flags: str, decides: bool = False, **shown: Any) -> Any:
     """Return a field that is ``Shown``. decides: whether it is part of what decides the output."""
-    return field(default=default, repr=decides, metadata={"shown": Shown(flags, **shown)})
+    return field(default=default, repr=decides, metadata={"shown": Shown(default, flags, **shown)})
 
 
 def named(choices: Iterable[str]) -> dict[str, str]:
@@ -155,7 +156,7 @@ class Options:
         "output: .csv steps, .npz samples, .bgcode binary, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
-        None, "--firmware", choices=named(FIRMWARES),
+        None, "--firmware", choices=named(TABLES),
         help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
     )  # fmt: skip
     force: bool = option(
@@ -198,6 +199,7 @@ class Options:
 
     @property
     def strategies(self) -> tuple[str, ...]:
+        """Return the chosen strategy and those that are predicted, each once."""
         return tuple(dict.fromkeys((self.strategy, *(self.predict or ()))))
 
     def resolved(self, printer: Printer) -> Options:
@@ -226,11 +228,11 @@ class Options:
             value = getattr(self, name)
             if value is True and not shown.choices:
                 found.append(shown.flags[-1])
-            elif value != DEFAULTS[name] or shown.unset:
+            elif value != shown.default or shown.unset:
                 found += [shown.flags[-1], shown.word(value) or str(value)]
         return found
 
 
-_SHOWN_FIELDS = [each for each in fields(Options) if "shown" in each.metadata]
-SHOWN: dict[str, Shown] = {each.name: each.metadata["shown"] for each in _SHOWN_FIELDS}
-DEFAULTS: dict[str, Any] = {each.name: each.default for each in _SHOWN_FIELDS}
+SHOWN: dict[str, Shown] = {
+    each.name: each.metadata["shown"] for each in fields(Options) if each.metadata
+}

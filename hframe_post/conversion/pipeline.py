@@ -23,11 +23,12 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
-from hframe_post.conversion.options import Options as Options
+from hframe_post.conversion.options import Options as Options  # for callers of the stages
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
+from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -257,6 +258,14 @@ def prepared(printer: Printer) -> Compensator:
 def stamp(printer: Printer, options: Options) -> str:
     """Return what made an output: version, printer and a hash of all settings."""
     return f"{__version__}, printer {printer.name}, settings {settings_hash(printer, options)}"
+
+
+def first_line(printer: Printer, options: Options) -> bytes:
+    """Return the first line of G-code that was converted with these options, ``resolved``.
+
+    A file that begins with it was converted by this version with the same profile and settings.
+    """
+    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 
 
 def settings_hash(printer: Printer, options: Options) -> str:
