@@ -40,7 +40,7 @@ def cube(last: int) -> list[bytes]:
 
 def converted(lines: list[bytes], printer: Printer, kind: Kind, strategy: str = "racking") -> bytes:
     """The file of a format; events of step files are inline."""
-    options = Options(strategy, format=kind)
+    options = Options(strategy, clamp=False, format=kind)
     if kind == "samples":
         return b"".join(as_csv(SampleConversion(iter(lines), printer, options)))
     return b"".join(inlined(StepConversion(iter(lines), printer, options)))
