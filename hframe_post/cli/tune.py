@@ -135,11 +135,12 @@ def tune(
                 )  # fmt: skip
             best, pace = tuned.best, None
             limited = keep_limits or str(source) == "-"  # which cannot be read again
-            printed = () if limited else Input(source or rectangle(profile)).again()
-            if best is not None and (kept := pareto.pieces(printed, profile)):
-                grid = pareto.windows(tuned.trials, best, profile.motors)
-                plants = random_plants(profile.plant, model_error, draws, seed)
-                pace = pareto.pareto(kept, profile, grid, plants)
+            if best is not None and not limited:
+                printed = Input(source or rectangle(profile)).again()
+                if kept := pareto.pieces(printed, profile):
+                    grid = pareto.windows(tuned.trials, best, profile.motors)
+                    plants = random_plants(profile.plant, model_error, draws, seed)
+                    pace = pareto.pareto(kept, profile, grid, plants)
             found = summary(tuned.trials, best, model_error, draws, tuned.stops)
             failure = None
             if best is None:
