@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
+    from hframe_post.conversion.options import Options
     from hframe_post.conversion.report import Report
     from hframe_post.errors import HframeError
     from hframe_post.identification.identify import identify
@@ -30,16 +31,16 @@ if TYPE_CHECKING:
     from hframe_post.model.lpfbs import Lpfbs, Window
     from hframe_post.model.plant import Plant
     from hframe_post.model.transfer_function import TransferFunction
-    from hframe_post.printer.settings import Printer, Speed
+    from hframe_post.printer.settings import Printer
     from hframe_post.writers.step_file import read as read_steps
 
 __all__ = [
     "HframeError",
     "Lpfbs",
+    "Options",
     "Plant",
     "Printer",
     "Report",
-    "Speed",
     "TransferFunction",
     "Window",
     "__version__",
@@ -57,9 +58,9 @@ __all__ = [
 _ROOMS = {  # name → module, and the name in it if that differs
     "HframeError": "errors",
     "Lpfbs": "model.lpfbs",
+    "Options": "conversion.options",
     "Plant": "model.plant",
     "Printer": "printer.settings",
-    "Speed": "printer.settings",
     "Report": "conversion.report",
     "TransferFunction": "model.transfer_function",
     "Window": "model.lpfbs",

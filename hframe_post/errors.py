@@ -56,6 +56,10 @@ class ArgumentError(HframeError, ValueError):
     """An argument of the library has a wrong shape or value."""
 
 
+class OptionError(ArgumentError):
+    """Options of a conversion do not make sense together; on the command line, wrong usage."""
+
+
 class GcodeError(HframeError):
     """The input cannot be read as G-code, or must not be."""
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from io import IOBase
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,25 +20,24 @@ from numpy.typing import ArrayLike
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
-from hframe_post.conversion.pipeline import TOLERANCE, Options, Retract, prepared, stamp
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import prepared, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import (
     ArgumentError,
     GcodeError,
-    HframeError,
     LeftAloneError,
+    OptionError,
     PrinterError,
 )
-from hframe_post.gcode.commands import STAMP
-from hframe_post.gcode.lines import is_binary, lines_of, reread
-from hframe_post.gcode.state import Extrusion, LimitSource
+from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
-from hframe_post.printer.settings import STOPS, Printer, Speed
+from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.files import Outputs
 
@@ -47,9 +45,8 @@ if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
+DEFAULT = Options()
 DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
-
-Source = str | Path | IO[bytes] | Iterable[bytes]  # a file of G-code, or its lines
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -121,19 +118,8 @@ def convert(
     source: Source,
     target: str | Path | None,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
-    format: str | None = None,  # noqa: A002  the option's name
-    firmware: str | None = None,
-    strategy: str | None = None,
-    predict: Iterable[str] | None = None,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
-    clamp: bool = True,
-    tolerance: float | None = TOLERANCE,
-    retract: Retract = "standing",
-    speed: Speed | None = None,
-    force: bool = False,
-    jobs: int = 1,
     page: str | Path | None = None,
     title: str = "",
     notes: Iterable[str] = (),
@@ -142,109 +128,65 @@ def convert(
 ) -> Report:
     """Convert sliced G-code, write it to the target, and return a report.
 
-    source: a file's path, an open binary file, or lines. target: a path, which may be the
-    source's; ``-`` writes to standard output; None writes nothing. Arguments that are None take
-    what the profile or the target's suffix says.
+    source: a file's path, an open binary file, or lines; a path or a list where it is read several
+    times, for a page or a greatest error. target: a path, which may be the source's; ``-`` writes
+    to standard output; None writes nothing.
 
-    What is written: format is ``gcode``, ``bgcode``, ``steps``, ``step-bits`` or ``samples``;
-    firmware is the one that reads it. strategy: ``racking``, ``fbs`` (ringing only) or ``none``.
-    predict: the strategies whose contour error is reported; ``none`` and the chosen one by
-    default. tolerance: how far, in mm, G-code for Klipper may be off the command; None writes
-    every sample. retract: before a travel (``standing``) or on it (``moving``, Klipper only).
-
-    How the source is read: limits says which of its limits are obeyed, extrusion what E is before
-    the first M82 or M83.
-
-    clamp: compensate less where a command would exceed a limit; else LimitError is raised there.
-    force: compensate even though the profile's plant is not measured. speed: trade accuracy for
-    speed, ``Speed()`` to do so never; the source is then read several times, so it must be a path
-    or a list.
-
-    jobs: number of processes. page: also write an HTML page to this file, under this title, with
-    these notes above the report. outputs: files that appear together with the target. progress:
-    called with the number of bytes of each line read.
+    page: also write an HTML page to this file, under this title, with these notes above the report.
+    outputs: files that appear together with the target. progress: called with the number of bytes
+    of each line read.
 
     Raises HframeError (GcodeError, PrinterError and LimitError name the line or the key;
-    LeftAloneError: the source is not to be converted, or was with these arguments) and OSError;
-    then no file is changed.
+    OptionError: the options do not go together; LeftAloneError: the source is not to be converted,
+    or was with these options) and OSError; then no file is changed.
     """
-    if firmware is not None:
-        printer = profile.played_by(printer, firmware)
-    chosen = strategy_of(strategy or printer.compensation.strategy).name
-    reported = ("none", chosen) if predict is None else predict
-    path = Path(source) if isinstance(source, str | Path) else None
-    output = None if target in (None, "-") else Path(str(target))
-    in_place = path is not None and output is not None and _is_same(path, output)
-    kind = files.chosen_format(output, format, path if in_place else None)
-    if in_place and kind not in files.GCODE:
-        raise HframeError(f"{kind} would replace the G-code {path}: give another target")
-    options = Options(
-        chosen, tuple(dict.fromkeys(strategy_of(name).name for name in reported)), limits, clamp,
-        tolerance if kind in files.GCODE else None, extrusion, retract,
-        printer.asked_speed if speed is None else speed if speed.max_error else None,
-    )  # fmt: skip
+    if options.firmware is not None:
+        printer = profile.played_by(printer, options.firmware)
+    given, output = Input(source), None if target in (None, "-") else Path(str(target))
+    options = files.with_format(options.resolved(printer), printer, output, given.path)
+    if given.once:
+        _check_read_once(page, options)
     fastest = None
     with ExitStack() as opened:
-        kept = path is not None and kind == ("bgcode" if is_binary(path) else "gcode")
-        opened.enter_context(_comparing_stamps(stamp(printer, options) if kept else "", path))
+        opened.enter_context(_comparing_stamps(printer, options, given))
+        if outputs is None:
+            outputs = opened.enter_context(Outputs([given.path] if given.path else []))
+        if given.path is not None:
+            _watch(given.path, outputs)
+        page_file = outputs.open(Path(page)) if page is not None else None
         if page is not None:
-            options = _pictured(options, source, printer, printer.plant)
+            options = _pictured(options, given, printer, printer.plant)
         if options.speed is not None:
             from hframe_post.studies.speed.search import find_fastest
 
-            fastest = find_fastest(_again(source), printer, options)
+            fastest = find_fastest(given.again, printer, options)
             printer, options = fastest.printer, fastest.options
-        if outputs is None:
-            outputs = opened.enter_context(Outputs([path] if path else []))
-        page_file = outputs.open(Path(page)) if page is not None else None
-        lines = _lines_of(source, opened, outputs)
-        written = files.Target(outputs, output, path) if target is not None else None
-        counted = _counted(lines, progress)
-        report = files.convert(counted, written, printer, options, kind, jobs, force)
+        written = files.Target(outputs, output, given.path) if target is not None else None
+        report = files.convert(given.lines(progress), written, printer, options)
         if fastest is not None:
-            from hframe_post.studies.speed.report import speed_as_json, speed_as_text
+            from hframe_post.studies.speed.report import with_speed
 
-            report = replace(
-                report, speed=speed_as_json(fastest), speed_text=speed_as_text(fastest)
-            )
+            report = with_speed(report, fastest)
         if page_file is not None:
             from hframe_post.page.build import page as print_page
 
-            name = title or (path.name if path else "print")
+            name = title or (given.path.name if given.path else "print")
             summary = report.summary(notes).splitlines()
-            page_file.write(print_page(report, _again(source)(), printer, options, name, summary))
+            page_file.write(print_page(report, given.again(), printer, options, name, summary))
     return report
-
-
-def first_line(
-    printer: Printer,
-    *,
-    strategy: str | None = None,
-    limits: LimitSource = "file",
-    clamp: bool = True,
-) -> bytes:
-    """Return the first line of the G-code that ``convert`` writes with these arguments.
-
-    A file that begins with it was converted by this version with the same profile and settings.
-    """
-    chosen = strategy or printer.compensation.strategy
-    options = Options(chosen, limits=limits, clamp=clamp, speed=printer.asked_speed)
-    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 
 
 @one_blas_thread()
 def simulate(
     source: Source,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
     simulated: Printer | None = None,
     model_error: Iterable[float] = (),
     draws: int = 50,
     seed: int = 0,
     steps: bool = False,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
-    clamp: bool = True,
     page: str | Path | None = None,
     title: str = "",
     notes: Iterable[str] = (),
@@ -252,6 +194,7 @@ def simulate(
 ) -> SimulationReport:
     """Predict what every strategy would do for a print: in all, by layer and by feature.
 
+    options: limits, extrusion and clamp; the motion is compensated for by every strategy.
     simulated: the printer whose plant is simulated, if not the one compensated for. model_error:
     for each share (0.05: frequencies, damping and racking gain off by up to 5 %) ``draws`` random
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
@@ -270,16 +213,17 @@ def simulate(
         actual.name,
         Doubts.from_plant(actual.plant, actual.uncertainty),
     )
-    options = Options("racking", tuple(STRATEGIES), limits, clamp, extrusion=extrusion)
+    options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
+    given = Input(source)
     if page is not None:
-        options = _pictured(options, source, printer, actual.plant)
+        options = _pictured(options, given, printer, actual.plant)
     with ExitStack() as opened:
-        report = simulation.simulate(_lines_of(source, opened), printer, options, study)
+        report = simulation.simulate(given.lines(), printer, options, study)
         if page is not None:
             from hframe_post.page.build import page as print_page
 
             outputs = outputs or opened.enter_context(Outputs([]))
-            html = print_page(report, _again(source)(), printer, options, title, [*notes])
+            html = print_page(report, given.again(), printer, options, title, [*notes])
             outputs.open(Path(page)).write(html)
     return report
 
@@ -300,17 +244,17 @@ class Tuning:
 def tune(
     source: Source,
     printer: Printer,
+    options: Options = DEFAULT,
     *,
     knots: Iterable[int] | None = None,
     efforts: Iterable[float] | None = None,
     model_error: float | None = None,
     draws: int = 10,
     seed: int = 0,
-    limits: LimitSource = "file",
-    extrusion: Extrusion | None = None,
 ) -> Tuning:
     """Recommend window and weight for this printer and this kind of print.
 
+    options: limits and extrusion, which say how the source is read.
     knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
     the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
     default ``model_uncertainty``. A model that says how well it is known needs none of them, unless
@@ -326,11 +270,9 @@ def tune(
     draws = 0 if model_error is None and is_doubtful(printer) else draws
     share = model_uncertainty(printer) if model_error is None else model_error
     plants = drawn(printer.plant, share, draws, seed)
-    options = Options("racking", limits=limits, extrusion=extrusion)
+    options = replace(options, strategy="racking", clamp=False)
     stops = tuple(tuning.StopsTrial(name) for name in STOPS)
-    with ExitStack() as opened:
-        lines = _lines_of(source, opened)
-        trials = tuning.tune(lines, printer, grid, plants, options, stops)
+    trials = tuning.tune(Input(source).lines(), printer, grid, plants, options, stops)
     tried = tuple(trial for trial in stops if trial.samples)
     return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
 
@@ -348,39 +290,46 @@ def model_uncertainty(printer: Printer) -> float:
 # ---------------------------------------------------------------------- arguments
 
 
-def _lines_of(source: Source, opened: ExitStack, outputs: Outputs | None = None) -> Iterable[bytes]:
-    """Return the source's lines; a file is closed with ``opened`` and watched by the outputs."""
-    if isinstance(source, str | Path):
-        file = opened.enter_context(Path(source).open("rb"))  # noqa: SIM115
-        if outputs is not None:
-            outputs.watch(file, Path(source))
-        return lines_of(file)
-    return lines_of(cast(IO[bytes], source)) if isinstance(source, IOBase) else source
+def _check_read_once(page: str | Path | None, options: Options) -> None:
+    """Raise OptionError if a source that can be read only once would be read again."""
+    if page is not None:
+        raise OptionError("an HTML report reads the file twice: name a file instead of '-'")
+    if options.speed is not None:
+        raise OptionError(
+            "--max-error (or speed.max_error of the profile) reads the file several times: name a "
+            "file (in Python, also a list of lines), or use --max-error off"
+        )
 
 
-def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) -> Options:
+def _watch(source: Path, outputs: Outputs) -> None:
+    """Let no output appear if the source is changed from now on."""
+    if not source.is_fifo():  # which can be opened only once
+        with source.open("rb") as file:
+            outputs.watch(file, source)
+
+
+def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
     from hframe_post.studies.shapers.search import good, paths
 
-    predicted = dict.fromkeys(("none", options.strategy, *options.predict))
-    pieces = paths(_again(source)(), printer, options)
+    predicted = dict.fromkeys(("none", *options.strategies))
+    pieces = paths(source.again(), printer, options)
     shaping = good(plant, pieces, printer.firmware.dialect)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 
 @contextmanager
-def _comparing_stamps(present: str, source: Path | None) -> Iterator[None]:
-    """Let no LeftAloneError pass if the source was converted with other settings.
-
-    present: the stamp of the present settings; empty if the output has another format.
-    """
+def _comparing_stamps(printer: Printer, options: Options, source: Input) -> Iterator[None]:
+    """Let no LeftAloneError pass if the source was converted with other settings."""
+    same_format = options.format == ("bgcode" if source.binary else "gcode")
+    present = stamp(printer, options) if source.path and same_format else ""
     try:
         yield
     except LeftAloneError as found:
         if found.stamp in ("", present):
             raise
         differs = f" with other settings ({found.stamp}; now {present})" if present else ""
-        original = _original(source)
+        original = _original(source.path)
         advice = f"Convert {original} instead" if original else "Convert the slicer's file instead"
         cause = f"this file is converted already{differs}. {advice}"
         raise GcodeError(cause, found.line) from None
@@ -392,26 +341,6 @@ def _original(source: Path | None) -> Path | None:
         return None
     original = source.with_name(Path(source.stem).stem + source.suffix)
     return original if original.is_file() else None
-
-
-def _is_same(source: Path, target: Path) -> bool:
-    return source.exists() and target.exists() and source.samefile(target)
-
-
-def _counted(lines: Iterable[bytes], progress: Callable[[int], object] | None) -> Iterable[bytes]:
-    for line in lines:
-        if progress is not None:
-            progress(len(line))
-        yield line
-
-
-def _again(source: Source) -> Callable[[], Iterable[bytes]]:
-    """Return a function that returns the lines from the first. Raises HframeError."""
-    if isinstance(source, str | Path):
-        return reread(Path(source))
-    if isinstance(source, Iterator | IOBase):
-        raise HframeError("the source is read several times: give a path or a list of lines")
-    return lambda: source
 
 
 def _points(values: ArrayLike, name: str) -> Array:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
+from hframe_post.conversion.options import Kind
 from hframe_post.conversion.pipeline import Options
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.tables import StepConversion
@@ -73,6 +75,6 @@ def write_steps(
     path: Path, lines: list[bytes], printer: Printer, kind: str = "steps", strategy: str = "racking"
 ) -> Report:
     """Write a whole conversion to an uncompressed step file, without its events."""
-    pieces = StepConversion(iter(lines), printer, Options(strategy), kind)
+    pieces = StepConversion(iter(lines), printer, Options(strategy, format=cast(Kind, kind)))
     path.write_bytes(b"".join(piece for piece in pieces if isinstance(piece, bytes)))
     return pieces.report()

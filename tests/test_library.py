@@ -14,7 +14,7 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.arrays import TS, Array
-from hframe_post.library import first_line
+from hframe_post.conversion.pipeline import first_line
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.paper.results import path
@@ -182,7 +182,7 @@ def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> N
         lambda: hp.Lpfbs(paper.plant.Gxx, hp.Window(L=20, n_C=11, n_up=5, effort=0.0)),
         lambda: hp.compensate("a path", paper),
         lambda: hp.Lpfbs(paper.plant.Gxx, paper.compensation.windows[0]).command(np.zeros((5, 2))),
-        lambda: hp.convert([b"G1 X1\n"], None, paper, limits="non"),  # type: ignore[arg-type]
+        lambda: hp.Options(limits="non"),  # type: ignore[arg-type]
         lambda: hp.simulate([b"G1 X1\n"], paper, model_error=(5,)),
         lambda: hp.tune([b"G1 X1\n"], paper, knots=(0,)),
     ):
@@ -221,12 +221,15 @@ def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:
 def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Path) -> None:
     out, page = tmp_path / "by_library.gcode", tmp_path / "page.html"
     read = list[int]()
+    options = hp.Options(
+        force=True, firmware="klipper", tolerance=None, retract="moving",
+        predict=("none", "fbs", "racking"), jobs=2,
+    )  # fmt: skip
     report = hp.convert(
-        RECTANGLE, out, replace(paper, invented=True), force=True, firmware="klipper",
-        tolerance=None, retract="moving", predict=("none", "fbs", "racking"), jobs=2, page=page,
+        RECTANGLE, out, replace(paper, invented=True), options, page=page,
         title="A rectangle", notes=["printed on the big one"], progress=read.append,
     )  # fmt: skip
-    arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q", "--every-sample"]
+    arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q", "--tolerance", "0"]
     by_tool = tmp_path / "by_tool.gcode"
     subprocess.run([*arguments, "--retract", "moving", "-o", str(by_tool)], check=True)
     by_both = [body(path.read_bytes()) for path in (out, by_tool)]
@@ -244,8 +247,10 @@ def test_a_dry_run_writes_nothing(paper: Printer, tmp_path: Path) -> None:
 
 def test_the_first_line_is_known_before_the_conversion(paper: Printer, tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
-    hp.convert(RECTANGLE, out, paper, strategy="fbs", clamp=True)
-    assert out.read_bytes().startswith(first_line(paper, strategy="fbs", clamp=True))
+    options = hp.Options("fbs", clamp=False)
+    hp.convert(RECTANGLE, out, paper, options)
+    assert out.read_bytes().startswith(first_line(paper, options.resolved(paper)))
+    assert not out.read_bytes().startswith(first_line(paper, replace(options, clamp=True)))
 
 
 def test_files_that_belong_together_appear_together(paper: Printer, tmp_path: Path) -> None:
@@ -260,16 +265,16 @@ def test_other_formats_do_not_replace_the_source(paper: Printer, tmp_path: Path)
     part = tmp_path / "part.gcode"
     part.write_bytes(RECTANGLE.read_bytes())
     with pytest.raises(hp.HframeError, match="steps would replace the G-code"):
-        hp.convert(part, part, paper, format="steps")
+        hp.convert(part, part, paper, hp.Options(format="steps"))
 
 
 def test_convert_takes_lines_and_writes_what_the_suffix_says(
     paper: Printer, tmp_path: Path
 ) -> None:
     lines = RECTANGLE.read_bytes().splitlines(keepends=True)
-    hp.convert(lines, tmp_path / "out.csv", paper, strategy="fbs", predict=())
+    hp.convert(lines, tmp_path / "out.csv", paper, hp.Options("fbs", ()))
     assert hp.read_steps(tmp_path / "out.csv").header.printer == "paper"
-    report = hp.convert(lines, tmp_path / "out.npz", paper, strategy="none")
+    report = hp.convert(lines, tmp_path / "out.npz", paper, hp.Options("none"))
     assert set(report.contour) == {"none"}
     with np.load(tmp_path / "out.npz") as table:
         np.testing.assert_array_equal(table["x_dm"], table["x_d"])
@@ -287,7 +292,7 @@ def test_convert_that_fails_leaves_the_target(paper: Printer, tmp_path: Path) ->
     ]
     for wrong in wrongs:
         with pytest.raises(hp.HframeError):
-            hp.convert(target, target, paper, **wrong)
+            hp.convert(target, target, paper, hp.Options(**wrong))
         assert target.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["part.gcode"]
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import logging
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hframe_post.batch.jobs import Conversion, Job, Outcome
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError, install_advice
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs
@@ -33,7 +33,7 @@ class Task:
     content: bytes
     printer: str
     profile: bytes | None
-    options: tuple[str, ...]
+    options: Options
     version: str = __version__
 
 
@@ -63,8 +63,8 @@ def convert_on_worker(task: Task) -> Result:
             file.parent.mkdir()
             file.write_bytes(task.profile)
             printer = str(file)
-        options = ("-p", printer, *task.options, "--jobs", "1")  # a worker's thread: a processor
-        outcome = Conversion(str(source), str(target), options).outcome()
+        options = replace(task.options, jobs=1)  # a worker's thread: a processor
+        outcome = Conversion(source, target, printer, options).outcome()
         return Result(outcome, worker, target.read_bytes() if outcome.status == 0 else b"")
 
 
@@ -76,12 +76,11 @@ class Cluster:
     """
 
     def __init__(
-        self, scheduler: str, files: int | None, printer: str, options: Sequence[str],
-        first_line: bytes,
-    ) -> None:  # fmt: skip
+        self, scheduler: str, files: int | None, printer: str, options: Options, first_line: bytes
+    ) -> None:
         self._client = _connect(scheduler)
         self.files = files or sum(self._client.nthreads().values())
-        self._printer, self._options, self._first_line = printer, tuple(options), first_line
+        self._printer, self._options, self._first_line = printer, options, first_line
         self._profile = Path(printer).read_bytes() if Path(printer).is_file() else None
         self._running: set[Any] = set()  # futures of the scheduler
         self._stopped = False

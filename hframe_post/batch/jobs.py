@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -17,6 +17,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Literal, Protocol
 
+from hframe_post.conversion.options import Options
 from hframe_post.process import ChildProcess, own_command, processor_count
 
 State = Literal["waiting", "running", "done", "skipped", "failed", "stopped"]
@@ -117,13 +118,12 @@ class Outcome:
 
 
 class Conversion(ChildProcess):
-    """A running ``hframe-post convert`` with these options."""
+    """A running ``hframe-post convert``."""
 
-    def __init__(self, source: str, target: str, options: Sequence[str]) -> None:
+    def __init__(self, source: Path, target: Path, printer: str, options: Options) -> None:
         self._start = time.monotonic()
-        given = ["-o", target, "-q", "--json", "-", *options]
-        command = [*own_command(), "convert", *given, "--", source]
-        super().__init__(command)
+        given = ["-o", str(target), "-q", "--json", "-", "-p", printer, *options.words()]
+        super().__init__([*own_command(), "convert", *given, "--", str(source)])
 
     def outcome(self) -> Outcome:
         """Wait for the end."""
@@ -133,16 +133,17 @@ class Conversion(ChildProcess):
 class LocalProcesses:
     """Conversion of several files at a time on this machine, which share its processors."""
 
-    def __init__(self, files: int | None, options: Sequence[str]) -> None:
+    def __init__(self, files: int | None, printer: str, options: Options) -> None:
         processors = processor_count()
         self.files = files or processors
-        self._options = [*options, "--jobs", str(max(processors // self.files, 1))]
+        self._printer = printer
+        self._options = replace(options, jobs=max(processors // self.files, 1))
         self._running: set[Conversion] = set()
         self._stopped = False
 
     def convert(self, job: Job) -> Job:
         """Convert one file; return its job as done, failed or stopped."""
-        conversion = Conversion(str(job.source), str(job.target), self._options)
+        conversion = Conversion(job.source, job.target, self._printer, self._options)
         self._running.add(conversion)
         if self._stopped:  # in the meantime
             conversion.stop()

@@ -12,24 +12,15 @@ from typing import Any
 
 import click
 
-from hframe_post import library
 from hframe_post.batch.cluster import Cluster
 from hframe_post.batch.folders import jobs_for, watch_folder, with_targets
 from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import (
-    compensation_option,
-    files_read,
-    force_option,
-    limits_option,
-    old_option,
-    on_limit_option,
-    printer_option,
-    say,
-)
+from hframe_post.cli.options import conversion_options, files_read, printer_option, say
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import first_line
 from hframe_post.errors import HframeError
-from hframe_post.gcode.state import LimitSource
-from hframe_post.printer.profile import check_identified
+from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.files import Outputs
 
@@ -54,10 +45,7 @@ def address(text: str) -> str:
     help="Files to convert at a time. Default: one per processor, or per thread of the cluster.",
 )  # fmt: skip
 @printer_option
-@compensation_option
-@limits_option
-@on_limit_option
-@force_option
+@conversion_options("strategy", "limits", "clamp", "force")
 @click.option(
     "--resume", is_flag=True,
     help="Skip files that have been converted with the same settings and have not changed since.",
@@ -72,14 +60,13 @@ def address(text: str) -> str:
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
     "dask.distributed.",
 )  # fmt: skip
-@old_option("--send", "files are always sent to a cluster", is_flag=True, expose_value=False)
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, compensation: str | None, limits: LimitSource, on_limit: str, force: bool,
-    resume: bool, watched: Path | None, scheduler: str | None, json_file: Path | None, quiet: bool,
+    printer: str, options: Options, resume: bool, watched: Path | None, scheduler: str | None,
+    json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert files, and all G-code in folders. A file that fails does not stop the others.
 
@@ -94,23 +81,19 @@ def batch(
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
     _check_usage(sources, watched, folder)
-    profile = library.load_printer(printer)
-    first_line = library.first_line(
-        profile, strategy=compensation, limits=limits, clamp=on_limit == "clamp"
-    )
-    if compensation != "none" and not force:
+    profile = load(printer)
+    stamped = first_line(profile, options.resolved(profile))
+    if options.strategy != "none" and not options.force:
         check_identified(profile)
     try:
-        todo = jobs_for(with_targets(sources, folder), first_line if resume else b"")
+        todo = jobs_for(with_targets(sources, folder), stamped if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
-    options = ["--limits", limits, "--on-limit", on_limit, *(["--force"] if force else [])]
-    options += ["-c", compensation] if compensation else []
-    converter: Converter = LocalProcesses(jobs, ["-p", printer, *options])
+    converter: Converter = LocalProcesses(jobs, printer, options)
     if scheduler is not None:
-        converter = Cluster(scheduler, jobs, printer, options, first_line)
-    compensates = (compensation or profile.compensation.strategy) != "none"
+        converter = Cluster(scheduler, jobs, printer, options, stamped)
+    compensates = (options.strategy or profile.compensation.strategy) != "none"
     results = Results(quiet, profile.warnings() if compensates else [])
     interruption = Interruption()
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
@@ -120,7 +103,7 @@ def batch(
                 _convert(todo, converter, interruption.event, results)
             else:
                 results.say(f"watching {watched}; stop with Ctrl-C")
-                for arrived in watch_folder(watched, folder, first_line, interruption.event):
+                for arrived in watch_folder(watched, folder, stamped, interruption.event):
                     _convert(arrived, converter, interruption.event, results)
         status = results.status
         if interruption.number:

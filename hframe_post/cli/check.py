@@ -78,7 +78,7 @@ def check(
         jobs = {}
         if moves_sensor(profile, planned, chips):
             jobs = {gcode.with_name(f"{gcode.stem}.{run.name}.gcode"): [run] for run in planned}
-        write_motion(gcode, printer, profile, planned, chips, None, jobs)
+        write_motion(gcode, printer, profile, planned, chips, jobs)
         say(next_steps("check", gcode, printer, planned, list(jobs)))
     elif recordings:
         _update(printer, profile, recordings, axes, json_file, output)

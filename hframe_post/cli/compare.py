@@ -8,11 +8,7 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import (
-    files_read,
-    number,
-    old_option,
-)
+from hframe_post.cli.options import files_read, number
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.lines import lines_of
@@ -45,10 +41,6 @@ def quantity(text: str, units: dict[str, float]) -> float:
     return value
 
 
-def slack(text: str) -> float:
-    return quantity(text, TIMES)
-
-
 @click.command()
 @click.argument("a", type=FILE)
 @click.argument("b", type=FILE)
@@ -57,7 +49,6 @@ def slack(text: str) -> float:
     help="Allowed difference in position and filament (nm, um, mm), and in the time at which a "
     "position is reached (us, ms, s).",
 )  # fmt: skip
-@old_option("--slack", "use --tolerance LENGTH,TIME", type=slack)
 @click.option(
     "--firmware", type=click.Choice(tuple(FIRMWARES)), default="klipper", show_default=True,
     help="Firmware that reads the files. G90 and G91 affect E in Marlin, but not in Klipper.",
@@ -66,8 +57,8 @@ def slack(text: str) -> float:
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing; see the exit status.")
 @click.pass_context
 def compare(
-    context: click.Context, a: Path, b: Path, tolerance: Tolerance, slack: float | None,
-    firmware: str, json_file: Path | None, quiet: bool,
+    context: click.Context, a: Path, b: Path, tolerance: Tolerance, firmware: str,
+    json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Compare the motion of two G-code files, and their other lines.
 
@@ -82,8 +73,6 @@ def compare(
     """
     if str(a) == str(b) == "-":
         raise click.UsageError("only one of the two files can be standard input")
-    if slack is not None:
-        tolerance = Tolerance(tolerance.place, slack)
     with (
         click.open_file(str(a), "rb") as first,
         click.open_file(str(b), "rb") as second,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import old_option, quoted
+from hframe_post.cli.options import quoted
 from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
@@ -74,17 +74,12 @@ class _Findings:
     metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
 )  # fmt: skip
-@old_option(
-    "--folder", "run doctor in that folder instead", default=".",
-    type=click.Path(path_type=Path, file_okay=False),
-)  # fmt: skip
 @click.pass_context
 def doctor(
     context: click.Context,
     requested: str | None,
     config: Path | None,
     log: Path | None,
-    folder: Path,
 ) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
@@ -96,7 +91,7 @@ def doctor(
     """
     findings = _Findings("printer.cfg" if config is None else "")
     _check_installation(findings)
-    _check_folders(findings, folder)
+    _check_folders(findings)
     try:
         choice = choose(requested, os.environ)
     except HframeError as error:
@@ -132,8 +127,8 @@ def _version(name: str) -> str:
         return ""
 
 
-def _check_folders(findings: _Findings, folder: Path) -> None:
-    for place in (folder.resolve(), Path(tempfile.gettempdir())):
+def _check_folders(findings: _Findings) -> None:
+    for place in (Path.cwd(), Path(tempfile.gettempdir())):
         try:
             with tempfile.TemporaryFile(dir=place):
                 findings.ok(f"files can be written in {place}")

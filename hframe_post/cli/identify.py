@@ -15,7 +15,6 @@ import numpy as np
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     files_read,
-    old_option,
     page_option,
     position,
 )
@@ -113,17 +112,12 @@ def _reading(text: str) -> tuple[float, float, float]:
     help="Write the profile: that of -p, or this file if it exists, or a new one made from "
     "--printer-cfg, with the plant and the window found.",
 )  # fmt: skip
-@old_option("--unit", "gravity in the recording shows its unit",
-                 type=click.Choice(["mm/s2", "m/s2", "g"]))  # fmt: skip
-@old_option("--figures", "use --report page.html", removed=True)
-@old_option("--estimator", "the estimator is always H1", removed=True)
-@old_option("--order", "the recordings determine the order", removed=True, multiple=True)
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], axes: str | None, columns: tuple[str, ...] | None,
     band: tuple[float, float], readings: tuple[tuple[float, float, float], ...],
     offset: tuple[float, ...], report_file: Path | None,
-    json_file: Path | None, output: Path | None, unit: str | None,
+    json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from recordings of its accelerometer.
 
@@ -167,7 +161,7 @@ def identify(
             if recordings:
                 gathered += from_folders(recordings, config, profile.travel, columns)
             for command, path in nozzle:
-                gathered += from_pair(command, path, profile.travel, columns, unit)
+                gathered += from_pair(command, path, profile.travel, columns, None)
             gathered = along_printer(gathered, axes)
             settings = _settings(profile, config if text else None, band, offset)
             if readings:

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from platformdirs import user_data_path
 
-from hframe_post.cli.options import files_read, old_option, printer_option, say
+from hframe_post.cli.options import files_read, printer_option, say
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
@@ -43,8 +43,7 @@ def klipper_macros(printer: str) -> None:
     metavar="CALIBRATION.GCODE", help="G-code to print without filament.",
 )  # fmt: skip
 @printer_option
-@old_option("--quiet", "redirect standard error instead", "-q", is_flag=True)
-def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
+def calibrate_marlin(output: Path, printer: str) -> None:
     """Write G-code whose duration shows which planner and timer a Marlin board has.
 
     x moves along the middle of y, in two parts of about a minute and a half each. Home the
@@ -59,8 +58,6 @@ def calibrate_marlin(output: Path, printer: str, quiet: bool) -> None:
     found = calibration(load(printer))
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).writelines(found.lines)
-    if quiet:
-        return
     say(" " * 44 + "".join(f"{part:>10s}" for part in found.parts))
     for board, durations in found.durations.items():
         say(f"{board:44s}" + "".join(f"{seconds:9.2f}s" for seconds in durations))
@@ -95,7 +92,7 @@ def cura_script(printer: str, folder: Path | None) -> None:
     """
     if printer:
         load(printer)  # raises before anything is written
-        printer = printer if printer in shipped() else str(Path(printer).absolute())
+        printer = anywhere(printer)
     folders = [folder] if folder is not None else script_folders()
     if not folders:
         raise HframeError(
@@ -125,6 +122,11 @@ def script_folders() -> list[Path]:
         for version in sorted(root.iterdir())
         if re.fullmatch(r"\d+\.\d+", version.name) and version.is_dir()
     ]
+
+
+def anywhere(printer: str) -> str:
+    """Return the profile as every folder finds it: a shipped one's name, or an absolute path."""
+    return printer if printer in shipped() else str(Path(printer).absolute())
 
 
 def program() -> str:
@@ -174,9 +176,8 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
-    name = printer if printer in shipped() else str(Path(printer).absolute())
     text = (resources.files("hframe_post.hosts") / "octoprint.py").read_text("utf-8")
-    command = [*program_words(), "-p", name]
+    command = [*program_words(), "-p", anywhere(printer)]
     (home / "plugins").mkdir(exist_ok=True)
     with Outputs() as outputs:
         plugin = text.replace('COMMAND = ["hframe-post"]', f"COMMAND = {command!r}")

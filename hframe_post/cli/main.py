@@ -116,7 +116,7 @@ class _Commands(click.Group):
 
     def _clamps(self, context: click.Context, name: str) -> bool:
         command = self.get_command(context, name)
-        return command is not None and any(each.name == "on_limit" for each in command.params)
+        return command is not None and any(each.name == "clamp" for each in command.params)
 
 
 def _text(error: Exception) -> str:

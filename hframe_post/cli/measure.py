@@ -55,7 +55,7 @@ def measure(
         for run in planned:
             file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")
             jobs.setdefault(file, []).append(run)
-    write_motion(output, printer, profile, planned, chips, None, jobs)
+    write_motion(output, printer, profile, planned, chips, jobs)
     if not quiet:
         say(summary(profile, planned))
         say(next_steps("identify", output, printer, planned, list(jobs), recorded=STROKES))

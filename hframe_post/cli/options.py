@@ -9,12 +9,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
-from hframe_post.model.strategies import STRATEGIES
+from hframe_post.conversion.options import SHOWN, Options, Shown
+from hframe_post.errors import ArgumentError, OptionError
 from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
@@ -23,34 +26,6 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
 _CHOICE = "hframe_post.choice"  # in a context's meta
-
-
-def old_option(
-    name: str, advice: str, *short: str, removed: bool = False, new: str = "", value: Any = None,
-    expose_value: bool = True, **settings: Any,
-) -> Callable[[Command], Command]:  # fmt: skip
-    """Return the decorator for a hidden option whose use is a warning, or an error if removed.
-
-    advice: what to do instead. new: parameter that gets the value in its place, or ``value`` where
-    the old option is a flag. expose_value: whether the command receives the old option.
-    """
-
-    def check(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
-        source = context.get_parameter_source(parameter.name or "")
-        if source is not click.core.ParameterSource.COMMANDLINE:
-            return given
-        if removed:
-            raise click.UsageError(f"{name} was removed: {advice}")
-        say(f"Warning: {name} will be removed: {advice}")
-        if new:
-            replacement = {new: given if value is None else value}
-            context.default_map = {**(context.default_map or {}), **replacement}
-        return given
-
-    return click.option(
-        name, *short, hidden=True, callback=check, is_eager=bool(new),
-        expose_value=expose_value and not removed and not new, **settings,
-    )  # fmt: skip
 
 
 def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
@@ -70,38 +45,59 @@ printer_option = click.option(
     "HFRAME_PRINTER, then the profile that 'hframe-post setup' or 'use' made the default.",
 )  # fmt: skip
 
-compensation_option = click.option(
-    "-c", "--compensation", type=click.Choice(tuple(STRATEGIES)),
-    help="Compensate ringing, racking and other couplings (racking), ringing only (fbs) or nothing "
-    "(none). Default: compensation.strategy of the profile.",
-)  # fmt: skip
 
-limits_option = click.option(
-    "--limits", type=click.Choice(["file", "file-all", "printer"]), default="file",
-    show_default=True, help="Which limits set in the file lower the profile's: those that the "
-    "firmware obeys (Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all "
-    "(file-all), or none (printer).",
-)  # fmt: skip
+def conversion_options(*names: str) -> Callable[[Command], Command]:
+    """Return the decorator that adds these fields of ``Options`` to a command.
 
-extrusion_option = click.option(
-    "--extrusion", type=click.Choice(["absolute", "relative"]),
-    help="Meaning of E before the first M82 or M83 in the file, if a start macro of the printer "
-    "sets it.",
-)  # fmt: skip
+    The command gets all of them as one argument, ``options``. An OptionError is wrong usage.
+    """
 
-on_limit_option = click.option(
-    "--on-limit", type=click.Choice(["error", "clamp"]), default="clamp", show_default=True,
-    help="If the compensated motion would leave the bed or exceed a motor's limits: stop with an "
-    "error, or compensate less there and say so.",
-)  # fmt: skip
+    def add(command: Command) -> Command:
+        @wraps(command)
+        def collected(*arguments: Any, **given: Any) -> Any:
+            asked = {name: given.pop(name) for name in names}
+            values = {
+                name: SHOWN[name].choices[value] if SHOWN[name].choices else value
+                for name, value in asked.items()
+                if value is not None
+            }
+            try:
+                options = replace(given.pop("options", Options()), **values)
+                return command(*arguments, options=options, **given)
+            except OptionError as error:
+                raise click.UsageError(str(error)) from None
+
+        made: Any = collected
+        for name in reversed(names):
+            made = _click_option(name, SHOWN[name])(made)
+        return cast(Command, made)
+
+    return add
 
 
-def force_option(command: Command) -> Command:
-    command = old_option("--i-know", "use --force", new="force", is_flag=True)(command)
-    return click.option(
-        "--force", is_flag=True,
-        help="Compensate even if the profile's plant was not measured on your printer.",
-    )(command)  # fmt: skip
+def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
+    settings: dict[str, Any] = {"type": float, "show_default": str(shown.default)}
+    if shown.choices:
+        word = shown.word(shown.default)
+        settings = {"type": click.Choice(tuple(shown.choices)), "default": word}
+        settings["show_default"] = word is not None
+    elif shown.default is False:
+        settings = {"is_flag": True}
+    elif shown.read is not None:
+        settings = {"type": _reader(shown.read)}
+    elif shown.least is not None:
+        settings = {"type": click.IntRange(shown.least), "default": shown.unset}
+    return click.option(*shown.flags, name, help=shown.help, metavar=shown.metavar, **settings)
+
+
+def _reader(read: Callable[[str], Any]) -> Callable[[str], Any]:
+    def convert(text: str) -> Any:
+        try:
+            return read(text)
+        except ArgumentError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return convert
 
 
 seed_option = click.option(
@@ -165,42 +161,30 @@ def position(text: str) -> tuple[float, float]:
     return round(x, 3), round(y, 3)
 
 
-def print_options(command: Command) -> Command:
-    """Add the options of a print to study: the file, its printer, and how it is read."""
-    options = (
-        click.argument(
-            "source", metavar="[IN.GCODE]", required=False,
-            type=click.Path(path_type=Path, allow_dash=True),
-        ),
-        old_option(
-            "--path", "without a file the rectangle is taken", expose_value=False,
-            type=click.Choice(["rectangle"]),
-        ),
-        printer_option, limits_option, extrusion_option,
+def print_options(*names: str) -> Callable[[Command], Command]:
+    """Return the decorator that adds the file of a print to study, its printer, and options."""
+    source = click.argument(
+        "source", metavar="[IN.GCODE]", required=False,
+        type=click.Path(path_type=Path, allow_dash=True),
     )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+
+    def add(command: Command) -> Command:
+        return source(printer_option(conversion_options(*names)(command)))
+
+    return add
 
 
 @contextmanager
 def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Iterable[bytes]]:
     """Yield the lines of the file; without one, of the paper's rectangle."""
-    from hframe_post.gcode.lines import lines_of
+    from hframe_post.gcode.lines import Input
     from hframe_post.studies.inputs import rectangle
 
     if source is None:
         yield rectangle(printer)
         return
-    with click.open_file(str(source), "rb") as file, progress_bar(source, quiet) as advance:
-
-        def lines() -> Iterator[bytes]:
-            for line in lines_of(file):
-                if advance is not None:
-                    advance(len(line))
-                yield line
-
-        yield lines()
+    with progress_bar(source, quiet) as advance:
+        yield Input(dashed(source) or sys.stdin.buffer).lines(advance)
 
 
 BAR_FROM = 2_000_000  # bytes; smaller files take no time

@@ -42,16 +42,6 @@ def show(name: str) -> None:
     click.echo(profiles[name], nl=False)
 
 
-@printers.command(hidden=True, context_settings={"ignore_unknown_options": True})
-@click.argument("_", nargs=-1, type=click.UNPROCESSED)
-def new(_: tuple[str, ...]) -> None:
-    """Explain what replaces this command."""
-    raise click.UsageError(
-        "'printers new' was removed: run 'hframe-post setup printer.cfg' for Klipper. For Marlin, "
-        "save what the printer answers to M503 and run 'hframe-post setup m503.txt'"
-    )
-
-
 @click.command()
 @click.argument("profile", required=False, metavar="[NAME|FILE]")
 @click.option("--forget", is_flag=True, help="Remove your choice.")

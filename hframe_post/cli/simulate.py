@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -12,20 +12,15 @@ from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
     files_read,
-    old_option,
-    on_limit_option,
     opened,
     print_options,
     seed_option,
     share,
 )
-from hframe_post.conversion.pipeline import Options
-from hframe_post.gcode.state import Extrusion, LimitSource
-from hframe_post.model.plant import Plant
-from hframe_post.printer.settings import Printer
+from hframe_post.conversion.options import Options
+from hframe_post.gcode.lines import Input
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
-    ShaperComparison,
     compare_shapers,
     comparison_as_json,
     comparison_as_text,
@@ -34,8 +29,7 @@ from hframe_post.writers.files import Outputs
 
 
 @click.command()
-@print_options
-@on_limit_option
+@print_options("limits", "extrusion", "clamp")
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
     help="Simulate this profile's plant with the compensation of the profile given with -p.",
@@ -56,13 +50,6 @@ from hframe_post.writers.files import Outputs
     help="Compare with input shapers: with the best frequency and damping for the profile's model, "
     "and as Klipper's calibration would set them for it.",
 )  # fmt: skip
-@old_option(
-    "--against", "use --shapers", new="shapers", value=True, type=click.Choice(["shapers"])
-)  # fmt: skip
-@old_option("--layers", "use --json or --report", is_flag=True)
-@old_option(
-    "--verbose", "convert -v logs the stages", "-v", is_flag=True, expose_value=False
-)  # fmt: skip
 @json_option
 @click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
@@ -70,10 +57,9 @@ from hframe_post.writers.files import Outputs
 )  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def simulate(
-    source: Path | None, printer: str, limits: LimitSource, extrusion: Extrusion | None,
-    on_limit: str, plant_file: str | None, shares: tuple[float, ...], draws: int, seed: int,
-    steps: bool, shapers: bool, layers: bool, json_file: Path | None, report_file: Path | None,
-    quiet: bool,
+    source: Path | None, printer: str, options: Options, plant_file: str | None,
+    shares: tuple[float, ...], draws: int, seed: int, steps: bool, shapers: bool,
+    json_file: Path | None, report_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Predict the error of a print without compensation, with fbs, and with racking compensation.
 
@@ -99,31 +85,18 @@ def simulate(
         choice = chosen_printer()
         head = [choice.as_text()]
         report = library.simulate(
-            source if source and report_file else lines, profile, simulated=simulated,
-            model_error=shares, draws=draws, seed=seed, steps=steps, limits=limits,
-            extrusion=extrusion, clamp=on_limit == "clamp",
+            source if source and report_file else lines, profile, options, simulated=simulated,
+            model_error=shares, draws=draws, seed=seed, steps=steps,
             page=report_file, title=source.name if source else "", notes=head, outputs=outputs,
         )  # fmt: skip
-        text = "\n".join([*head, report.as_text(layers)])
+        text = "\n".join([*head, report.as_text()])
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
-            options = Options("racking", (), limits, True, extrusion=extrusion)
-            found = _simulate_shapers(source, profile, options, simulated.plant)
+            ours = replace(options, strategy="racking", clamp=True)
+            printed = Input(source or rectangle(profile))
+            found = compare_shapers(printed.again, profile, ours, simulated.plant)
             text += "\n" + comparison_as_text(found)
             summary["against"] = comparison_as_json(found)
         write_json(summary)
     if not quiet:
         click.echo(text, err=str(json_file) == "-")
-
-
-def _simulate_shapers(
-    source: Path | None, profile: Printer, options: Options, plant: Plant
-) -> list[ShaperComparison]:
-    def lines() -> Iterator[bytes]:
-        if source is None:
-            yield from rectangle(profile)
-        else:
-            with source.open("rb") as file:
-                yield from file
-
-    return compare_shapers(lines, profile, options, plant)

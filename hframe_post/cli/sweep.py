@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.options import files_read, old_option, position, printer_option, quoted, say
+from hframe_post.cli.options import files_read, position, printer_option, quoted, say
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.files import Outputs
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
+HEIGHT = 10.0  # mm, at which a motion is played; the line G1 Z10 of the G-code
 
 
 def _chip(text: str) -> str:
@@ -49,17 +50,12 @@ chips_option = click.option(
     "and chip_y of the profile, which setup finds in printer.cfg, or else adxl345.",
 )  # fmt: skip
 
-height_option = old_option(
-    "--z", "edit the height in the line 'G1 Z10' of the G-code", metavar="MM",
-    type=click.FloatRange(0.0, 1e4),
-)  # fmt: skip
-
 
 def write_motion(
     target: Path, printer: str, profile: Printer, planned: list[Run], chips: tuple[str, ...],
-    z: float | None, jobs: Mapping[Path, list[Run]] | None = None,
+    jobs: Mapping[Path, list[Run]] | None = None,
 ) -> None:  # fmt: skip
-    """Write the runs as G-code, at height z (mm), and next to it each command as TARGET.RUN.csv.
+    """Write the runs as G-code, and next to it each command as TARGET.RUN.csv.
 
     jobs: the runs of each file of G-code, if they are not all in ``target``.
     """
@@ -72,20 +68,18 @@ def write_motion(
             outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
         ]
         for motion, runs in motions:
-            lines = gcode(profile, runs, chips, 10.0 if z is None else z)
+            lines = gcode(profile, runs, chips, HEIGHT)
             write_output(motion, lines, lambda: 0.0)
         for file, run in zip(commands, planned, strict=True):
             file.writelines(command_csv(run.command))
 
 
-def write_for_marlin(
-    target: Path, printer: str, profile: Printer, planned: list[Run], z: float | None
-) -> list[Run]:
+def write_for_marlin(target: Path, printer: str, profile: Printer, planned: list[Run]) -> list[Run]:
     """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
     from hframe_post.identification.recordings.excitation import command_csv
     from hframe_post.identification.recordings.marlin_sweep import played
 
-    done = [played(profile, run, 10.0 if z is None else z) for run in planned]
+    done = [played(profile, run, HEIGHT) for run in planned]
     with Outputs(files_read(printer)) as outputs:
         for run, lines in done:
             named = target.with_name(f"{target.stem}.{run.name}")
@@ -143,11 +137,10 @@ def next_steps(
     "a printer that can rack, 60 mm to either side of it.",
 )  # fmt: skip
 @chips_option
-@height_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def sweep(
     output: Path, printer: str, axis: str | None, places: tuple[tuple[float, float], ...],
-    chips: tuple[str, ...], z: float | None, quiet: bool,
+    chips: tuple[str, ...], quiet: bool,
 ) -> None:  # fmt: skip
     """Write G-code that shakes the printer, and with Klipper also records its accelerometers.
 
@@ -171,10 +164,10 @@ def sweep(
         for run in runs(profile, each, list(places) or positions(profile, each))
     ]
     if profile.firmware.dialect == "marlin":
-        planned = write_for_marlin(output, printer, profile, planned, z)
+        planned = write_for_marlin(output, printer, profile, planned)
         text = marlin_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
     else:
-        write_motion(output, printer, profile, planned, chips, z)
+        write_motion(output, printer, profile, planned, chips)
         text = summary(profile, planned)
     if not quiet:
         say(text)

@@ -18,9 +18,9 @@ from hframe_post.cli.options import (
     seed_option,
     share,
 )
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
-from hframe_post.gcode.state import Extrusion, LimitSource
+from hframe_post.gcode.lines import Input
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
@@ -55,7 +55,7 @@ def weight(text: str) -> float:
 
 
 @click.command()
-@print_options
+@print_options("limits", "extrusion")
 @click.option(
     "--knots", "-L", type=click.IntRange(2, 200), multiple=True, metavar="L",
     help="Samples between knots to try; may be repeated. Default: 5, 8, 10, 20.",
@@ -91,9 +91,9 @@ def weight(text: str) -> float:
 )  # fmt: skip
 @json_option
 def tune(
-    source: Path | None, printer: str, limits: LimitSource, extrusion: Extrusion | None,
-    knots: tuple[int, ...], effort: tuple[float, ...], model_error: float | None, draws: int,
-    seed: int, figure: Path | None, output: Path | None, keep_limits: bool, shaper: bool,
+    source: Path | None, printer: str, options: Options, knots: tuple[int, ...],
+    effort: tuple[float, ...], model_error: float | None, draws: int, seed: int,
+    figure: Path | None, output: Path | None, keep_limits: bool, shaper: bool,
     json_file: Path | None,
 ) -> None:  # fmt: skip
     """Try windows and weights on a print, and recommend the best that the motors can follow.
@@ -115,7 +115,6 @@ def tune(
     if shaper:
         if figure is not None or output is not None:
             raise click.UsageError("--shaper writes neither --figure nor --output")
-        options = Options("none", limits=limits, extrusion=extrusion)
         with opened(source, profile, quiet=False) as lines, Outputs(reads) as outputs:
             _recommend_shaper(lines, profile, options, open_json(outputs, json_file), json_file)
         return
@@ -131,16 +130,17 @@ def tune(
             drawing = findings.open(figure) if figure is not None else None
             with opened(source, profile, quiet=False) as lines:
                 tuned = library.tune(
-                    lines, profile, knots=knots or KNOTS, efforts=effort or EFFORTS,
-                    model_error=model_error, draws=draws, seed=seed, limits=limits,
-                    extrusion=extrusion,
+                    lines, profile, options, knots=knots or KNOTS, efforts=effort or EFFORTS,
+                    model_error=model_error, draws=draws, seed=seed,
                 )  # fmt: skip
             best, pace = tuned.best, None
             limited = keep_limits or str(source) == "-"  # which cannot be read again
-            if best is not None and not limited and (kept := _pieces(source, profile)):
-                grid = pareto.windows(tuned.trials, best, profile.motors)
-                plants = random_plants(profile.plant, model_error, draws, seed)
-                pace = pareto.pareto(kept, profile, grid, plants)
+            if best is not None and not limited:
+                printed = Input(source or rectangle(profile)).again()
+                if kept := pareto.pieces(printed, profile):
+                    grid = pareto.windows(tuned.trials, best, profile.motors)
+                    plants = random_plants(profile.plant, model_error, draws, seed)
+                    pace = pareto.pareto(kept, profile, grid, plants)
             found = summary(tuned.trials, best, model_error, draws, tuned.stops)
             failure = None
             if best is None:
@@ -162,13 +162,6 @@ def tune(
             raise failure
         if file is not None and best is not None:
             file.write(_recommended_profile(printer, best, pace).encode())
-
-
-def _pieces(source: Path | None, profile: Printer) -> Any:
-    if source is None:
-        return pareto.pieces(rectangle(profile), profile)
-    with source.open("rb") as lines:
-        return pareto.pieces(lines, profile)
 
 
 def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:

@@ -9,18 +9,11 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import (
-    files_read,
-    old_option,
-    page_option,
-    printer_option,
-    say,
-)
+from hframe_post.cli.options import files_read, page_option, printer_option, say
 from hframe_post.cli.sweep import (
     FILE,
     axes_option,
     chips_option,
-    height_option,
     next_steps,
     recordings_argument,
     write_motion,
@@ -56,10 +49,8 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 )  # fmt: skip
 @axes_option
 @chips_option
-@height_option
 @page_option
 @json_option
-@old_option("--figure", "use --report page.html", removed=True)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
     help="Write the profile, marked as verified, if the verdict is good.",
@@ -67,8 +58,7 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 def verify(
     recordings: tuple[Path, ...], printer: str, gcode: Path | None, motion: Path | None,
     plain: tuple[Path, Path] | None, compensated: tuple[Path, Path] | None, axes: str | None,
-    chips: tuple[str, ...], z: float | None, report_file: Path | None, json_file: Path | None,
-    output: Path | None,
+    chips: tuple[str, ...], report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Check on the printer what a profile does: first --gcode, then both recordings.
 
@@ -87,7 +77,7 @@ def verify(
     from hframe_post.identification.verification.pairing import from_files
 
     if gcode is not None:
-        _write(gcode, printer, motion, chips, z)
+        _write(gcode, printer, motion, chips)
     elif recordings and plain is None and compensated is None:
         runs, files = from_files(recordings)
         _judge(printer, runs, files, list(files_in(recordings)), axes,
@@ -102,9 +92,7 @@ def verify(
         )
 
 
-def _write(
-    gcode: Path, printer: str, motion: Path | None, chips: tuple[str, ...], z: float | None
-) -> None:
+def _write(gcode: Path, printer: str, motion: Path | None, chips: tuple[str, ...]) -> None:
     from hframe_post.gcode.lines import lines_of
     from hframe_post.identification.verification.motion import runs
 
@@ -115,7 +103,7 @@ def _write(
     else:
         with motion.open("rb") as file:
             planned = runs(profile, lines_of(file))
-    write_motion(gcode, printer, profile, planned, chips, z)
+    write_motion(gcode, printer, profile, planned, chips)
     say(next_steps("verify", gcode, printer, planned))
 
 

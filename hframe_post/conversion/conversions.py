@@ -14,18 +14,12 @@ from typing import TYPE_CHECKING
 
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import MotionSummary
-from hframe_post.conversion.pipeline import (
-    Options,
-    Source,
-    Stages,
-    prepared,
-    stamp,
-)
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Source, Stages, first_line, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import player
-from hframe_post.gcode.commands import STAMP
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
@@ -37,24 +31,19 @@ if TYPE_CHECKING:
 
 
 class GcodeConversion:
-    """A print as G-code for the printer's firmware.
+    """A print as G-code for the printer's firmware."""
 
-    jobs: number of processes that compute it; the output does not depend on it.
-    """
-
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options, jobs: int = 1
-    ) -> None:
-        self._printer, self._options, self._jobs = printer, options, jobs
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._printer, self._options = printer, options
         self._player = player(printer, options.tolerance)
         self._source = Source(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:
-        yield b"%s %s\n" % (STAMP, stamp(self._printer, self._options).encode())
+        yield first_line(self._printer, self._options)
         yield SUMMARY
         writer = SpanWriter(self._printer, self._options, prepared(self._printer))
-        for span in writer.written(self._source.spans(), self._jobs):
+        for span in writer.written(self._source.spans()):
             begun = self.duration
             for piece in span.output:
                 yield later(piece, begun)
@@ -117,9 +106,12 @@ class SpanWriter:
         result.output = output()
         return result
 
-    def written(self, spans: Spans, jobs: int) -> Iterator[WrittenSpan]:
-        """Yield all spans in order, written by ``jobs`` processes; use up each before the next."""
-        source = iter(spans)
+    def written(self, spans: Spans) -> Iterator[WrittenSpan]:
+        """Yield all spans in order; use up each before the next.
+
+        The options' jobs is the number of processes that write them.
+        """
+        source, jobs = iter(spans), self.made_of[1].jobs
         for first in source:
             if jobs > 1 and first.in_memory:
                 break

@@ -6,15 +6,16 @@ To add a format, write a conversion in ``conversions`` and a row of ``FORMATS`` 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options, stamp
+from hframe_post.conversion.options import TOLERANCE, Kind, Options
+from hframe_post.conversion.pipeline import stamp
 from hframe_post.conversion.report import Report
-from hframe_post.errors import HframeError
+from hframe_post.errors import OptionError
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
@@ -48,34 +49,27 @@ class Format:
     """One kind of output: the conversion, and the function that saves it.
 
     save: takes the conversion, the target and a text that says what made it. suffixes: those that
-    choose this format. packs: whether a further .gz compresses it. divides: whether
-    ``convert`` takes ``jobs``.
+    choose this format. packs: whether a further .gz compresses it.
     """
 
     convert: Callable[..., Conversion]
     save: Callable[[Any, Target, str], None]
     suffixes: tuple[str, ...] = ()
     packs: bool = True
-    divides: bool = False
 
 
 @one_blas_thread()
 def convert(
-    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options,
-    kind: str = "gcode", jobs: int = 1, force: bool = False,
-) -> Report:  # fmt: skip
+    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options
+) -> Report:
     """Convert lines and write the target, which appears with its outputs.
 
-    Raises HframeError, OSError.
-
-    target None: nothing is written. kind: one of ``FORMATS``. jobs: number of processes, for
-    formats that can use several. A plant that was not measured is compensated for only by force.
+    target None: nothing is written. Raises HframeError, OSError.
     """
-    if target is not None and options.strategy != "none" and not force:
+    if target is not None and options.strategy != "none" and not options.force:
         check_identified(printer)
-    chosen = FORMATS[kind]
-    convert = partial(chosen.convert, jobs=jobs) if chosen.divides else chosen.convert
-    conversion = convert(lines, printer, options)
+    chosen = FORMATS[options.format or "gcode"]
+    conversion = chosen.convert(lines, printer, options)
     if target is None:
         for _ in conversion:
             pass
@@ -84,24 +78,43 @@ def convert(
     return conversion.report()
 
 
-def chosen_format(output: Path | None, asked: str | None, source: Path | None = None) -> str:
+def with_format(
+    options: Options, printer: Printer, output: Path | None, source: Path | None
+) -> Options:
+    """Return the options with the format for ``output``, or for None: standard output.
+
+    source: the input; where it is replaced, binary G-code stays binary. Raises OptionError for what
+    the format or the printer's firmware cannot have.
+    """
+    in_place = source is not None and output is not None and _is_same(source, output)
+    kind = chosen_format(output, options.format, source if in_place else None)
+    if in_place and kind not in GCODE:
+        raise OptionError(f"{kind} would replace the G-code: name an output file with -o")
+    if options.tolerance != TOLERANCE and kind not in GCODE:
+        raise OptionError("--tolerance is for G-code")
+    if options.tolerance != TOLERANCE and not firmware(printer).decimates:
+        raise OptionError("--tolerance is for Klipper")
+    return replace(options, format=kind, tolerance=options.tolerance if kind in GCODE else None)
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    return source.exists() and target.exists() and source.samefile(target)
+
+
+def chosen_format(output: Path | None, asked: Kind | None, source: Path | None = None) -> Kind:
     """Return the format for the file ``output``, or for None: standard output.
 
-    source: the input if it is to be replaced; binary G-code stays binary. Raises HframeError.
+    source: the input if it is to be replaced; binary G-code stays binary. Raises OptionError.
     """
-    if asked is not None and asked not in FORMATS:
-        raise HframeError(f"unknown format {asked!r}; known formats are {', '.join(FORMATS)}")
     suffix, packing = _suffixes(output)
-    if suffix in REMOVED:
-        raise HframeError(f"{suffix} files are not written any more: use {REMOVED[suffix]} instead")
     by_suffix = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
-    replaced = "bgcode" if source is not None and is_binary(source) else None
-    kind = asked or replaced or by_suffix or "gcode"
+    replaced: Kind | None = "bgcode" if source is not None and is_binary(source) else None
+    kind: Kind = asked or replaced or by_suffix or "gcode"
     if suffix in TABLES and kind != "samples":
-        raise HframeError(f"a {suffix} file holds samples, not {kind}")
+        raise OptionError(f"a {suffix} file holds samples, not {kind}")
     if packing and output is not None and (not FORMATS[kind].packs or suffix in TABLES):
         why = f"{suffix} is compressed already" if suffix in TABLES else "printers cannot read it"
-        raise HframeError(
+        raise OptionError(
             f"{output}: {kind} is not written compressed, because {why}: leave out {packing}"
         )
     return kind
@@ -132,10 +145,10 @@ def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
 # G-code needs none of the modules that the following import.
 
 
-def _convert_steps(*arguments: Any, **kind: Any) -> StepConversion:
+def _convert_steps(*arguments: Any) -> StepConversion:
     from hframe_post.conversion.tables import StepConversion
 
-    return StepConversion(*arguments, **kind)
+    return StepConversion(*arguments)
 
 
 def _convert_samples(*arguments: Any) -> SampleConversion:
@@ -176,12 +189,11 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
 
 
 GCODE = ("gcode", "bgcode")  # what may replace the input
-REMOVED = {".zst": ".gz", ".parquet": ".npz"}
 TABLES = (".npz",)  # of samples, which are CSV under any other suffix
-FORMATS = {
-    "gcode": Format(GcodeConversion, _save_gcode, packs=False, divides=True),
-    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False, divides=True),
-    "steps": Format(partial(_convert_steps, kind="steps"), _save_steps, (".csv",)),
-    "step-bits": Format(partial(_convert_steps, kind="step-bits"), _save_steps),
+FORMATS: dict[Kind, Format] = {
+    "gcode": Format(GcodeConversion, _save_gcode, packs=False),
+    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
+    "steps": Format(_convert_steps, _save_steps, (".csv",)),
+    "step-bits": Format(_convert_steps, _save_steps),
     "samples": Format(_convert_samples, _save_samples, TABLES),
 }

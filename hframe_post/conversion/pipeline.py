@@ -15,27 +15,29 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
+from hframe_post.conversion.options import Options as Options  # for callers of the stages
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
-from hframe_post.errors import ArgumentError, HframeError, PrinterError
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import player
+from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
-from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
+from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import Paces, pace
+from hframe_post.planner.pacing import pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
-from hframe_post.printer.settings import Printer, Speed
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
@@ -43,52 +45,7 @@ from hframe_post.stream.types import Item, Planned, Samples
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
-    from hframe_post.model.shapers import Shaping
     from hframe_post.prediction.picture import Picture
-
-TOLERANCE = 0.014  # mm; moves the nozzle by 1 µm RMS, because the printer smooths what it misses
-
-Retract = Literal["standing", "moving"]
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What a user chooses in addition to the printer.
-
-    strategy: whose commands are written. predict: strategies whose contour error is reported.
-    limits, extrusion: as in ``ReadOptions``. clamp: compensate less where a command would exceed
-    a limit, instead of raising LimitError. tolerance: how far, in mm, a written segment may be
-    off the samples; None writes every sample. retract: before a travel (``standing``) or on it
-    (``moving``). speed: trade accuracy for speed; paces: the result of that search. picture:
-    collect the path with its predicted errors; shaping: with those of this input shaper, too.
-    """
-
-    strategy: str
-    predict: tuple[str, ...] = ()
-    limits: LimitSource = "file"
-    clamp: bool = False
-    tolerance: float | None = TOLERANCE
-    extrusion: Extrusion | None = None
-    retract: Retract = "standing"
-    speed: Speed | None = None
-    paces: Paces | None = None
-    picture: bool = field(default=False, repr=False)  # these do not change the output
-    shaping: Shaping | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        for name, known in (
-            ("limits", LimitSource),
-            ("extrusion", Extrusion),
-            ("retract", Retract),
-        ):
-            given, choices = getattr(self, name), get_args(known)
-            if given is not None and given not in choices:
-                raise ArgumentError(f"{name} must be one of {', '.join(choices)}, not {given!r}")
-
-    @property
-    def strategies(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((self.strategy, *self.predict)))
-
 
 # ---------------------------------------------------------------------- the stages
 
@@ -301,6 +258,14 @@ def prepared(printer: Printer) -> Compensator:
 def stamp(printer: Printer, options: Options) -> str:
     """Return what made an output: version, printer and a hash of all settings."""
     return f"{__version__}, printer {printer.name}, settings {settings_hash(printer, options)}"
+
+
+def first_line(printer: Printer, options: Options) -> bytes:
+    """Return the first line of G-code that was converted with these options, ``resolved``.
+
+    A file that begins with it was converted by this version with the same profile and settings.
+    """
+    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 
 
 def settings_hash(printer: Printer, options: Options) -> str:

@@ -136,7 +136,6 @@ class Report:
             "firmware_retractions": self.read.firmware_retractions,
             "uncompensated": self._uncompensated_as_json(),
             "limited_by": limited,
-            "held_back": limited,  # its name until 0.1
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
             **{name: value for name, value in written.items() if value is not None},

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from hframe_post.arrays import Array
 from hframe_post.conversion.meters import FilamentMeter
-from hframe_post.conversion.pipeline import Commands, Options, settings_hash
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands, settings_hash
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import PrinterError
 from hframe_post.printer.settings import Printer
@@ -22,13 +23,10 @@ from hframe_post.writers.steps import Stepper
 class StepConversion:
     """A print as text of a step file and notes for its events.
 
-    kind: ``steps`` or ``step-bits``. Raises PrinterError if the profile does not say how the
-    motors step.
+    Raises PrinterError if the profile does not say how the motors step.
     """
 
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options, kind: str = "steps"
-    ) -> None:
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         table, kinematics = printer.steps, printer.kinematics
         if table is None:
             cause = "the table is missing; step timing needs it"
@@ -42,8 +40,8 @@ class StepConversion:
         self._commands = Commands(lines, printer, options)
         self._stepper = Stepper(options.strategy, kinematics, table)
         header = Header(
-            kind, __version__, printer.name, settings_hash(printer, options), table.clock_hz,
-            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+            options.format or "steps", __version__, printer.name, settings_hash(printer, options),
+            table.clock_hz, (table.belt, table.belt, table.z, table.e), kinematics.matrix,
         )  # fmt: skip
         self._writer = StepFileWriter(header)
 

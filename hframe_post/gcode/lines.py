@@ -10,11 +10,12 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from io import IOBase
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO
+from typing import IO, cast
 
-from hframe_post.errors import GcodeError, HframeError, install_advice
+from hframe_post.errors import ArgumentError, GcodeError, HframeError, install_advice
 from hframe_post.gcode.lexer import Line
 
 MAGIC = b"GCDE"
@@ -114,14 +115,47 @@ def _check_start(first: bytes) -> None:
             raise GcodeError(cause)
 
 
-def reread(path: Path) -> Callable[[], Iterator[bytes]]:
-    """Return a function that yields the lines of a file from the first, each time it is called."""
+Source = str | Path | IO[bytes] | Iterable[bytes]  # a file of G-code, or its lines
 
-    def lines() -> Iterator[bytes]:
-        with path.open("rb") as file:
-            yield from lines_of(file)
 
-    return lines
+class Input:
+    """G-code to read: a file, by its path or open, or lines.
+
+    path: None if it is not known. once: whether it can be read only once.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.path = Path(source) if isinstance(source, str | Path) else None
+        self.once = isinstance(source, Iterator | IOBase)
+        self._source = source
+
+    @property
+    def binary(self) -> bool:
+        return self.path is not None and is_binary(self.path)
+
+    def lines(self, progress: Callable[[int], object] | None = None) -> Iterator[bytes]:
+        """Yield the lines. progress: called with the number of bytes of each."""
+        for line in self._opened():
+            if progress is not None:
+                progress(len(line))
+            yield line
+
+    def again(self) -> Iterable[bytes]:
+        """Return the lines from the first. Raises ArgumentError if they can be read only once."""
+        if self.once:
+            raise ArgumentError("the source is read several times: give a path or a list of lines")
+        return self._opened()
+
+    def _opened(self) -> Iterable[bytes]:
+        if self.path is not None:
+            return _lines_in(self.path)
+        source = cast(IO[bytes] | Iterable[bytes], self._source)
+        return lines_of(cast(IO[bytes], source)) if isinstance(source, IOBase) else source
+
+
+def _lines_in(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        yield from lines_of(file)
 
 
 class Lines:

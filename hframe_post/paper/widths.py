@@ -52,9 +52,10 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     compensator = prepared(printer)
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
-    options = Options("racking", ("none", "fbs", "racking"), "printer", clamp=True)
+    strategies = "none", "fbs", "racking"
+    options = Options("racking", strategies, limits="printer")
     commands = Commands(lines, printer, options, compensator=compensator).computed()
-    error: dict[str, list[Array]] = {name: [] for name in options.predict}
+    error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(predict(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])
         for name, rows in error.items():

@@ -120,26 +120,18 @@ class Firmware:
 
 
 TABLES: dict[str, type] = {"klipper": KlipperTable, "marlin": MarlinTable}
-REPRAPFIRMWARE_REMOVED = (
-    "support for RepRapFirmware was removed, because its output was never run on the real "
-    f"firmware: choose one of {', '.join(TABLES)}"
-)
 NAMES = ("harmless", "returns", "other_tools")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
 
 def named(dialect: str, key: str = "", source: str = "") -> None:
     """Raise PrinterError if no firmware has that name."""
-    if dialect == "reprapfirmware":
-        raise PrinterError(REPRAPFIRMWARE_REMOVED, key, source)
     if dialect not in TABLES:
         raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
 
 
 def load_firmware(table: dict[str, Any]) -> Firmware:
     """Return ``[firmware]`` with its tables. Raises PrinterError."""
-    if "reprapfirmware" in table:
-        raise PrinterError(REPRAPFIRMWARE_REMOVED, "firmware.reprapfirmware")
     known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
     dialect = table.get("dialect", "klipper")
     if not isinstance(dialect, str):

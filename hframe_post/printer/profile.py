@@ -93,12 +93,10 @@ def text_of(path: str) -> str:
 def parse(text: str, name: str, source: str = "") -> Printer:
     """Return a profile from its TOML text. Raises PrinterError, which names the bad key."""
     try:
-        loaded = _loaded(text)
-        document = _extended(loaded)
+        document = _extended(_loaded(text))
         known = {key: value for key, value in document.items() if key != "verified"}
         digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
-        printer = _printer(document, name, digest)
-        return replace(printer, invented=False) if _identified(loaded) else printer
+        return _printer(document, name, digest)
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
@@ -115,12 +113,6 @@ def _loaded(text: str) -> dict[str, Any]:
                 "'hframe-post setup printer.cfg'"
             ) from None
         raise PrinterError(f"not valid TOML: {error}") from None
-
-
-def _identified(loaded: dict[str, Any]) -> bool:
-    """Return whether `identify` wrote the plant before it marked each one as measured."""
-    plant = loaded.get("plant", {})
-    return "uncertainty" in plant and "Gxx" in plant and "invented" not in plant
 
 
 def _extended(document: dict[str, Any]) -> dict[str, Any]:

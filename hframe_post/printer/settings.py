@@ -307,8 +307,3 @@ class Printer:
         """Return ``speed`` with a model error of at least the plant's uncertainty."""
         known = max(self.speed.model_error, self.uncertainty or 0.0)
         return replace(self.speed, model_error=known)
-
-    @property
-    def asked_speed(self) -> Speed | None:
-        """Return ``known_speed``; None if the profile keeps the file's speeds."""
-        return self.known_speed if self.speed.max_error else None

@@ -251,6 +251,12 @@ def test_doctor_finds_other_problems(tmp_path: Path) -> None:
     assert b"PROBLEM  " in run("doctor", "--printer-cfg", tmp_path / "no.cfg").stdout
     (tmp_path / "bad.toml").write_text('extends = "paper"\nx = 1\n')
     assert run("doctor", "-p", tmp_path / "bad.toml").returncode == 1
-    missing = run("doctor", "--folder", tmp_path / "gone")
-    assert missing.returncode == 1
-    assert b"files cannot be written" in missing.stdout
+
+
+def test_a_folder_that_cannot_be_written_is_a_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "cwd", lambda: tmp_path / "gone")
+    missing = CliRunner().invoke(main, ["doctor"])
+    assert missing.exit_code == 1
+    assert "files cannot be written" in missing.output

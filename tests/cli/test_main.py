@@ -228,14 +228,6 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     assert run(own, "-n", "-q").returncode == 0
 
 
-def test_old_names_of_options_work_with_a_warning(part: Path) -> None:
-    new = run(part, "-n", "-q", "--json", "-", "--tolerance", "0")
-    old = run(part, "-n", "-q", "--json", "-", "--every-sample")
-    assert old.stderr == b"Warning: --every-sample will be removed: use --tolerance 0\n"
-    numbers = [json.loads(done.stdout)["lines_written"] for done in (new, old)]
-    assert numbers[0] == numbers[1]
-
-
 def test_missing_files_are_named(tmp_path: Path) -> None:
     done = run(tmp_path / "none.gcode")
     assert done.returncode == 1

@@ -462,12 +462,6 @@ def test_for_klipper_printer_cfg_is_enough(config: Path) -> None:
     assert "give printer.cfg alone" in set_up(config, config, status=2)
 
 
-def test_the_command_that_asked_is_gone() -> None:
-    done = run("printers", "new", "-o", "my.toml")
-    assert done.returncode == 2
-    assert b"hframe-post setup m503.txt" in done.stderr
-
-
 # ---------------------------------------------------------------------- Moonraker
 
 

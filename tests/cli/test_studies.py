@@ -244,7 +244,6 @@ def test_a_bad_print_is_one_line_and_nothing_written_but_the_failure(
 
 
 USAGE = [
-    (["simulate", "--path", "circle"], "--path"),
     (["simulate", "--model-error", "many"], "'many' is not a share"),
     (["simulate", "--seed", "-1"], "--seed"),
     (["tune", "-L", "1"], "-L"),

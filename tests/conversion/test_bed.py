@@ -173,7 +173,7 @@ def test_bytes_do_not_depend_on_processes(slinger: Printer) -> None:
     texts = [
         b"".join(
             piece if isinstance(piece, bytes) else piece.line
-            for piece in GcodeConversion(iter(laps()), slinger, FBS, jobs)
+            for piece in GcodeConversion(iter(laps()), slinger, replace(FBS, jobs=jobs))
         )
         for jobs in (1, 2)
     ]

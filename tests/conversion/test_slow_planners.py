@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post import library
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import LimitError
 from hframe_post.gcode.state import LimitSource
@@ -65,7 +66,7 @@ def test_a_profile_of_setup_leaves_compensation_what_it_needs(
 ) -> None:
     own = measured(set_up(tmp_path, kind, acceleration), acceleration)
     assert own.limits.acceleration == acceleration
-    report = library.convert(LAYER, None, own, clamp=False)
+    report = library.convert(LAYER, None, own, Options(clamp=False))
     none, compensated = errors(report)
     below(compensated, 0.25 * none, "contour error, µm RMS")
 
@@ -88,8 +89,8 @@ def test_a_limit_that_the_owner_states_is_kept_by_a_gentler_command(
     own = measured(set_up(tmp_path, "cartesian", 500))
     own = replace(own, motors=replace(own.motors, belt_acceleration=1250.0))
     with pytest.raises(LimitError, match="belt acceleration"):
-        library.convert(LAYER, None, own, strategy=strategy, clamp=False)
-    report = library.convert(LAYER, None, own, strategy=strategy, predict=("none", "racking"))
+        library.convert(LAYER, None, own, Options(strategy, clamp=False))
+    report = library.convert(LAYER, None, own, Options(strategy, ("none", "racking")))
     below(report.peaks.belt_acceleration, 1250.001, "acceleration of a belt, mm/s²")
     below(report.clamped.most, 0.06, "change of the command, mm")
     assert any(warning.startswith("clamped ") for warning in report.warnings())
@@ -114,7 +115,7 @@ def test_an_owner_without_a_sensor_prints(tmp_path: Path, kind: str, acceleratio
     done = run("calibrate-print", "--form", form, "-p", profile, "-o", profile)
     assert done.returncode == 0, done.stderr
     for limits in get_args(LimitSource):  # corners as in the file, and the firmware's own
-        report = library.convert(LAYER, None, load(str(profile)), limits=limits)
+        report = library.convert(LAYER, None, load(str(profile)), Options(limits=limits))
         assert report.clamped.samples == 0, limits
         none, compensated = errors(report)
         below(compensated, 0.25 * none, "contour error, µm RMS")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,7 +35,7 @@ def cube(last: int = 3) -> list[bytes]:
 
 
 def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, GcodeConversion]:
-    conversion = GcodeConversion(iter(lines), printer, OPTIONS, jobs)
+    conversion = GcodeConversion(iter(lines), printer, replace(OPTIONS, jobs=jobs))
     pieces = [
         b"%s %.6f\n" % (o.line, o.elapsed) if isinstance(o, DeferredLine) else o for o in conversion
     ]

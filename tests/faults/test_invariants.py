@@ -73,7 +73,7 @@ def nothing_appears(folder: Path, cause: str) -> None:
     out = folder / "out.gcode"
     out.write_bytes(b"as it was")
     with pytest.raises(HframeError, match=cause), Outputs() as outputs:
-        convert(iter(LINES), Target(outputs, out), PRINTER, Options("racking"))
+        convert(iter(LINES), Target(outputs, out), PRINTER, Options("racking", clamp=False))
     assert out.read_bytes() == b"as it was"
     assert [path.name for path in folder.iterdir()] == ["out.gcode"]
 

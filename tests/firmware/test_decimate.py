@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, Flags, Integers
-from hframe_post.conversion.pipeline import TOLERANCE
+from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.klipper.segments import (
     E_WEIGHT,
     PIECE,

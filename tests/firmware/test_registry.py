@@ -12,7 +12,7 @@ from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.registry import FIRMWARES, player
 from hframe_post.printer.firmware_tables import TABLES, Firmware
-from hframe_post.printer.profile import load, parse, played_by
+from hframe_post.printer.profile import load, played_by
 from hframe_post.printer.settings import Printer
 
 
@@ -72,17 +72,3 @@ def test_every_number_of_a_firmwares_table_has_bounds(name: str) -> None:
         if "float" in str(member.type) or "int" in str(member.type):
             assert member.metadata.keys() & {"above", "least"}, member.name
             assert member.metadata.keys() & {"below", "most"}, member.name
-
-
-REMOVED = r"RepRapFirmware was removed, because its output was never run on the real firmware"
-
-
-@pytest.mark.parametrize("text", ['dialect = "reprapfirmware"', "[firmware.reprapfirmware]"])
-def test_profile_for_reprapfirmware_is_told_that_it_was_removed(text: str) -> None:
-    with pytest.raises(PrinterError, match=REMOVED):
-        parse(f'extends = "paper"\n[firmware]\n{text}\n', "duet")
-
-
-def test_option_for_reprapfirmware_is_told_that_it_was_removed() -> None:
-    with pytest.raises(PrinterError, match=f"--firmware: support for {REMOVED}"):
-        convert.make_context("convert", ["in.gcode", "--firmware", "reprapfirmware"])

@@ -108,9 +108,5 @@ def test_usage_and_files_are_checked(taken: Recorded, tmp_path: Path) -> None:
     check_refused(tmp_path, "Give the command first", *MAP, "--nozzle", recorded0, x0.command)
     check_refused(tmp_path, "does not exist", *MAP, "--nozzle", "no.csv", recorded0, status=2)
     check_refused(tmp_path, "--nozzle", *MAP, status=2)
-    for removed in (["--order", "Gxx=4"], ["--estimator", "H2"]):
-        check_refused(tmp_path, f"{removed[0]} was removed", *taken.all, *removed, status=2)
-    figures = ("--figures", tmp_path / "f")
-    check_refused(tmp_path, "use --report page.html", *taken.all, *figures, status=2)
     check_refused(tmp_path, "four names", *taken.all, "--columns", "t,x", status=2)
     check_refused(tmp_path, "--band", *taken.all, "--band", "50", "5", status=2)

@@ -282,7 +282,6 @@ def test_both_axes_are_swept_by_one_file(short: Path, tmp_path: Path) -> None:
         (["--axis", "z"], 2, b"'z' is not one of"),
         (["--chip", "adxl345 hotend"], 2, b"type hotend"),
         (["--chip", ""], 2, b"is not a chip's name"),
-        (["--z", "-1"], 2, b"--z"),
         (["--position", "500,100"], 1, b"x (mm) would be 500"),
         (["--position", "80,100", "--position", "80,100"], 1, b"twice"),
         (["-p", "missing"], 1, b"no such profile"),

@@ -270,9 +270,6 @@ def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
 
 
 def test_usage(tmp_path: Path) -> None:
-    removed = invoked("--figure", tmp_path / "v.svg")
-    assert removed.exit_code == 2
-    assert "--report page.html" in removed.output
     assert invoked().exit_code == 2
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1
 

@@ -35,7 +35,8 @@ class Late:
 @pytest.fixture
 def late(monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setitem(STRATEGIES, "late", Strategy("late", "path, late", "#00a000", Late))
-    for name in [name for name in sys.modules if name.startswith("hframe_post.cli.")]:
+    read_it = ("hframe_post.cli.", "hframe_post.conversion.options")
+    for name in [name for name in sys.modules if name.startswith(read_it)]:
         monkeypatch.delitem(sys.modules, name)  # imported again, with this row
     return "late"
 

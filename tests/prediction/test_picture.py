@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,7 +105,7 @@ def test_spans_of_a_print_know_their_layers(
     options = Options("racking", STRATEGIES, picture=True)
     whole = convert(text, None, paper, options).picture
     monkeypatch.setattr(spans, "SECONDS", 0.5)
-    parts = convert(text, None, paper, options, jobs=2).picture
+    parts = convert(text, None, paper, replace(options, jobs=2)).picture
     assert whole is not None
     assert parts is not None
     assert whole.labels.layers[1:] == ["0", "1", "2", "3"]

@@ -33,8 +33,6 @@ def test_a_plant_of_unknown_origin_is_not_measured_until_its_profile_says_so() -
     unknown = shipped()["paper"]
     assert parse(unknown, "old copy").invented
     assert not parse(unknown.replace("[plant]", "[plant]\ninvented = false"), "typed").invented
-    # `identify` wrote this before it marked each plant as measured
-    assert not parse(unknown.replace("[plant]", "[plant]\nuncertainty = 0.05"), "old").invented
 
 
 def test_the_papers_printer_is_shown_where_it_is_asked_for_by_name_and_never_in_place(
@@ -95,9 +93,6 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0
     assert run(*line, "--force").returncode == 0
-    renamed = run(*line, "--i-know")
-    assert renamed.returncode == 0
-    assert b"Warning: --i-know will be removed: use --force" in renamed.stderr
     done = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
     assert done.returncode == 0, done.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written

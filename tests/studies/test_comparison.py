@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hframe_post as hp
-from hframe_post.conversion.pipeline import TOLERANCE
+from hframe_post.conversion.options import TOLERANCE
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.printer.settings import Printer
@@ -140,8 +140,8 @@ def converted(tmp_path_factory: pytest.TempPathFactory, paper: Printer) -> dict[
     paths = {name: folder / f"{name}.gcode" for name in ("usual", "dense", "fbs")}
     part = SAMPLES / "rectangle.gcode"
     hp.convert(part, paths["usual"], paper)
-    hp.convert(part, paths["dense"], paper, tolerance=None)
-    hp.convert(part, paths["fbs"], paper, strategy="fbs")
+    hp.convert(part, paths["dense"], paper, hp.Options(tolerance=None))
+    hp.convert(part, paths["fbs"], paper, hp.Options("fbs"))
     return paths
 
 

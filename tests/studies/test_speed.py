@@ -17,7 +17,7 @@ from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
-from hframe_post.printer.settings import Printer, Speed
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
@@ -194,7 +194,7 @@ def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) 
     printer = load_printer(mine)
     fast = convert(part, tmp_path / "same.gcode", printer)
     assert (tmp_path / "same.gcode").read_bytes() == made
-    plain = convert(list(cube()), tmp_path / "plain.gcode", printer, speed=Speed())
+    plain = convert(list(cube()), tmp_path / "plain.gcode", printer, Options(max_error={}))
     assert plain.time.before > fast.time.before + 1.0
     with pytest.raises(HframeError, match="a list of lines"):
         convert(iter(cube()), tmp_path / "once.gcode", printer)

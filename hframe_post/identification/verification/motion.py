@@ -78,7 +78,7 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
 
 
 def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[Run]:
-    options = Options("racking", limits="printer")
+    options = Options("racking", limits="printer", clamp=False)
     chunks = list[Samples]()
     for chunk in Commands(lines, printer, options, tuple(STRATEGIES.values())).computed():
         if len(chunk):

@@ -109,7 +109,7 @@ class SimulationReport(Report):
             "model_error": [error.as_json(self.strategies) for error in self.model_error],
         }
 
-    def as_text(self, all_layers: bool = False) -> str:
+    def as_text(self) -> str:
         stepped = ", in whole steps" if self.quantised else ""
         ranges = self._ranges()
         title = "exact model, error in µm" if ranges else "contour error, µm"
@@ -131,7 +131,7 @@ class SimulationReport(Report):
         lines += self._table("feature", list(self._judged(self.parts.features)))
         layers = list(self._judged(self.parts.layers))
         title = "layer"
-        if not all_layers and len(layers) > LAYERS_SHOWN:
+        if len(layers) > LAYERS_SHOWN:
             title = f"worst of {len(layers)} layers"
             best = self.strategies[-1]
             layers.sort(key=lambda item: -item[1][best].contour.expected)

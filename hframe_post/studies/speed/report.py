@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+from hframe_post.conversion.report import Report
 from hframe_post.studies.speed.search import Fastest
 from hframe_post.writers.stream.print_time import duration
 
@@ -19,6 +21,11 @@ CAUSES = {
     "error": "permitted error",
 }
 VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the most first
+
+
+def with_speed(report: Report, found: Fastest) -> Report:
+    """Return the report of a conversion with what the search found."""
+    return replace(report, speed=speed_as_json(found), speed_text=speed_as_text(found))
 
 
 def speed_as_json(found: Fastest) -> dict[str, Any]:
@@ -40,7 +47,7 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             }
             for name, errors in trial.errors.items()
         },
-        "limited_by_s": limited_by, "held_by_s": limited_by,  # the old name, for one release
+        "limited_by_s": limited_by,
     }  # fmt: skip
 
 

@@ -30,7 +30,7 @@ from hframe_post.stream.types import Planned, Samples
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
 PREVIEW = 440  # samples of a window, L_C: as long for every L
-RACKING = Options("racking")
+RACKING = Options("racking", clamp=False)
 ROUGHLY = 1.1  # costs this close to the least are as good; the gentlest of them is taken
 
 

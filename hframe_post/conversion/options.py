@@ -1,0 +1,238 @@
+"""The options of a conversion, each declared once: its default, its values and its help.
+
+The library takes them as ``Options``. The command line makes its own from the fields that are
+``Shown`` (`cli.options.conversion_options`); ``Options.words`` turns them back into words, for the
+processes of a batch.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from hframe_post.errors import ArgumentError, OptionError
+from hframe_post.gcode.state import Extrusion, LimitSource
+from hframe_post.model.strategies import STRATEGIES
+from hframe_post.model.strategies import strategy as strategy_of
+from hframe_post.printer.firmware_tables import TABLES
+from hframe_post.printer.settings import Printer, Speed
+from hframe_post.process import processor_count
+from hframe_post.stream.features import KINDS
+
+if TYPE_CHECKING:
+    from hframe_post.model.shapers import Shaping
+    from hframe_post.planner.pacing import Paces
+
+TOLERANCE = 0.014  # mm; moves the nozzle by 1 µm RMS, because the printer smooths what it misses
+MAX_SPEED_UP = 20.0  # times the file's feed rates
+UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
+
+Kind = Literal["gcode", "bgcode", "steps", "step-bits", "samples"]
+Retract = Literal["standing", "moving"]
+
+
+def error_bounds(text: str) -> dict[str, float]:
+    """Read ``30um`` or ``outer-wall=15um,infill=80um`` as mm by feature; '' is all others."""
+    found: dict[str, float] = {}
+    if text == "off":
+        return found
+    for part in text.split(","):
+        match = re.fullmatch(r"(?:([a-z-]+)=)?(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)", part.strip())
+        if match is None:
+            raise ArgumentError(f"{part!r} is not an error such as 30um or outer-wall=15um")
+        name = match[1] or ""
+        if name and name not in KINDS:
+            raise ArgumentError(f"no feature is called {name!r}; there are {', '.join(KINDS)}")
+        found[name] = float(match[2]) * UNITS[match[3]]
+        if not 1e-4 <= found[name] <= 10.0:
+            raise ArgumentError(f"{part!r} is not between 0.1um and 10mm")
+    return found
+
+
+def speed_factor(text: str) -> float:
+    """Read a number from 1, or ``max``."""
+    try:
+        value = MAX_SPEED_UP if text == "max" else float(text)
+    except ValueError:
+        value = 0.0
+    if not 1.0 <= value <= MAX_SPEED_UP:
+        raise ArgumentError(f"{text!r} is neither 'max' nor from 1 to {MAX_SPEED_UP:g}")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """How a field appears on the command line.
+
+    default: of the field. flags: its names, the long one last. choices: its values by word. read:
+    turns a word into a value; raises ArgumentError. least: that a whole number may be. unset:
+    returns the value where the command line does not give it, if that is not the default.
+    """
+
+    default: Any
+    flags: tuple[str, ...]
+    help: str
+    metavar: str | None = None
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    read: Callable[[str], Any] | None = None
+    least: int | None = None
+    unset: Callable[[], Any] | None = None
+
+    def word(self, value: Any) -> str | None:
+        """Return the word for a value; None if it is not one of the choices."""
+        return next((word for word, known in self.choices.items() if known == value), None)
+
+
+def option(default: Any, *flags: str, decides: bool = False, **shown: Any) -> Any:
+    """Return a field that is ``Shown``. decides: whether it is part of what decides the output."""
+    return field(default=default, repr=decides, metadata={"shown": Shown(default, flags, **shown)})
+
+
+def named(choices: Iterable[str]) -> dict[str, str]:
+    """Return choices that are called by their own names."""
+    return {word: word for word in choices}
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a user asks of a conversion; where nothing is asked, the printer's profile decides.
+
+    strategy: whose commands are written; empty: the profile's. predict: strategies whose contour
+    error is reported; None: ``none`` and the chosen one. clamp: compensate less where a command
+    would exceed a limit, instead of raising LimitError. tolerance: how far, in mm, a written
+    segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
+    for all others; empty: the file's speeds.
+
+    The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
+    collect the path with its predicted errors; shaping: with those of this input shaper, too.
+
+    Raises OptionError for values that make no sense.
+    """
+
+    strategy: str = option(
+        "", "-c", "--compensation", decides=True, choices=named(STRATEGIES),
+        help="Compensate ringing, racking and other couplings (racking), ringing only (fbs) or "
+        "nothing (none). Default: compensation.strategy of the profile.",
+    )  # fmt: skip
+    predict: tuple[str, ...] | None = option(
+        None, "--predict", decides=True,
+        choices={"chosen": None, "all": tuple(STRATEGIES), "off": ()},
+        help="Contour errors to predict: without compensation and with the chosen one, with all, "
+        "or none.",
+    )  # fmt: skip
+    _: KW_ONLY
+    limits: LimitSource = option(
+        "file", "--limits", decides=True, choices=named(get_args(LimitSource)),
+        help="Which limits set in the file lower the profile's: those that the firmware obeys "
+        "(Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all (file-all), or "
+        "none (printer).",
+    )  # fmt: skip
+    clamp: bool = option(
+        True, "--on-limit", decides=True, choices={"error": False, "clamp": True},
+        help="If the compensated motion would leave the bed or exceed a motor's limits: stop with "
+        "an error, or compensate less there and say so.",
+    )  # fmt: skip
+    tolerance: float | None = option(
+        TOLERANCE, "--tolerance", decides=True, metavar="MM",
+        help="How far G-code for Klipper may differ from the computed motion, at most 0.1 mm; 0 "
+        "writes a line for every millisecond, and begins lifts at rest.",
+    )  # fmt: skip
+    extrusion: Extrusion | None = option(
+        None, "--extrusion", decides=True, choices=named(get_args(Extrusion)),
+        help="Meaning of E before the first M82 or M83 in the file, if a start macro of the "
+        "printer sets it.",
+    )  # fmt: skip
+    retract: Retract = option(
+        "standing", "--retract", decides=True, choices=named(get_args(Retract)),
+        help="For Klipper: retract before the travel as in the file, or during it where there is "
+        "time.",
+    )  # fmt: skip
+    format: Kind | None = option(
+        None, "--format", choices=named(get_args(Kind)),
+        help="Output format: G-code (bgcode: Prusa's binary form), motor steps (a row per step, "
+        "or a bit per clock tick), or samples every millisecond. Default: by the suffix of the "
+        "output: .csv steps, .npz samples, .bgcode binary, any other G-code.",
+    )  # fmt: skip
+    firmware: str | None = option(
+        None, "--firmware", choices=named(TABLES),
+        help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
+    )  # fmt: skip
+    force: bool = option(
+        False, "--force",
+        help="Compensate even if the profile's plant was not measured on your printer.",
+    )  # fmt: skip
+    max_error: dict[str, float] | None = option(
+        None, "--max-error", metavar="ERROR", read=error_bounds,
+        help="Print as fast as this contour error allows: 30um, or by feature "
+        "outer-wall=15um,infill=80um; 'off' for the file's speeds. The statistic compared with it "
+        "is speed.error_measure of the profile. Default: speed.max_error of the profile.",
+    )  # fmt: skip
+    speed_up: float | None = option(
+        None, "--speed-up", metavar="N|max", read=speed_factor,
+        help="With --max-error: at most N times the file's feed rates; limits.flow and "
+        "limits.min_layer_time of the profile hold, too. Default: speed.speed_up of the profile, "
+        "or 1.",
+    )  # fmt: skip
+    jobs: int = option(
+        1, "--jobs", metavar="N", least=1, unset=processor_count,
+        help="Number of processes that compute G-code; the output does not depend on it. Default: "
+        "one per processor.",
+    )  # fmt: skip
+    speed: Speed | None = None
+    paces: Paces | None = None
+    picture: bool = field(default=False, repr=False)
+    shaping: Shaping | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("limits", "extrusion", "retract", "format"):
+            given, choices = getattr(self, name), SHOWN[name].choices
+            if given is not None and given not in choices:
+                raise OptionError(f"{name} must be one of {', '.join(choices)}, not {given!r}")
+        if not self.tolerance:
+            object.__setattr__(self, "tolerance", None)
+        elif not 1e-4 <= self.tolerance <= 0.1:
+            raise OptionError(
+                f"--tolerance must be 0, or from 0.0001 to 0.1, not {self.tolerance:g}"
+            )
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        """Return the chosen strategy and those that are predicted, each once."""
+        return tuple(dict.fromkeys((self.strategy, *(self.predict or ()))))
+
+    def resolved(self, printer: Printer) -> Options:
+        """Return the options with the profile's where nothing was asked.
+
+        Raises OptionError, and HframeError for a strategy that does not exist.
+        """
+        strategy = strategy_of(self.strategy or printer.compensation.strategy).name
+        reported = ("none", strategy) if self.predict is None else self.predict
+        predict = tuple(dict.fromkeys(strategy_of(name).name for name in reported))
+        speed = printer.known_speed
+        if self.max_error is not None:
+            speed = replace(speed, max_error=self.max_error)
+        if self.speed_up is not None:
+            speed = replace(speed, speed_up=self.speed_up)
+            if not speed.max_error:
+                raise OptionError("--speed-up needs --max-error")
+        return replace(
+            self, strategy=strategy, predict=predict, speed=speed if speed.max_error else None
+        )
+
+    def words(self) -> list[str]:
+        """Return the words of a command line that mean the same, for the options of a batch."""
+        found = list[str]()
+        for name, shown in SHOWN.items():
+            value = getattr(self, name)
+            if value is True and not shown.choices:
+                found.append(shown.flags[-1])
+            elif value != shown.default or shown.unset:
+                found += [shown.flags[-1], shown.word(value) or str(value)]
+        return found
+
+
+SHOWN: dict[str, Shown] = {
+    each.name: each.metadata["shown"] for each in fields(Options) if each.metadata
+}

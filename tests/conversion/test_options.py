@@ -1,0 +1,106 @@
+"""Options: declared once, the same from the library, the command line and a batch."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import click
+import pytest
+
+from hframe_post.cli.options import conversion_options
+from hframe_post.conversion.options import SHOWN, Options, error_bounds, speed_factor
+from hframe_post.errors import ArgumentError, HframeError, OptionError
+from hframe_post.printer.settings import Printer
+
+
+def read(*words: str, names: tuple[str, ...] = tuple(SHOWN)) -> Options:
+    """The options that a command with these words receives."""
+
+    @click.command()
+    @conversion_options(*names)
+    def command(options: Options) -> Options:
+        return options
+
+    found = command.main(list(words), standalone_mode=False)
+    assert isinstance(found, Options)
+    return found
+
+
+def test_without_words_the_command_line_has_the_defaults_of_the_library() -> None:
+    assert replace(read(), jobs=1) == Options()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(),
+        Options("fbs", limits="printer", clamp=False, force=True, jobs=3),
+        Options("none", ("none", "fbs", "racking"), extrusion="relative", retract="moving"),
+        Options(predict=(), format="step-bits", firmware="marlin", tolerance=0.05, speed_up=2.5),
+    ],
+)
+def test_words_are_read_back_as_the_same_options(options: Options) -> None:
+    assert read(*options.words()) == options
+    assert pickle.loads(pickle.dumps(options)) == options
+
+
+def test_every_option_is_read() -> None:
+    words = (
+        "--compensation racking --firmware klipper --limits file-all --extrusion absolute "
+        "--on-limit error --force --tolerance 0 --retract moving --predict off --jobs 2 "
+        "--format samples --max-error outer-wall=15um,80um --speed-up max"
+    )
+    assert read(*words.split()) == Options(
+        "racking", (), limits="file-all", clamp=False, tolerance=None, extrusion="absolute",
+        retract="moving", format="samples", firmware="klipper", force=True,
+        max_error={"outer-wall": 0.015, "": 0.08}, speed_up=20.0, jobs=2,
+    )  # fmt: skip
+
+
+def test_what_does_not_go_together_is_wrong_usage() -> None:
+    with pytest.raises(click.UsageError, match="--tolerance must be 0, or from"):
+        read("--tolerance", "5")
+    with pytest.raises(click.UsageError, match="'30' is not an error such as"):
+        read("--max-error", "30")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"limits": "non"}, {"extrusion": "x"}, {"retract": ""}, {"format": "rtf"}, {"tolerance": 1.0}],
+)
+def test_wrong_values_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(OptionError):
+        Options(**wrong)
+
+
+def test_the_profile_decides_where_nothing_is_asked(paper: Printer) -> None:
+    found = Options().resolved(paper)
+    assert (found.strategy, found.predict) == ("racking", ("none", "racking"))
+    assert found.speed is None
+    fast = replace(paper, speed=replace(paper.speed, max_error={"": 0.1}))
+    assert Options().resolved(fast).speed == fast.known_speed
+    assert Options(max_error={}).resolved(fast).speed is None
+    faster = Options(speed_up=3.0).resolved(fast).speed
+    assert faster is not None
+    assert (faster.speed_up, faster.max_error) == (3.0, {"": 0.1})
+
+
+def test_speed_needs_an_error(paper: Printer) -> None:
+    with pytest.raises(OptionError, match="--speed-up needs --max-error"):
+        Options(speed_up=2.0).resolved(paper)
+    with pytest.raises(HframeError, match="unknown strategy 'raking'"):
+        Options("raking").resolved(paper)
+
+
+def test_errors_and_speeds_are_read() -> None:
+    assert error_bounds("off") == {}
+    assert error_bounds("0.03mm, infill=80um") == {"": 0.03, "infill": pytest.approx(0.08)}
+    assert (speed_factor("max"), speed_factor("1.5")) == (20.0, 1.5)
+    for text in ("wall=3um", "0um", "30", "20mm"):
+        with pytest.raises(ArgumentError):
+            error_bounds(text)
+    for text in ("0.5", "21", "nan", "fast"):
+        with pytest.raises(ArgumentError):
+            speed_factor(text)

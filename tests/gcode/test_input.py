@@ -1,0 +1,47 @@
+"""Input: lines of a file, of an open file or of a list, once or several times."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hframe_post.errors import ArgumentError
+from hframe_post.gcode.lines import Input
+from tests.conftest import MEASURED, SAMPLES
+
+LINES = [b"G28\n", b"G1 X10\n"]
+
+
+def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "in.gcode"
+    path.write_bytes(b"".join(LINES))
+    for given in (Input(path), Input(str(path)), Input(LINES)):
+        counted = list[int]()
+        assert list(given.lines(counted.append)) == list(given.again()) == LINES
+        assert sum(counted) == 11
+        assert not given.once
+        assert not given.binary
+
+
+def test_a_stream_cannot() -> None:
+    for given in (Input(io.BytesIO(b"".join(LINES))), Input(iter(LINES))):
+        assert given.once
+        assert list(given.lines()) == LINES
+        with pytest.raises(ArgumentError, match="a path or a list of lines"):
+            given.again()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no named pipes")
+def test_a_named_pipe_is_opened_once(tmp_path: Path) -> None:
+    pipe, out = tmp_path / "pipe", tmp_path / "out.gcode"
+    os.mkfifo(pipe)
+    command: list[str | Path] = [sys.executable, "-m", "hframe_post", pipe, "-o", out, "-q"]
+    with subprocess.Popen([*command, "-p", MEASURED]) as process:
+        pipe.write_bytes((SAMPLES / "rectangle.gcode").read_bytes())
+        assert process.wait(60) == 0
+    assert out.stat().st_size
