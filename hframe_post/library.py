@@ -30,6 +30,7 @@ from hframe_post.errors import (
     LeftAloneError,
     PrinterError,
 )
+from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.lines import is_binary, lines_of, reread
 from hframe_post.gcode.state import Extrusion, LimitSource
@@ -364,7 +365,7 @@ def _pictured(options: Options, source: Source, printer: Printer, plant: Plant) 
 
     predicted = dict.fromkeys(("none", options.strategy, *options.predict))
     pieces = paths(_again(source)(), printer, options)
-    shaping = good(plant, pieces, printer.firmware.dialect)
+    shaping = good(plant, pieces, firmware_of(printer))
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 

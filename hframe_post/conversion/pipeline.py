@@ -26,7 +26,7 @@ from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionS
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import ArgumentError, HframeError, PrinterError
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, LimitSource, ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -112,8 +112,8 @@ def sampled(
 
     skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
-    lifts = player(printer, options.tolerance, options.retract == "moving").rests
-    waits = rests(printer.compensation.stops, options.strategy, lifts)
+    rules = firmware(printer).motion(printer, options.tolerance, options.retract == "moving")
+    waits = rests(printer.compensation.stops, options.strategy, rules.rests)
     return sample(items, printer.limits, waits, skip_slow=skip_slow)
 
 
