@@ -30,6 +30,7 @@ from hframe_post.errors import (
     OptionError,
     PrinterError,
 )
+from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES
@@ -314,7 +315,7 @@ def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -
 
     predicted = dict.fromkeys(("none", *options.strategies))
     pieces = paths(source.again(), printer, options)
-    shaping = good(plant, pieces, printer.firmware.dialect)
+    shaping = good(plant, pieces, firmware_of(printer))
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 
-from hframe_post.gcode.commands import dialect
+from hframe_post.firmware.registry import firmware_named
 from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
 
@@ -40,7 +40,8 @@ def assert_same_motion(
             else lines_of(files.enter_context(Path(each).open("rb")))
             for each in (expected, actual)
         )
-        compared = compare(a, b, dialect(firmware), Tolerance(tolerance, slack))
+        dialect = firmware_named(firmware).dialect
+        compared = compare(a, b, dialect, Tolerance(tolerance, slack))
     if not compared.same:
         raise AssertionError(compared.as_text())
     return compared

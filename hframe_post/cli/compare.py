@@ -10,7 +10,6 @@ import click
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import files_read, number
 from hframe_post.firmware.registry import FIRMWARES
-from hframe_post.gcode.commands import dialect
 from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Tolerance
 from hframe_post.studies.comparison.compare import compare as compare_files
@@ -79,7 +78,8 @@ def compare(
         Outputs(files_read(a, b)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
-        result = compare_files(lines_of(first), lines_of(second), dialect(firmware), tolerance)
+        dialect = FIRMWARES[firmware].dialect
+        result = compare_files(lines_of(first), lines_of(second), dialect, tolerance)
         status = 0 if result.same else 1
         write_json(result.as_json(), status)
     if not quiet:

@@ -17,13 +17,14 @@ from hframe_post.cli.options import quoted
 from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper.macro_check import check_macros
+from hframe_post.firmware.configuration import Finding
+from hframe_post.firmware.klipper.check import check
 from hframe_post.firmware.klipper.macros import FILE
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.version import log_of
+from hframe_post.firmware.registry import firmware
 from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file
 from hframe_post.printer.edit import changed_by_hand
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import Finding, check
-from hframe_post.printer.klipper_version import check_version, log_of
 from hframe_post.printer.profile import load, shipped, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.slicers import presets
@@ -157,12 +158,12 @@ def _check_profile(
             "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
             "'calibrate-print' has written your printer's: see docs/start.md"
         )
-    klipper = profile.firmware.dialect == "klipper"
-    if config is None and not klipper:
-        findings.unchecked = ""
+    own = firmware(profile)
+    if config is None:
+        findings.unchecked = own.compared
     if printer in shipped():
         tell = findings.note if config is None else findings.problem
-        source = quoted(config or ("printer.cfg" if klipper else "m503.txt"))
+        source = quoted(config or own.configuration)
         tell(
             f"{printer} comes with hframe-post and is not your printer: run 'hframe-post setup "
             f"{source}'"
@@ -170,14 +171,8 @@ def _check_profile(
         return
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
-    if config is None and not klipper:
-        findings.note(
-            "after each change of the printer's settings save its answers to M503 and M115, and "
-            "run 'hframe-post setup' with them again"
-        )
-        return
     if config is None:
-        findings.note("printer.cfg is not checked: name it with --printer-cfg")
+        findings.note(own.unchecked)
         return
     _check_config(findings, config, log or log_of(config), profile, printer)
 
@@ -188,9 +183,7 @@ def _check_config(
     """Compare printer.cfg with a profile of this name; log: Klipper's, which shows its version."""
     try:
         config = KlipperConfig(path)
-        differences = list(_differences(config, profile, name))
-        if profile.firmware.dialect == "klipper":
-            differences += check_version(config, log)
+        differences = list(_differences(config, log, profile, name))
     except HframeError as error:
         findings.problem(str(error))
         return
@@ -208,7 +201,7 @@ def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
     if not profile.invented and days > OLD:
         how = "measured" if profile.measured else "written"
         again = "Measure it again"
-        if profile.firmware.dialect == "klipper":
+        if profile.firmware.kind.records:
             again = "Run 'hframe-post check', or record and identify again"
         findings.note(
             f"{path} was {how} {days} days ago, and printers change: a resonance of one moved from "
@@ -216,7 +209,9 @@ def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
         )
 
 
-def _differences(config: KlipperConfig, profile: Printer, name: str) -> Iterator[Finding]:
+def _differences(
+    config: KlipperConfig, log: Path | None, profile: Printer, name: str
+) -> Iterator[Finding]:
     path = Path(name)
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
@@ -226,8 +221,7 @@ def _differences(config: KlipperConfig, profile: Printer, name: str) -> Iterator
         remedy = f"change it there or in {name}"
         again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
     yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
-    if profile.firmware.dialect == "klipper":
-        yield from check_macros(config, profile, again)
+    yield from firmware(profile).host_findings(config.path, log, profile, again)
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:

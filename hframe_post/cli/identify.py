@@ -20,12 +20,12 @@ from hframe_post.cli.options import (
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
+from hframe_post.firmware.klipper.check import warnings
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipper
 from hframe_post.printer.choice import choose
 from hframe_post.printer.edit import with_plant
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import warnings
 from hframe_post.printer.profile import load, parse
-from hframe_post.printer.setup import kinematics_in, text_from_klipper
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second

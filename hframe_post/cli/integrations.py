@@ -11,11 +11,11 @@ import click
 from platformdirs import user_data_path
 
 from hframe_post.cli.options import files_read, printer_option, say
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.marlin.calibration import calibration
+from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import check_identified, load, shipped
-from hframe_post.printer.settings import Printer
 from hframe_post.process import own_command
 from hframe_post.writers.files import Outputs
 
@@ -172,7 +172,7 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     """
     profile = load(printer)
     check_identified(profile)
-    check_serial(profile)
+    firmware(profile).check_serial(profile)
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
@@ -183,14 +183,3 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
         plugin = text.replace('COMMAND = ["hframe-post"]', f"COMMAND = {command!r}")
         outputs.open(home / "plugins" / PLUGIN).write(plugin.encode())
     click.echo(f"{home / 'plugins' / PLUGIN}\nRestart OctoPrint.")
-
-
-def check_serial(printer: Printer) -> None:
-    """Raise PrinterError if the profile is one for printing from Marlin's SD card."""
-    marlin = printer.firmware.marlin
-    if printer.firmware.dialect == "marlin" and marlin is not None and not marlin.baud:
-        raise PrinterError(
-            "OctoPrint prints over a serial line, which starves without it and makes prints worse: "
-            "set it to the speed of the connection, such as 115200 or 250000 (docs/firmware.md)",
-            "firmware.marlin.baud", printer.name,
-        )  # fmt: skip

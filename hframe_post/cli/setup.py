@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
 
 import click
 
 from hframe_post.cli.moonraker import Moonraker
 from hframe_post.cli.options import files_read, number, quoted
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper.macros import FILE, macros
-from hframe_post.printer import klipper_check
+from hframe_post.firmware.configuration import Source
+from hframe_post.firmware.klipper.macros import FILE
+from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import VARIABLE, set_default
 from hframe_post.printer.edit import Updated, updated
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin, is_of_marlin, text_in
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import (
-    AS_BEFORE,
-    Known,
-    Tables,
-    from_klipper,
-    kinematics_in,
-    profile_text,
-)
+from hframe_post.printer.setup import AS_BEFORE, Known, profile_text
 from hframe_post.writers.files import Outputs
 
 PROFILE = "printer.toml"
@@ -92,7 +83,9 @@ def setup(
       hframe-post setup printer.cfg --moonraker
       hframe-post setup m503.txt --bed 220,220
     """
-    source = _Marlin(files, bed) if is_of_marlin(text_in(files[0])) else _Klipper(files, bed)
+    source = source_of(files)
+    if source.alone and (len(files) > 1 or bed is not None):
+        raise click.UsageError(source.alone)
     moonraker = None if connected is None else Moonraker(files[0].parent)
     if moonraker is not None and not connected:
         with Outputs() as outputs:
@@ -103,7 +96,7 @@ def setup(
     old = text_of(str(target)) if target.exists() else ""
     before = parse(old, "printer", str(target)) if old else None
     kind = _kinematics(source, kinematics, before)
-    tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value))}
+    tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value), bed or _bed(source))}
     new = Updated(profile_text(tables, f"made from {files[0].name}"), [], [])
     if old:
         new = updated(old, tables, str(target))
@@ -111,13 +104,14 @@ def setup(
     profile = parse(new.text, target.stem, str(target if old else files[0]))
     if moonraker is not None and profile.invented:
         raise HframeError(f"{target} is not measured yet: run 'hframe-post identify' first")
-    sections = source.macros(profile)
+    companions = source.companions(profile)
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
         if new.text != old:
             outputs.open(target).write(new.text.encode())
-        if sections and not _holds(folder / FILE, sections):
-            outputs.open(folder / FILE).write(sections.encode())
+        for name, text in companions.items():
+            if not _holds(folder / name, text):
+                outputs.open(folder / name).write(text.encode())
         done = moonraker.connect(outputs, target) if moonraker is not None else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
@@ -125,102 +119,20 @@ def setup(
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done]))
-    click.echo(source.next_steps(profile, target))
+    click.echo(source.next_steps(profile, target, quoted))
 
 
-class _Source(Protocol):
-    """Files that describe a printer. possible: its kinematics, the safest first; decided: why.
-
-    warnings: what the owner must know before a print. sensors: accelerometers that are known.
-    """
-
-    path: Path
-    possible: tuple[str, ...]
-    decided: str
-    warnings: list[str]
-    sensors: str
-
-    def tables(self, kinematics: str) -> Tables: ...
-    def macros(self, profile: Printer) -> str: ...
-    def next_steps(self, profile: Printer, target: Path) -> str: ...
+def _bed(source: Source) -> tuple[float, float] | None:
+    """Return the bed's width and depth, mm, asked for only if the source does not know them."""
+    if not source.no_travel:
+        return None
+    if not sys.stdin.isatty():
+        raise HframeError(source.no_travel)
+    size: tuple[float, float] = click.prompt("Width and depth of the bed (mm)", value_proc=_size)
+    return size
 
 
-class _Klipper:
-    def __init__(self, files: Sequence[Path], bed: tuple[float, float] | None) -> None:
-        # first, since a file that is neither firmware's would make the next message wrong
-        self.path, self._config = files[0], KlipperConfig(files[0])
-        if len(files) > 1 or bed is not None:
-            raise click.UsageError("for Klipper give printer.cfg alone: it names all that it needs")
-        self.possible, self.decided = kinematics_in(self._config), "kinematics of [printer]"
-        self.warnings = [self._config.unsaved] if self._config.unsaved else []
-        self.warnings += klipper_check.warnings(self._config)
-        names = ", ".join(self._config.accelerometers())
-        self.sensors = names or "none in printer.cfg; you need one to measure"
-
-    def tables(self, kinematics: str) -> Tables:
-        return from_klipper(self._config, kinematics)
-
-    def macros(self, profile: Printer) -> str:
-        return macros(profile, self._config)
-
-    def next_steps(self, profile: Printer, target: Path) -> str:
-        sections = target.with_name(FILE)
-        include = f"[include {sections.name}]"
-        if self._config.has(include[1:-1]):
-            first = f"Copy {sections} next to your printer.cfg, which includes it already."
-        else:
-            first = (
-                f"Copy {sections} next to your printer.cfg, and add this line to printer.cfg, at "
-                f"its end but above the SAVE_CONFIG block:\n     {include}"
-            )
-        if not profile.invented:
-            return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
-        return f"""
-Next:
-  1. {first}
-  2. Restart Klipper, and run hframe-post measure -o measure.gcode. It says what to print and what
-     to fetch then. Recordings of TEST_RESONANCES (OUTPUT=raw_data) do, too.
-  3. With all recordings in a folder recordings, and measure.*.csv with them, run
-     hframe-post identify recordings --printer-cfg {quoted(self.path)} -o {quoted(target)}"""
-
-
-class _Marlin:
-    def __init__(self, files: Sequence[Path], bed: tuple[float, float] | None) -> None:
-        self.path, self._bed = files[0], bed
-        self._settings = MarlinSettings(files)
-        self.possible, self.decided = self._settings.kinematics()
-        self.warnings = self._settings.warnings()
-        self.sensors = "one that a computer or a telephone records: Marlin reads none"
-
-    def tables(self, kinematics: str) -> Tables:
-        return from_marlin(self._settings, kinematics, self._travel())
-
-    def _travel(self) -> dict[str, Known]:
-        if self._bed is None and (found := self._settings.travel()):
-            return found
-        if self._bed is None and not sys.stdin.isatty():
-            raise HframeError(
-                f"{self.path} does not say how large the bed is: add --bed 220,220 with its width "
-                "and depth in mm, or Configuration.h behind the file"
-            )
-        bed = self._bed or click.prompt("Width and depth of the bed (mm)", value_proc=_size)
-        x, y = bed
-        return {"x": Known((0.0, x), "as you said"), "y": Known((0.0, y), "as you said")}
-
-    def macros(self, profile: Printer) -> str:
-        return ""
-
-    def next_steps(self, profile: Printer, target: Path) -> str:
-        if not profile.invented:
-            return ""
-        return f"""
-Next: measure the printer (docs/start.md#marlin).
-  With an accelerometer: hframe-post sweep -o sweep.gcode, record while the printer plays it, and
-  hframe-post identify recordings -o {quoted(target)}
-  With a ruler only: hframe-post calibrate-print -o tower.gcode"""
-
-
-def _kinematics(source: _Source, requested: str | None, before: Printer | None) -> Known:
+def _kinematics(source: Source, requested: str | None, before: Printer | None) -> Known:
     """Return the printer's kinematics: asked for only if nothing else decides."""
     possible = source.possible
     if requested is not None and requested not in possible:
@@ -268,7 +180,7 @@ def _differences(new: Updated, old: str, target: Path) -> Iterator[str]:
     yield from new.kept
 
 
-def _summary(source: _Source, profile: Printer, target: str, kind: Known) -> Iterator[str]:
+def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iterator[str]:
     limits, motors = profile.limits, profile.motors
     for warning in source.warnings:
         yield f"WARNING          {warning}"

@@ -74,10 +74,10 @@ def write_motion(
             file.writelines(command_csv(run.command))
 
 
-def write_for_marlin(target: Path, printer: str, profile: Printer, planned: list[Run]) -> list[Run]:
+def write_moves(target: Path, printer: str, profile: Printer, planned: list[Run]) -> list[Run]:
     """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
     from hframe_post.identification.recordings.excitation import command_csv
-    from hframe_post.identification.recordings.marlin_sweep import played
+    from hframe_post.identification.recordings.written_sweep import played
 
     done = [played(profile, run, HEIGHT) for run in planned]
     with Outputs(files_read(printer)) as outputs:
@@ -154,7 +154,7 @@ def sweep(
     Example:
       hframe-post sweep -p my.toml -o sweep.gcode
     """
-    from hframe_post.identification.recordings import marlin_sweep
+    from hframe_post.identification.recordings import written_sweep
     from hframe_post.identification.recordings.sweep import positions, runs, summary
 
     profile = load(printer)
@@ -163,11 +163,11 @@ def sweep(
         for each in ((X, Y) if axis is None else ("xy".index(axis),))
         for run in runs(profile, each, list(places) or positions(profile, each))
     ]
-    if profile.firmware.dialect == "marlin":
-        planned = write_for_marlin(output, printer, profile, planned)
-        text = marlin_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
-    else:
+    if profile.firmware.kind.records:
         write_motion(output, printer, profile, planned, chips)
         text = summary(profile, planned)
+    else:
+        planned = write_moves(output, printer, profile, planned)
+        text = written_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
     if not quiet:
         say(text)

@@ -20,6 +20,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
@@ -178,4 +179,4 @@ def _recommend_shaper(
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))
-    click.echo(shapings_as_text(found, usual, profile.firmware.dialect), err=str(json_file) == "-")
+    click.echo(shapings_as_text(found, usual, firmware(profile)), err=str(json_file) == "-")

@@ -19,7 +19,7 @@ from hframe_post.conversion.pipeline import Source, Stages, first_line, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.registry import firmware
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
@@ -35,7 +35,8 @@ class GcodeConversion:
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._printer, self._options = printer, options
-        self._player = player(printer, options.tolerance)
+        own = firmware(printer)
+        self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
         self._source = Source(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
@@ -63,8 +64,8 @@ class GcodeConversion:
         report = replace(
             report, lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
-            lines_per_second=self._player.lines_per_second, approximation=written.off,
-            notices=(*report.notices, *self._player.notices),
+            lines_per_second=self._rules.lines_per_second, approximation=written.off,
+            notices=(*report.notices, *self._code.notices),
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)
@@ -94,8 +95,11 @@ class SpanWriter:
             printer, options, compensator, at_stops=self._at_stops,
             printing=replace(start.printing), skip_slow=options.tolerance is not None,
         )  # fmt: skip
-        firmware = player(printer, options.tolerance, options.retract == "moving")
-        writer = GcodeWriter(options.strategy, firmware, place=start.place, offset=start.offset)
+        own = firmware(printer)
+        rules = own.motion(printer, options.tolerance, options.retract == "moving")
+        writer = GcodeWriter(
+            options.strategy, rules, own.code(printer), place=start.place, offset=start.offset
+        )
         result = WrittenSpan(())
 
         def output() -> Iterator[Output]:

@@ -27,7 +27,7 @@ from hframe_post.conversion.options import Options as Options  # for callers of 
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -69,8 +69,8 @@ def sampled(
 
     skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
-    lifts = player(printer, options.tolerance, options.retract == "moving").rests
-    waits = rests(printer.compensation.stops, options.strategy, lifts)
+    rules = firmware(printer).motion(printer, options.tolerance, options.retract == "moving")
+    waits = rests(printer.compensation.stops, options.strategy, rules.rests)
     return sample(items, printer.limits, waits, skip_slow=skip_slow)
 
 

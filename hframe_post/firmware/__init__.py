@@ -1,1 +1,1 @@
-"""What each firmware does with a stream, and the commands around it."""
+"""What each firmware reads, how it moves, and what its own files say."""

@@ -1,48 +1,19 @@
-"""The firmwares that the output can be written for.
-
-To add one: a table in ``printer.firmware_tables``, a ``Player`` in a module of this package, a row
-here, and the meaning of its G-code for the reader in ``gcode.commands``.
-"""
+"""The firmwares that the output can be written for. architecture.md says how to add one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from pathlib import Path
 
-from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.player import Player
+from hframe_post.errors import HframeError
+from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.configuration import Source
+from hframe_post.firmware.klipper.firmware import Klipper
+from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
 
-
-@dataclass(frozen=True, slots=True)
-class Firmware:
-    """A firmware, by its name in profiles and on the command line.
-
-    player: makes its ``Player`` from a printer, the tolerance of decimation (mm; None keeps every
-    sample) and whether filament is retracted in motion. decimates: whether it uses the tolerance.
-    """
-
-    name: str
-    label: str
-    player: Callable[[Printer, float | None, bool], Player]
-    decimates: bool
-
-
-def _marlin(printer: Printer, tolerance: float | None, retract_moving: bool) -> Player:
-    """Make Marlin's player. Its modules are imported here: most printers run Klipper."""
-    from hframe_post.firmware.marlin.player import Marlin
-
-    return Marlin.from_printer(printer, tolerance, retract_moving)
-
-
-FIRMWARES = {
-    each.name: each
-    for each in (
-        Firmware("klipper", "Klipper", Klipper.from_printer, decimates=True),
-        Firmware("marlin", "Marlin", _marlin, decimates=False),
-    )
-}
+FIRMWARES: dict[str, Firmware] = {each.name: each for each in (Klipper(), Marlin())}
 
 
 def firmware(printer: Printer) -> Firmware:
@@ -51,10 +22,17 @@ def firmware(printer: Printer) -> Firmware:
     return FIRMWARES[printer.firmware.dialect]
 
 
-def player(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> Player:
-    """Return the player of a printer's firmware; see ``Firmware.player``.
+def firmware_named(name: str) -> Firmware:
+    """Return a firmware by its name. Raises HframeError if there is none."""
+    if name not in FIRMWARES:
+        raise HframeError(f"unknown firmware {name!r}; choose from {', '.join(FIRMWARES)}")
+    return FIRMWARES[name]
 
-    Raises PrinterError where the profile lacks the firmware's table, HframeError where it cannot
-    retract in motion.
+
+def source_of(files: Sequence[Path]) -> Source:
+    """Return what the files of a firmware say of a printer. Raises HframeError.
+
+    Klipper is asked last: it takes all files, and says what is wrong with those of no firmware.
     """
-    return firmware(printer).player(printer, tolerance, retract_moving)
+    sources = (each.source(files) for each in reversed(FIRMWARES.values()))
+    return next(source for source in sources if source is not None)

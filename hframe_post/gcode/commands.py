@@ -1,4 +1,4 @@
-"""Tables of what the commands of a sliced file mean, by firmware.
+"""Tables of what the commands of a sliced file mean, whatever the firmware.
 
 A command that is in no table may move the machine or change its modes. It therefore runs with
 the user's own limits and modes in force, and the position after it is unknown.
@@ -6,18 +6,14 @@ the user's own limits and modes in force, and the position after it is unknown.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from hframe_post.errors import HframeError
-from hframe_post.gcode.lexer import Words
 from hframe_post.stream.types import Handling
 
 STAMP = b"; processed by hframe-post"
 OFF = b"; hframe-post: off"  # a file with this line is not to be converted
-
-Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s²
 
 MOTION_WORDS = {
     "G0": "XYZEF",
@@ -118,75 +114,3 @@ class Vocabulary:
             return known
         matching = (effect for prefix, effect in self.prefixes if name.startswith(prefix))
         return next(matching, Effect.UNKNOWN)
-
-
-@dataclass(frozen=True, slots=True)
-class Dialect:
-    """The meaning of commands where firmwares differ.
-
-    obeyed: the commands that set limits which this firmware obeys.
-    accelerations: what M204 sets, given its words and the values before.
-    dwell: seconds that G4 waits, given its words.
-    g90_sets_e: G90 and G91 set the mode of E as M82 and M83 do. Elsewhere E is relative while
-    the file is in G91.
-    saves_factor: M220 B saves the speed factor and M220 R restores it.
-    ignores_zero_feed: F0 means nothing; elsewhere it is an error.
-    splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
-    g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
-    rejoins_after_object: after it skips an object, the firmware can be led back to the stream.
-    """
-
-    name: str
-    obeyed: frozenset[str]
-    accelerations: Callable[[Words, Accelerations], Accelerations]
-    dwell: Callable[[Words], float]
-    g90_sets_e: bool = False
-    saves_factor: bool = False
-    ignores_zero_feed: bool = False
-    splines: bool = False
-    cr_ends_lines: bool = False
-    g92_resets: bool = False
-    rejoins_after_object: bool = False
-
-
-def _klipper_accelerations(words: Words, before: Accelerations) -> Accelerations:
-    """Return S, or the lower of P and T if both are given, for every move."""
-    if "S" in words:
-        return words["S"], words["S"]
-    both = min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before[0]
-    return both, both
-
-
-def _marlin_accelerations(words: Words, before: Accelerations) -> Accelerations:
-    """Return P for printing and T for travel, or S for both."""
-    if "S" in words:
-        return words["S"], words["S"]
-    return words.get("P", before[0]), words.get("T", before[1])
-
-
-def _klipper_dwell(words: Words) -> float:
-    """Return P, which is in ms; S means nothing."""
-    return words.get("P", 0.0) / 1000.0
-
-
-def _marlin_dwell(words: Words) -> float:
-    """Return S, or P, which is in ms, if there is no S."""
-    return words["S"] if "S" in words else words.get("P", 0.0) / 1000.0
-
-
-KLIPPER = Dialect(
-    "klipper", frozenset({"M204", LIMITS}), _klipper_accelerations, _klipper_dwell,
-    g92_resets=True, rejoins_after_object=True,
-)  # fmt: skip
-MARLIN = Dialect(
-    "marlin", frozenset({"M201", "M203", "M204", "M205"}), _marlin_accelerations, _marlin_dwell,
-    g90_sets_e=True, saves_factor=True, ignores_zero_feed=True, splines=True, cr_ends_lines=True,
-)  # fmt: skip
-DIALECTS = {each.name: each for each in (KLIPPER, MARLIN)}
-
-
-def dialect(name: str) -> Dialect:
-    """Return the dialect of a firmware. Raises HframeError if there is none."""
-    if name not in DIALECTS:
-        raise HframeError(f"unknown G-code dialect {name!r}; choose from {', '.join(DIALECTS)}")
-    return DIALECTS[name]

@@ -10,7 +10,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.commands import Dialect
+from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.lexer import Line, command, numbers_among, parameters
 from hframe_post.printer.settings import Retraction
 
@@ -73,10 +73,10 @@ def _extruding_moves(lines: Iterable[Line]) -> Iterator[tuple[float, float, floa
 
 
 DEFAULT_DURATION = 0.06  # s; half or twice of it is better than 0
-KLIPPER_PARAMETERS = (
+SET_RETRACTION = (
     "RETRACT_LENGTH", "RETRACT_SPEED", "UNRETRACT_EXTRA_LENGTH", "UNRETRACT_SPEED", "Z_HOP_HEIGHT",
 )  # fmt: skip
-MARLIN_WORDS = {"M207": "SFZ", "M208": "SF"}  # mm, mm/min, mm of lift
+RETRACTION_WORDS = {"M207": "SFZ", "M208": "SF"}  # mm, mm/min, mm of lift
 
 
 class FirmwareRetraction:
@@ -99,17 +99,16 @@ class FirmwareRetraction:
 
     def apply(self, line: Line, name: str, arguments: bytes) -> None:
         """Apply SET_RETRACTION, M207 or M208, which the firmware obeys, too; ignore the others."""
-        for_klipper = name == "SET_RETRACTION"
-        if for_klipper:
-            words = parameters(line, KLIPPER_PARAMETERS)
-        elif name in MARLIN_WORDS:
-            words = numbers_among(line, arguments, MARLIN_WORDS[name])
+        if name == "SET_RETRACTION":
+            words = parameters(line, SET_RETRACTION)
+        elif name in RETRACTION_WORDS:
+            words = numbers_among(line, arguments, RETRACTION_WORDS[name])
         else:
             return
         old = self._settings
-        if old is None or for_klipper != (self._dialect.name == "klipper"):
+        if old is None or name not in self._dialect.retraction_settings:
             return
-        if for_klipper:
+        if name == "SET_RETRACTION":
             new = Retraction(
                 length=words.get("RETRACT_LENGTH", old.length),
                 extra=words.get("UNRETRACT_EXTRA_LENGTH", old.extra),

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from hframe_post.errors import LimitError
-from hframe_post.gcode.commands import Dialect, Vocabulary, dialect
+from hframe_post.firmware.dialect import Dialect
+from hframe_post.firmware.registry import firmware
+from hframe_post.gcode.commands import Vocabulary
 from hframe_post.gcode.lexer import Line, Words
 from hframe_post.printer.settings import Printer, Retraction, Travel
 from hframe_post.stream.types import FileLimits, ModalState, Position
@@ -48,12 +50,10 @@ class ReadOptions:
         cls, printer: Printer, limits: LimitSource = "file", extrusion: Extrusion | None = None
     ) -> ReadOptions:
         """Return the options for a printer. Raises HframeError if its firmware is unknown."""
-        firmware = printer.firmware
-        vocabulary = Vocabulary.with_names(
-            firmware.harmless, firmware.returns, firmware.other_tools or ()
-        )
+        own = printer.firmware
+        vocabulary = Vocabulary.with_names(own.harmless, own.returns, own.other_tools or ())
         return cls(
-            dialect(firmware.dialect), limits, extrusion, printer.travel, vocabulary,
+            firmware(printer).dialect, limits, extrusion, printer.travel, vocabulary,
             printer.retraction,
         )  # fmt: skip
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.folder import (
     Aside,
@@ -42,7 +43,6 @@ from hframe_post.identification.recordings.resonance_test import (
     probe_points,
 )
 from hframe_post.identification.responses.measured import Run
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Travel
 
 SAME_AXES = "x=x,y=y,z=z"

@@ -116,22 +116,6 @@ class Shaping:
     y: AxisShaping
     rms: float = np.inf
 
-    def config(self, dialect: str) -> str:
-        """Return the section for Klipper's printer.cfg, or Marlin's commands."""
-        axes = (("x", self.x), ("y", self.y))
-        if dialect == "marlin":
-            lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
-            lines += [f"M593 {a.upper()} F{s.hz:.1f} D{s.damping:.3f}" for a, s in axes]
-            return "\n".join([*lines, "M500 ; saves it"])
-        lines = ["[input_shaper]"]
-        for axis, chosen in axes:
-            lines += [
-                f"shaper_type_{axis}: {chosen.name}",
-                f"shaper_freq_{axis}: {chosen.hz:.1f}",
-                f"damping_ratio_{axis}: {chosen.damping:.3f}",
-            ]
-        return "\n".join(lines)
-
     def as_json(self) -> dict[str, Any]:
         return {
             axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}

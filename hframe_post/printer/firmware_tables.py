@@ -1,6 +1,7 @@
 """The tables ``[firmware.…]`` of a profile: a firmware's own settings, and how it was built.
 
-A table has its firmware's name. ``TABLES`` lists them all.
+A table has its firmware's name. ``TABLES`` lists them all. What else a firmware is, is in the
+package ``firmware``; a table's class says only what a profile must know.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive, within
@@ -25,13 +26,37 @@ SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 
 
 @dataclass(frozen=True, slots=True)
-class KlipperTable:
+class FirmwareTable:
+    """A firmware's own settings.
+
+    holds, title: what they are, in an error and in a new profile. needs_steps: the reason why the
+    profile must have ``[steps]``, if it must. records: it records accelerometers by itself.
+    measuring: how a printer is recorded, and the options of `identify` for that.
+    """
+
+    holds: ClassVar[str]
+    title: ClassVar[str]
+    needs_steps: ClassVar[str] = ""
+    records: ClassVar[bool] = False
+    measuring: ClassVar[tuple[str, str]] = ("play what 'hframe-post sweep' writes", "")
+
+
+T = TypeVar("T", bound=FirmwareTable)
+
+
+@dataclass(frozen=True, slots=True)
+class KlipperTable(FirmwareTable):
     """Klipper's own limits, which hold before and after the print.
 
     lines_per_second: as many as the host shall take. begin_macro: macro to call instead of the
     commands that set limits. end_macro: macro to call after those that restore them; Klipper goes
     on if it has no macro of that name.
     """
+
+    holds: ClassVar[str] = "Klipper's own limits"
+    title: ClassVar[str] = "limits before and after a print"
+    records: ClassVar[bool] = True
+    measuring: ClassVar[tuple[str, str]] = ("run TEST_RESONANCES", "--printer-cfg printer.cfg ")
 
     velocity: float = positive(most=FASTEST)
     acceleration: float = positive(most=HARDEST)
@@ -46,12 +71,16 @@ class KlipperTable:
 
 
 @dataclass(frozen=True, slots=True)
-class MarlinTable:
+class MarlinTable(FirmwareTable):
     """Marlin's own settings, which hold before and after the print, and bounds on the output.
 
     Corners follow ``junction_deviation`` or, in builds with CLASSIC_JERK, ``jerk`` (x, y) and
     ``jerk_e``; the others are 0. baud: of the serial line that files are printed over; 0: from SD.
     """
+
+    holds: ClassVar[str] = "Marlin's own settings"
+    title: ClassVar[str] = "settings before and after a print: those of M503"
+    needs_steps: ClassVar[str] = "Marlin needs whole steps"
 
     max_velocity: tuple[float, float] = positive(most=FASTEST)
     max_acceleration: tuple[float, float] = positive(most=HARDEST)
@@ -103,7 +132,7 @@ class MarlinTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Firmware:
+class FirmwareSettings:
     """The firmware that plays the output (``dialect``), and the tables of all that the profile has.
 
     harmless: commands and macros that move nothing. returns: those that may move, but return to
@@ -115,11 +144,27 @@ class Firmware:
     harmless: tuple[str, ...] = ()
     returns: tuple[str, ...] = ()
     other_tools: tuple[str, ...] | None = None
-    klipper: KlipperTable | None = None
-    marlin: MarlinTable | None = None
+    tables: tuple[FirmwareTable, ...] = ()
+
+    def table(self, kind: type[T]) -> T | None:
+        """Return the table of that kind, if the profile has it."""
+        return next((table for table in self.tables if isinstance(table, kind)), None)
+
+    @property
+    def kind(self) -> type[FirmwareTable]:
+        """Return the kind of table that the firmware has."""
+        return TABLES[self.dialect]
+
+    @property
+    def klipper(self) -> KlipperTable | None:
+        return self.table(KlipperTable)
+
+    @property
+    def marlin(self) -> MarlinTable | None:
+        return self.table(MarlinTable)
 
 
-TABLES: dict[str, type] = {"klipper": KlipperTable, "marlin": MarlinTable}
+TABLES: dict[str, type[FirmwareTable]] = {"klipper": KlipperTable, "marlin": MarlinTable}
 NAMES = ("harmless", "returns", "other_tools")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
@@ -130,7 +175,7 @@ def named(dialect: str, key: str = "", source: str = "") -> None:
         raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
 
 
-def load_firmware(table: dict[str, Any]) -> Firmware:
+def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
     """Return ``[firmware]`` with its tables. Raises PrinterError."""
     known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
     dialect = table.get("dialect", "klipper")
@@ -140,13 +185,13 @@ def load_firmware(table: dict[str, Any]) -> Firmware:
     for name in TABLES.keys() & table.keys():
         if not isinstance(table[name], dict):
             raise PrinterError("the table is missing", f"firmware.{name}")
-    tables: dict[str, Any] = {
-        name: checked(kind, table[name], f"firmware.{name}")
+    tables = tuple(
+        checked(kind, table[name], f"firmware.{name}")
         for name, kind in TABLES.items()
         if name in table
-    }
-    tables |= {key: _names(table[key], f"firmware.{key}") for key in NAMES if key in table}
-    return Firmware(dialect, **tables)
+    )
+    names = {key: _names(table[key], f"firmware.{key}") for key in NAMES if key in table}
+    return FirmwareSettings(dialect, **names, tables=tables)
 
 
 def _names(value: Any, key: str) -> tuple[str, ...]:
@@ -158,12 +203,11 @@ def _names(value: Any, key: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def check_needs(firmware: Firmware, steps_known: bool) -> None:
+def check_needs(firmware: FirmwareSettings, steps_known: bool) -> None:
     """Raise PrinterError if the firmware needs a table that the profile does not have."""
-    dialect = firmware.dialect
-    named(dialect, "firmware.dialect")
-    if getattr(firmware, dialect) is None:
-        holds = "Klipper's own limits" if dialect == "klipper" else "Marlin's own settings"
-        raise PrinterError(f"the table is missing: {holds}", f"firmware.{dialect}")
-    if dialect == "marlin" and not steps_known:
-        raise PrinterError("the table is missing: Marlin needs whole steps", "steps")
+    named(firmware.dialect, "firmware.dialect")
+    kind = firmware.kind
+    if firmware.table(kind) is None:
+        raise PrinterError(f"the table is missing: {kind.holds}", f"firmware.{firmware.dialect}")
+    if kind.needs_steps and not steps_known:
+        raise PrinterError(f"the table is missing: {kind.needs_steps}", "steps")

@@ -233,9 +233,7 @@ def played_by(printer: Printer, dialect: str) -> Printer:
 def check_identified(printer: Printer) -> None:
     """Raise PrinterError if the plant was not measured on this printer."""
     if printer.invented:
-        marlin = printer.firmware.dialect == "marlin"
-        record = "play what 'hframe-post sweep' writes" if marlin else "run TEST_RESONANCES"
-        more = "" if marlin else "--printer-cfg printer.cfg "
+        record, more = printer.firmware.kind.measuring
         raise PrinterError(
             "this plant was not measured on your printer, so nothing is compensated with it. To "
             f"measure yours, {record} with an accelerometer, then type 'hframe-post identify "

@@ -12,7 +12,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.printer.firmware_tables import Firmware
+from hframe_post.printer.firmware_tables import FirmwareSettings
 from hframe_post.printer.schema import not_negative, positive, within
 from hframe_post.stream.features import KINDS
 
@@ -271,7 +271,7 @@ class Printer:
     motors: Motors
     steps: Steps | None
     compensation: Compensation
-    firmware: Firmware
+    firmware: FirmwareSettings
     plant: Plant
     sweep: Sweep
     digest: str
@@ -297,7 +297,7 @@ class Printer:
             ]
         if self.verified is None:
             how = "'hframe-post verify' shows whether this helps"
-            if self.firmware.dialect != "klipper":  # which records accelerometers by itself
+            if not self.firmware.kind.records:
                 how = "print the part with and without compensation (-c none), and compare"
             return [f"NOT VERIFIED on a machine: {how}"]
         return []

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import main
-from hframe_post.printer.klipper_version import is_affected
+from hframe_post.firmware.klipper.version import is_affected
 from tests.command_line import run
 from tests.printers import REAL
 

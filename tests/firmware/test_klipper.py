@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
-from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.code import plain
+from hframe_post.firmware.klipper.code import KlipperCode
+from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.klipper.ramps import Ramped, StreamLimits
-from hframe_post.firmware.player import plain
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
@@ -143,9 +144,9 @@ def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
     speed[:3] = 6.0, 45.0, 60.0
     at = np.zeros((41, 4))
     at[1:, 0] = np.cumsum(speed * T)
-    player, rest = Klipper(RESTORE, STREAM), np.zeros(41, dtype=bool)
+    motion, rest = KlipperMotion(RESTORE, STREAM), np.zeros(41, dtype=bool)
     rest[0] = True
-    late = player.feeds(at, T, rest, 0.0, math.inf, per_feed=6e9)[1] - T
+    late = motion.feeds(at, T, rest, 0.0, math.inf, per_feed=6e9)[1] - T
     assert 1e-4 < late[1] < 5e-4
     below(np.abs(np.cumsum(late)[15:]).max(), 1e-5, "lateness after 15 segments, s")
     below(-late[2:].min(), 0.05 * 2e-3, "time made up in a segment, s")
@@ -159,7 +160,7 @@ STATE = ModalState(True, False, 0.0, 100.0, (0.0, 0.0, 0.0))
 
 
 def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[bytes]:
-    return Klipper(restore, STREAM).end(state, AT)
+    return KlipperCode(restore, STREAM).end(state, AT)
 
 
 def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -> None:
@@ -173,7 +174,7 @@ def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -
 
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
-    assert Klipper(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
+    assert KlipperCode(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
         b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
         b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
@@ -203,13 +204,13 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 
 def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_ones() -> None:
     firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
-    assert Klipper(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
+    assert KlipperCode(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
         b"HFRAME_BEGIN",
         b"G90",
         b"M83",
     ]
-    assert Klipper(firmware, STREAM).end(STATE, AT) == [
+    assert KlipperCode(firmware, STREAM).end(STATE, AT) == [
         b"G4 P0",
         b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
         b"MINIMUM_CRUISE_RATIO=0.5",  # holds where printer.cfg has no such macro
@@ -246,8 +247,8 @@ def test_no_number_has_an_exponent(
     restore = KlipperTable(velocity, acceleration, corner, ratio, shaper, shaper)
     state = ModalState(True, True, e, feed, (0.0, 0.0, 0.0))
     stream = replace(STREAM, velocity=velocity, acceleration=acceleration)
-    dialect = Klipper(restore, stream)
-    for row in dialect.begin((0.0, 0.0, 0.0), AT) + dialect.end(state, AT):
+    code = KlipperCode(restore, stream)
+    for row in code.begin((0.0, 0.0, 0.0), AT) + code.end(state, AT):
         for word in row.decode().split()[1:]:
             number = word.partition("=")[2] or word[1:]
             assert re.fullmatch(r"-?\d+(\.\d+)?", number), row
@@ -272,8 +273,8 @@ def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
     x = np.concatenate([np.linspace(0.0, 180.0, 601), 180.0 + np.linspace(0.0, 0.6, 101)[1:]])
     points = np.zeros((701, 4))
     points[:, 0], points[:, 3] = x, e
-    player = Klipper(RESTORE, STREAM, tolerance=0.005)
-    ends, at = player.segments(points, np.zeros(701, dtype=bool), True)
+    motion = KlipperMotion(RESTORE, STREAM, tolerance=0.005)
+    ends, at = motion.segments(points, np.zeros(701, dtype=bool), True)
     assert ends[-1] == 700
     assert (np.diff(ends) > 0).all()
     moved = np.diff(at, axis=0, prepend=points[:1])
@@ -293,14 +294,14 @@ def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
      b"; printing object cube id:0 copy 0", b"; stop printing object cube id:0 copy 0"],
 )  # fmt: skip
 def test_lines_at_which_klipper_or_its_hosts_leave_out_objects(line: bytes) -> None:
-    player = Klipper(RESTORE, STREAM)
-    assert player.labels_object(line)
-    assert not player.labels_object(b";TYPE:" + line)
+    code = KlipperCode(RESTORE, STREAM)
+    assert code.labels_object(line)
+    assert not code.labels_object(b";TYPE:" + line)
 
 
 def test_a_machine_that_left_out_an_object_comes_back_with_the_users_limits() -> None:
-    player = Klipper(KlipperTable(250.0, 3000.0), STREAM, travel=180.0)
-    back = player.rejoin(AT, np.array([-0.004, 0.011]), 3e-3)
+    motion = KlipperMotion(KlipperTable(250.0, 3000.0), STREAM, travel=180.0)
+    back = motion.rejoin(AT, np.array([-0.004, 0.011]), 3e-3)
     assert back.text.splitlines() == [
         b"SET_VELOCITY_LIMIT ACCEL=3000",
         b"G1 X12.5 Y30.001 Z0.2 F10800",
@@ -336,10 +337,10 @@ def test_plain_numbers_read_back(value: float, decimals: int) -> None:
 
 
 def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
-    dialect = Klipper(RESTORE, STREAM)
+    code = KlipperCode(RESTORE, STREAM)
     state = replace(STATE, offset=(10.0, 0.0, -1.0))
-    assert b"G92 X2.5 Z1.2" in dialect.end(state, AT)
-    assert dialect.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
+    assert b"G92 X2.5 Z1.2" in code.end(state, AT)
+    assert code.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
 
 
 def test_no_segment_is_thicker_than_klipper_allows(paper: Printer) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.macros import WRAPPERS, macros
-from hframe_post.firmware.klipper.player import Klipper
 from hframe_post.printer.profile import load
 
 DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
@@ -19,7 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
 def test_the_beginning_sets_what_the_stream_would_set() -> None:
     paper = load("paper")
     begin = macros(paper).split("[gcode_macro HFRAME_BEGIN]")[1].split("\n\n")[0]
-    for line in Klipper.from_printer(paper).limits_of_stream:
+    for line in KlipperCode.from_printer(paper).limits_of_stream:
         assert f"    {line}\n" in f"{begin}\n"
 
 

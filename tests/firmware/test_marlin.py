@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import GcodeError, PrinterError
+from hframe_post.firmware.marlin.code import MarlinCode
+from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.firmware.marlin.player import Marlin
-from hframe_post.firmware.player import Way
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.motion import Way
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode import batching
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner import sampling
@@ -57,12 +58,18 @@ def marlin() -> Printer:
 def with_own(profile: Printer, **own: object) -> Printer:
     assert profile.firmware.marlin is not None
     table = replace(profile.firmware.marlin, **own)  # type: ignore[arg-type]
-    return replace(profile, firmware=replace(profile.firmware, marlin=table))
+    return replace(profile, firmware=replace(profile.firmware, tables=(table,)))
 
 
-def mode(profile: Printer) -> Marlin:
-    found = player(profile, None)
-    assert isinstance(found, Marlin)
+def code(profile: Printer) -> MarlinCode:
+    found = firmware(profile).code(profile)
+    assert isinstance(found, MarlinCode)
+    return found
+
+
+def motion(profile: Printer) -> MarlinMotion:
+    found = firmware(profile).motion(profile, None)
+    assert isinstance(found, MarlinMotion)
     return found
 
 
@@ -70,7 +77,7 @@ def mode(profile: Printer) -> Marlin:
 
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
-    assert mode(marlin).begin(NOWHERE, AT) == [
+    assert code(marlin).begin(NOWHERE, AT) == [
         b"M400", b"M593 F0", b"M900 K0", b"M493 S0", b"M494 T0 X0 Y0 Z0 E0",
         b"M201 X100000 Y100000 E100000", b"M203 X770 Y770", b"M204 P100000 T100000 R2000",
         b"M205 B0 S0 T0 J0.3", b"G90", b"M83",
@@ -79,7 +86,7 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -
 
 def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
     mine = with_own(marlin, linear_advance=0.05, shaper_freq_y=38.5, fixed_time_motion=1)
-    assert mode(mine).end(STATE, AT) == [
+    assert code(mine).end(STATE, AT) == [
         b"M400", b"M201 X10000 Y10000 E2000", b"M203 X300 Y300", b"M204 P3000 T3000 R3000",
         b"M205 B20000 S0 T0 J0.013", b"M900 K0.05", b"M593 Y F38.5", b"M493 S1", b"G1 F6000",
         b"G92 E0",
@@ -94,7 +101,7 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
         min_travel_velocity=0.375, junction_deviation=0.0125, linear_advance=0.04125,
         shaper_freq_x=41.125, shaper_freq_y=38.625,
     )  # fmt: skip
-    assert mode(mine).end(STATE, AT)[1:-2] == [
+    assert code(mine).end(STATE, AT)[1:-2] == [
         b"M201 X9000.125 Y7000.375 E1800.625", b"M203 X280.125 Y310.375",
         b"M204 P2800.125 T2900.375 R1234.625", b"M205 B12345 S0.125 T0.375 J0.0125",
         b"M900 K0.04125", b"M593 X F41.125", b"M593 Y F38.625",
@@ -102,9 +109,9 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
 
 
 def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
-    mine = mode(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
-    assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.begin(NOWHERE, AT)
-    assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.end(STATE, AT)
+    mine = motion(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
+    assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.code.begin(NOWHERE, AT)
+    assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.code.end(STATE, AT)
     lift, retraction = (
         mine.stroke(from_there(way), 10.0, 0.1, 0.1)
         for way in ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, -1.0))
@@ -119,7 +126,7 @@ def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, pl
     at = np.array([[100.0, 100.0, 1.0, 0.0], [110.0, 100.0, 1.0, 0.5]])
     jerk = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
     for own, begins in ((jerk, 80.0), ({}, 0.0)):
-        mine = mode(with_own(marlin, planner=planner, **own))
+        mine = motion(with_own(marlin, planner=planner, **own))
         assert mine.entry(at, 80.0, 0.0) == begins, "mm/s"
         assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
 
@@ -145,9 +152,9 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: str) -> None:
     """The speeds of the user's corners would make them faster than from rest to rest."""
-    mine = mode(with_own(marlin, planner=planner))
+    mine = motion(with_own(marlin, planner=planner))
     for way, speed in (((0.0, 0.0, 0.4, 0.0), 10.0), ((0.0, 0.0, 0.0, -2.0), 40.0)):
-        a = mine.limits.z_acceleration if way[2] else mine.limits.extruder_acceleration
+        a = mine.code.limits.z_acceleration if way[2] else mine.code.limits.extruder_acceleration
         planned, stroked = max(map(abs, way)) / speed + speed / a, from_there(way)
         corners = mine.corners(stroked, speed, (0.0, 0.0))
         stroke = mine.stroke(stroked, speed, planned, planned, *corners)
@@ -164,7 +171,7 @@ def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
 
 
 def test_retractions_keep_the_printers_acceleration_where_it_is_not_told(marlin: Printer) -> None:
-    mine = mode(with_own(marlin, retract_acceleration=0.0))
+    mine = code(with_own(marlin, retract_acceleration=0.0))
     assert b"M204 P100000 T100000" in mine.begin(NOWHERE, AT)
     assert b"M204 P3000 T3000" in mine.end(STATE, AT)
 
@@ -182,7 +189,7 @@ def test_modes_of_the_file_come_back(
 ) -> None:
     """G91 is for E, too, so it comes before M82."""
     state = ModalState(absolute, absolute_e, 1234.56789, 41.25, NOWHERE)
-    end = mode(marlin).end(state, AT)
+    end = code(marlin).end(state, AT)
     assert end[end.index(b"G1 F2475") + 1 :] == expected
 
 
@@ -222,7 +229,7 @@ def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -
     """Marlin rounds to whole steps, and the steps of filament decide the acceleration."""
     assert marlin.steps is not None
     for filament in (50.00123, 7.0, 0.0):
-        counted = float(mode(marlin).reset_extruder(filament).split(b"E")[1])
+        counted = float(code(marlin).reset_extruder(filament).split(b"E")[1])
         steps = (filament - counted) / marlin.steps.e
         assert steps == pytest.approx(round(steps), abs=0.01)
         assert 0.0 <= counted < marlin.steps.e
@@ -230,7 +237,7 @@ def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -
 
 def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> None:
     """It goes up and down by what a block needs, for longer than it plans ahead."""
-    begin = mode(with_own(marlin, planner="ft-motion")).begin(NOWHERE, AT)
+    begin = code(with_own(marlin, planner="ft-motion")).begin(NOWHERE, AT)
     (up, feed), (down, _) = (map(float, WORDS.findall(line)) for line in begin[-2:])
     assert marlin.steps is not None
     assert (up - AT[2]) / marlin.steps.z == pytest.approx(6.0)
@@ -239,8 +246,8 @@ def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> N
 
 
 def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
-    assert b"G92 X2.5 Z1.2" in mode(marlin).end(replace(STATE, offset=(10.0, 0.0, -1.0)), AT)
-    assert mode(marlin).begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
+    assert b"G92 X2.5 Z1.2" in code(marlin).end(replace(STATE, offset=(10.0, 0.0, -1.0)), AT)
+    assert code(marlin).begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
 
 
 def test_machine_is_yielded_with_the_users_settings(marlin: Printer) -> None:
@@ -403,7 +410,7 @@ def test_generations_of_planners_are_those_of_the_profile() -> None:
 
 
 def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:
-    mine = mode(with_own(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
+    mine = code(with_own(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
     assert b"M493 S1 X0 Y0 C0 P0" in mine.begin(NOWHERE, AT)
     end = mine.end(STATE, AT)
     assert [line for line in end if b"M493" in line] == [b"M493 S0", b"M493 X1 C1", b"M493 Y8 C8"]
@@ -461,7 +468,7 @@ def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: 
     points = np.zeros((n + 1, 4))
     points[1:, :2] = np.cumsum(v, axis=0)
     paper = replace(with_own(load("paper-marlin"), lines_per_second=rate))
-    machine = mode(replace(paper, kinematics=Kinematics(kind)))
+    machine = motion(replace(paper, kinematics=Kinematics(kind)))
     ends, at = machine.segments(points, np.zeros(n + 1, dtype=bool), last)
     assert (np.diff(ends) > 0).all()
     assert not last or ends[-1] == n

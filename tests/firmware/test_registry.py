@@ -8,17 +8,18 @@ import pytest
 
 from hframe_post.cli.convert import convert
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.klipper.player import Klipper
-from hframe_post.firmware.marlin.player import Marlin
-from hframe_post.firmware.registry import FIRMWARES, player
-from hframe_post.printer.firmware_tables import TABLES, Firmware
+from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.firmware.marlin.motion import MarlinMotion
+from hframe_post.firmware.motion import MotionRules
+from hframe_post.firmware.registry import FIRMWARES, firmware
+from hframe_post.printer.firmware_tables import TABLES
 from hframe_post.printer.profile import load, played_by
 from hframe_post.printer.settings import Printer
 
 
 def test_every_firmware_has_a_table_in_profiles() -> None:
     assert tuple(FIRMWARES) == tuple(TABLES)
-    assert {f.name for f in fields(Firmware)} >= {"dialect", *TABLES}
+    assert {type(table) for table in load("paper-marlin").firmware.tables} == {*TABLES.values()}
     assert all(name == each.name for name, each in FIRMWARES.items())
 
 
@@ -27,26 +28,30 @@ def test_command_line_offers_what_is_registered() -> None:
     assert tuple(option.type.choices) == tuple(FIRMWARES)  # type: ignore[attr-defined]
 
 
-def test_player_is_that_of_the_profile() -> None:
-    assert isinstance(player(load("paper"), None), Klipper)
-    assert isinstance(player(load("paper-marlin"), None), Marlin)
+def motion(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
+    return firmware(printer).motion(printer, tolerance, retract_moving)
+
+
+def test_motion_is_that_of_the_profiles_firmware() -> None:
+    assert isinstance(motion(load("paper"), None), KlipperMotion)
+    assert isinstance(motion(load("paper-marlin"), None), MarlinMotion)
 
 
 def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:
     paper, marlin = load("paper"), load("paper-marlin")
-    corner = player(paper, 0.014).rests.lift_speed
+    corner = motion(paper, 0.014).rests.lift_speed
     assert 2.0 < corner < paper.limits.square_corner_velocity
     gentle = replace(paper, limits=replace(paper.limits, square_corner_velocity=1.0))
-    assert player(gentle, 0.014).rests.lift_speed == 0.0
-    assert player(paper, None).rests.lift_speed == player(marlin, 0.014).rests.lift_speed == 0.0
+    assert motion(gentle, 0.014).rests.lift_speed == 0.0
+    assert motion(paper, None).rests.lift_speed == motion(marlin, 0.014).rests.lift_speed == 0.0
 
 
 def test_only_klipper_retracts_in_motion() -> None:
-    moving = player(load("paper"), 0.014, retract_moving=True)
+    moving = motion(load("paper"), 0.014, retract_moving=True)
     assert moving.rests.retract_acceleration == pytest.approx(300.0)
-    assert player(load("paper"), 0.014).rests.retract_acceleration == 0.0
+    assert motion(load("paper"), 0.014).rests.retract_acceleration == 0.0
     with pytest.raises(HframeError, match="Marlin does not retract in motion"):
-        player(load("paper-marlin"), 0.014, retract_moving=True)
+        motion(load("paper-marlin"), 0.014, retract_moving=True)
 
 
 def with_dialect(name: str) -> Printer:
@@ -56,14 +61,14 @@ def with_dialect(name: str) -> Printer:
 
 def test_unknown_firmware_is_an_error_in_the_library() -> None:
     with pytest.raises(HframeError, match="one of klipper, marlin"):
-        player(with_dialect("other"), None)
+        motion(with_dialect("other"), None)
     with pytest.raises(HframeError, match=r"paper: firmware\.dialect: must be one of"):
         played_by(load("paper"), "other")
 
 
 def test_firmware_without_its_table_is_an_error_in_the_library() -> None:
     with pytest.raises(PrinterError, match=r"paper: firmware\.marlin: the table is missing"):
-        player(with_dialect("marlin"), None)
+        motion(with_dialect("marlin"), None)
 
 
 @pytest.mark.parametrize("name", TABLES)

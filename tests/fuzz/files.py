@@ -12,13 +12,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.klipper.check import check
 from hframe_post.firmware.klipper.macro_check import check_macros
-from hframe_post.gcode.commands import DIALECTS
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import check
-from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin
 from hframe_post.printer.profile import load
 from hframe_post.printer.setup import Known, profile_text
 from hframe_post.studies.comparison.compare import compare
@@ -71,7 +71,7 @@ def case(rng: Random, folder: Path) -> tuple[Path, Reader]:
 
 def _compared(path: Path) -> object:
     a, b = RECTANGLE.splitlines(keepends=True), path.read_bytes().splitlines(keepends=True)
-    return [compare(a, b, dialect) for dialect in DIALECTS.values()]
+    return [compare(a, b, each.dialect) for each in FIRMWARES.values()]
 
 
 def _configured(path: Path) -> object:

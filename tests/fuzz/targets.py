@@ -14,7 +14,7 @@ from pathlib import Path
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
-from hframe_post.gcode.commands import dialect
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.identification.recordings import accelerometer
@@ -38,8 +38,9 @@ def check(target: str, data: bytes) -> str:
 
 
 def _read(data: bytes) -> None:
-    for firmware in oracle.FIRMWARES:
-        for _ in read(data.splitlines(keepends=True), ReadOptions(dialect(firmware), "file-all")):
+    for name in oracle.FIRMWARES:
+        options = ReadOptions(FIRMWARES[name].dialect, "file-all")
+        for _ in read(data.splitlines(keepends=True), options):
             pass
 
 

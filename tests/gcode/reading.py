@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hframe_post.gcode.commands import dialect
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Item, Moves, Passthrough
@@ -11,7 +11,7 @@ HOME = ["G90", "M83", "G1 X0 Y0 Z0 F6000"]  # verbatim; all is known after it
 
 
 def items(*lines: str, firmware: str = "klipper", file_limits: bool = True) -> list[Item]:
-    options = ReadOptions(dialect(firmware), "file-all" if file_limits else "printer")
+    options = ReadOptions(FIRMWARES[firmware].dialect, "file-all" if file_limits else "printer")
     return list(read([line.encode() + b"\n" for line in lines], options))
 
 

@@ -9,13 +9,15 @@ import pytest
 
 from hframe_post import native
 from hframe_post.errors import GcodeError, LimitError
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode import batching, lines
-from hframe_post.gcode.commands import KLIPPER, MARLIN
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, ReadOptions
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
 from tests.gcode.reading import HOME, carried, items, moves
+
+KLIPPER = FIRMWARES["klipper"].dialect
 
 BED = ReadOptions(KLIPPER, travel=Travel((0.0, 200.0), (0.0, 100.0), (-1.0, 50.0)))
 
@@ -151,9 +153,9 @@ def test_a_carriage_return_ends_a_line_for_marlin_only() -> None:
     """Marlin obeys a command that follows it in a comment."""
     text = [b"G92 X0 Y0 Z0", b"G1 X5 ; was\rG91\r\n", b"G1 X5"]
     ends = {}
-    for dialect in (KLIPPER, MARLIN):
-        found = list(read(text, ReadOptions(dialect)))
-        ends[dialect.name] = [m.points[-1, 0] for m in found if isinstance(m, Moves)][-1]
+    for name, firmware in FIRMWARES.items():
+        found = list(read(text, ReadOptions(firmware.dialect)))
+        ends[name] = [m.points[-1, 0] for m in found if isinstance(m, Moves)][-1]
     assert ends == {"klipper": 5, "marlin": 10}
     assert carried(found)[-1] == b"G91"
 

@@ -16,13 +16,16 @@ from pygcode import Line as PygcodeLine
 from pygcode import Machine
 from pygcode.words import text2words
 
-from hframe_post.gcode.commands import KLIPPER, MOTION_WORDS
+from hframe_post.firmware.registry import FIRMWARES
+from hframe_post.gcode.commands import MOTION_WORDS
 from hframe_post.gcode.lexer import Line, command, numbers, uncommented
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Moves, Standing
 from tests.conftest import SAMPLES
 from tests.slices import SLICES
+
+KLIPPER = FIRMWARES["klipper"].dialect
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 NAMES = ("G0", "G1", "G2", "G3", "G92")

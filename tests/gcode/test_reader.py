@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, HframeError
+from hframe_post.firmware.registry import FIRMWARES, firmware_named
 from hframe_post.gcode import batching, curves
-from hframe_post.gcode.commands import KLIPPER, dialect
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import Handling, Mark, Moves, Passthrough, Standing
 from tests.gcode.reading import HOME, carried, ends, items, moves
+
+KLIPPER = FIRMWARES["klipper"].dialect
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 
@@ -225,7 +227,7 @@ def test_a_line_that_could_be_misread_is_an_error(line: str) -> None:
 
 def test_an_unknown_firmware_is_an_error() -> None:
     with pytest.raises(HframeError, match="choose from klipper, marlin"):
-        dialect("grbl")
+        firmware_named("grbl")
 
 
 def test_arcs_in_other_planes_are_refused() -> None:

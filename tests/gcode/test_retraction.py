@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hframe_post.arrays import E
-from hframe_post.gcode.commands import dialect
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.extrusion import DEFAULT_DURATION
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -21,7 +21,7 @@ def found(
     lines: list[str], own: Retraction | None = OWN, firmware: str = "klipper"
 ) -> tuple[list[tuple[float, float]], list[bytes], list[Item]]:
     """Filament and speed of what stands; G10, G11 and the like that pass; all items."""
-    options = ReadOptions(dialect(firmware), retraction=own)
+    options = ReadOptions(FIRMWARES[firmware].dialect, retraction=own)
     items = list(read([line.encode() + b"\n" for line in lines], options))
     stand = [(round(i.end[E] - i.start[E], 9), i.speed) for i in items if isinstance(i, Standing)]
     passed = [i.text for i in items if isinstance(i, Passthrough) and i.text[:2] == b"G1"]

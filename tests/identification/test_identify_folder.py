@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from hframe_post.errors import IdentificationError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.settings import text_from_klipper
 from hframe_post.identification.gather import along_printer, from_folders
 from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
 from hframe_post.identification.recordings.excitation import read_command
@@ -20,10 +22,8 @@ from hframe_post.identification.recordings.orientation import QUIET
 from hframe_post.identification.responses.measured import Settings
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.printer.edit import with_plant
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import text_from_klipper
 from tests.identification.bench import AXES, Recorded, check_refused, invoked
 from tests.recordings import write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer

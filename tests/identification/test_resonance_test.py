@@ -7,8 +7,8 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from tests.resonance_recordings import BELTS, klipper
 
 

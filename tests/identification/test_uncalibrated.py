@@ -10,6 +10,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identified import Identified
 from hframe_post.identification.identify import Run, Settings, identify
@@ -21,7 +22,6 @@ from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import estimate
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.model.impulse_response import transfer_function
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Travel
 from tests.identification.test_coupling import Coupled
 from tests.recordings import write_klipper

@@ -10,9 +10,9 @@ import pytest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.firmware.klipper.macros import macros
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.checking.run import runs as check_runs
 from hframe_post.identification.recordings.sweep import gcode
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few

@@ -144,7 +144,7 @@ def test_with_the_macros_in_its_configuration_a_paused_print_goes_on_as_it_was(
     paper = load("paper")
     assert paper.firmware.klipper is not None
     klipper = replace(paper.firmware.klipper, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END")
-    named = replace(paper, firmware=replace(paper.firmware, klipper=klipper))
+    named = replace(paper, firmware=replace(paper.firmware, tables=(klipper,)))
     lines = [line.encode() + b"\n" for line in [*HEAD, *objects(1)]]
     conversion = GcodeConversion(lines, named, Options("racking"))
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)

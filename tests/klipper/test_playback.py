@@ -278,7 +278,7 @@ def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
     paper = profile.load("paper")
     assert paper.firmware.klipper is not None
     table = replace(paper.firmware.klipper, lines_per_second=60.0)
-    weak = replace(paper, firmware=replace(paper.firmware, klipper=table))
+    weak = replace(paper, firmware=replace(paper.firmware, tables=(table,)))
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
     lines = lines[: lines.index(b";LAYER:2\n")]
     run = lines_played(lines, tmp_path, Options("racking", limits="printer"), weak)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from tests.quantities import below
 
 from .host import TEMPLATE, Playback, play

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.firmware.marlin.player import Marlin
-from hframe_post.firmware.player import whole_feeds
+from hframe_post.firmware.motion import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -120,7 +120,7 @@ def with_own(printer: Printer, **own: object) -> Printer:
     table = printer.firmware.marlin
     assert table is not None
     changed = replace(table, **own)  # type: ignore[arg-type]
-    return replace(printer, firmware=replace(printer.firmware, marlin=changed))
+    return replace(printer, firmware=replace(printer.firmware, tables=(changed,)))
 
 
 # ---------------------------------------------------------------------- the simulation itself
@@ -242,11 +242,11 @@ def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
 def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
     marlin: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def plainly(self: Marlin, at: Array, T: Array, *rest: Any) -> tuple[Integers, Array]:
+    def plainly(self: MarlinMotion, at: Array, T: Array, *rest: Any) -> tuple[Integers, Array]:
         return whole_feeds(self._blocks(at).d / T, per_feed=rest[-1]), 0.0 * T
 
-    monkeypatch.setattr(Marlin, "feeds", plainly)
-    monkeypatch.setattr(Marlin, "durations", lambda self, at, v, *_: 0.0 * v)
+    monkeypatch.setattr(MarlinMotion, "feeds", plainly)
+    monkeypatch.setattr(MarlinMotion, "durations", lambda self, at, v, *_: 0.0 * v)
     monkeypatch.setattr("hframe_post.writers.stream.pace.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0

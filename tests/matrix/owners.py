@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.edit import with_plant
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load
 from tests.command_line import run
 from tests.recordings import write_klipper

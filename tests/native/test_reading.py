@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hframe_post import native
 from hframe_post.errors import HframeError
-from hframe_post.gcode.commands import DIALECTS
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
@@ -61,12 +61,12 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
           suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(
     st.lists(st.one_of(ordered, ordered, ordered, ordered, move, other), max_size=30),
-    st.sampled_from(sorted(DIALECTS)), st.sampled_from(["\n", "\r\n", ""]), st.booleans(),
+    st.sampled_from(sorted(FIRMWARES)), st.sampled_from(["\n", "\r\n", ""]), st.booleans(),
 )  # fmt: skip
 def test_any_lines(
-    paper: Printer, library: ModuleType, texts: list[str], dialect: str, end: str, bed: bool
+    paper: Printer, library: ModuleType, texts: list[str], firmware: str, end: str, bed: bool
 ) -> None:
-    options = ReadOptions(DIALECTS[dialect], travel=paper.travel if bed else None)
+    options = ReadOptions(FIRMWARES[firmware].dialect, travel=paper.travel if bed else None)
     lines = START + [(text + end).encode() for text in texts]
     same_either_way(lines, options, library)
 
@@ -74,14 +74,14 @@ def test_any_lines(
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
 def test_a_slice(library: ModuleType, name: str) -> None:
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
-    same_either_way(lines, ReadOptions(DIALECTS["klipper"]), library)
+    same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect), library)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests" / "quirks").glob("*.gcode")), ids=str)
 def test_quirks(library: ModuleType, path: Any) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
-    for dialect in DIALECTS.values():
-        same_either_way(lines, ReadOptions(dialect), library)
+    for firmware in FIRMWARES.values():
+        same_either_way(lines, ReadOptions(firmware.dialect), library)
 
 
 def test_an_error_of_the_source_comes_in_its_turn(library: ModuleType) -> None:
@@ -95,9 +95,9 @@ def test_an_error_of_the_source_comes_in_its_turn(library: ModuleType) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(native, "built", lambda: library)
         with pytest.raises(OSError, match="gone"):
-            list(read(source(b"G1 X20\n"), ReadOptions(DIALECTS["klipper"])))
+            list(read(source(b"G1 X20\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
         with pytest.raises(HframeError, match="F"):
-            list(read(source(b"G1 X20 F-3\n"), ReadOptions(DIALECTS["klipper"])))
+            list(read(source(b"G1 X20 F-3\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
 
 
 def same_either_way(lines: list[bytes], options: ReadOptions, library: ModuleType) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hframe_post.gcode.commands import dialect
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.pacing import Pace, Paces, pace
@@ -41,7 +41,7 @@ WALL, FILL, GONE = Pace(8000.0, 8.0, 2.0), Pace(20000.0, 10.0, 4.0), Pace(15000.
 
 def paced(paces: Paces) -> Moves:
     lines = [line.encode() for line in PRINT]
-    items = pace(read(lines, ReadOptions(dialect("klipper"), "file-all")), paces)
+    items = pace(read(lines, ReadOptions(FIRMWARES["klipper"].dialect, "file-all")), paces)
     (moves,) = (item for item in items if isinstance(item, Moves))
     return moves
 
@@ -81,7 +81,7 @@ def test_what_lies_as_low_as_the_first_layer_keeps_what_the_file_has() -> None:
     """The first layer of a second object, whatever the slicer counts."""
     text = [line.encode() for line in PRINT]
     text += [b";LAYER:0\n", b";TYPE:FILL\n", b"G1 X5 Z0.2 E0.5\n", b"G1 X9 Z0.21 E0.5\n"]
-    items = pace(read(text, ReadOptions(dialect("klipper"))), Paces({"infill": FILL}))
+    items = pace(read(text, ReadOptions(FIRMWARES["klipper"].dialect)), Paces({"infill": FILL}))
     (moves,) = (item for item in items if isinstance(item, Moves))
     assert moves.acceleration[-2:].tolist() == [3000.0, 20000.0]
 
@@ -94,7 +94,7 @@ def test_filament_and_path_stay_and_cuts_change_nothing() -> None:
     for size in (1, 2, 5):
         lines = [line.encode() for line in PRINT]
         items: list[Item] = []
-        for item in read(lines, ReadOptions(dialect("klipper"), "file-all")):
+        for item in read(lines, ReadOptions(FIRMWARES["klipper"].dialect, "file-all")):
             items += cut(item, size) if isinstance(item, Moves) else [item]
         pieces = [item for item in pace(items, chosen) if isinstance(item, Moves)]
         assert len(pieces) > 1

@@ -9,12 +9,13 @@ import pytest
 
 import hframe_post as hp
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.settings import from_klipper
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.kinematics import ROWS
 from hframe_post.printer.edit import with_plant
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.profile import load, parse, shipped
-from hframe_post.printer.setup import Known, from_klipper, profile_text
+from hframe_post.printer.setup import Known, profile_text
 from tests.command_line import RECTANGLE, run
 from tests.printers import REAL
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import check
+from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL, profile_of
@@ -74,7 +74,7 @@ def test_each_difference_is_wrong(
 def test_macros_that_the_profile_names_must_be_there(own: Printer, tmp_path: Path) -> None:
     assert own.firmware.klipper is not None
     table = replace(own.firmware.klipper, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END")
-    named = replace(own, firmware=replace(own.firmware, klipper=table))
+    named = replace(own, firmware=replace(own.firmware, tables=(table,)))
     assert len(wrong(REAL, named)) == 1  # HFRAME_END is of hframe.cfg: see `check_macros`
     macros = "[gcode_macro hframe_begin]\ngcode:\n  G4 P1\n\n  M400\n[gcode_macro HFRAME_END]\n"
     path = changed(tmp_path, ("[fan]", macros + "gcode: M400\n[fan]"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.marlin_settings import MarlinSettings, from_marlin, is_of_marlin, text_in
+from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin, is_of_marlin, text_in
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, profile_text

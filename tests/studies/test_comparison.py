@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 import hframe_post as hp
 from hframe_post.conversion.options import TOLERANCE
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.commands import KLIPPER, MARLIN
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
 from tests.conftest import SAMPLES
+
+KLIPPER, MARLIN = (FIRMWARES[name].dialect for name in ("klipper", "marlin"))
 
 PART = b"""M104 S200
 G28

@@ -13,6 +13,8 @@ import pytest
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError
+from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -20,7 +22,6 @@ from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.guess import Paths, guess, quadratic_form
 from hframe_post.studies.shapers.search import (
-    KLIPPER,
     PIECES,
     best,
     calibrated_with,
@@ -65,7 +66,7 @@ def test_long_waits_and_slow_lines_take_no_memory(paper: Printer) -> None:
 
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
     none = paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper, Options("none"))
-    assert good(paper.plant, none, "klipper") is None
+    assert good(paper.plant, none, FIRMWARES["klipper"]) is None
     with pytest.raises(HframeError, match="nothing is extruded"):
         search(paper.plant, none)
 
@@ -100,7 +101,7 @@ def test_no_setting_has_more_damping_than_klipper_takes(
     """Since October 2025 Klipper refuses to start with more."""
     found = guess(quadratic_form(paper.plant, corner), name)
     section = configparser.ConfigParser()
-    section.read_string(found.config("klipper"))
+    section.read_string(FIRMWARES["klipper"].shaper_settings(found))
     for axis in "xy":
         assert section.getfloat("input_shaper", f"damping_ratio_{axis}") <= most_damping(name)
 
@@ -133,13 +134,16 @@ def test_a_shaper_that_needs_a_newer_klipper_is_a_comment() -> None:
             (AxisShaping("mzv(n=5,t=1.1)", 40.0, 0.1), 0.04),
         )
     )
-    text = shapings_as_text([newer, known], known, "klipper")
+    klipper = FIRMWARES["klipper"]
+    text = shapings_as_text([newer, known], known, klipper)
     section = configparser.ConfigParser(comment_prefixes="#")
     section.read_string(text[text.index("[input_shaper]") :])
     assert section["input_shaper"]["shaper_type_x"] == "mzv"
     assert "# 40.0 µm, on Klipper of 27 April 2026 or newer only:" in text
     assert "# shaper_type_x: mzv(n=5,t=1.1)" in text
-    assert "newer" not in shapings_as_text([replace(known, rms=0.041), newer], known, "klipper")
+    assert "newer" not in shapings_as_text(
+        [replace(known, rms=0.041), newer], known, FIRMWARES["klipper"]
+    )
 
 
 @pytest.mark.slow
@@ -178,12 +182,12 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dialect", "shown"),
+    ("name", "shown"),
     [("klipper", "shaper_type_x: mzv"), ("marlin", "M593 X F40.0 D0.100")],
 )
-def test_the_settings_are_those_of_the_firmware(dialect: str, shown: str) -> None:
+def test_the_settings_are_those_of_the_firmware(name: str, shown: str) -> None:
     mzv, zv = (Shaping(each, each) for each in (AxisShaping(n, 40.0, 0.1) for n in ("mzv", "zv")))
-    assert shown in shapings_as_text([mzv, zv], mzv, dialect)
+    assert shown in shapings_as_text([mzv, zv], mzv, FIRMWARES[name])
 
 
 @pytest.mark.slow

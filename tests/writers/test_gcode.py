@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, E
-from hframe_post.firmware.player import Player
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.code import Code
+from hframe_post.firmware.motion import MotionRules
+from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.printer.profile import load
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import (
@@ -38,19 +39,24 @@ STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
 PROFILES = {"klipper": "paper", "marlin": "paper-marlin"}
 
 
+Parts = tuple[MotionRules, Code]  # of a firmware on a printer
+
+
 @cache
-def player_of(firmware: str) -> Player:
-    return player(load(PROFILES[firmware]), 0.002)
+def parts_of(profile: str) -> Parts:
+    printer = load(profile)
+    own = firmware_of(printer)
+    return own.motion(printer, 0.002), own.code(printer)
 
 
 @pytest.fixture(params=list(PROFILES))
-def firmware(request: pytest.FixtureRequest) -> Player:
-    return player_of(request.param)
+def firmware(request: pytest.FixtureRequest) -> Parts:
+    return parts_of(PROFILES[request.param])
 
 
 @pytest.fixture
-def klipper() -> Player:
-    return player_of("klipper")
+def klipper() -> Parts:
+    return parts_of("paper")
 
 
 def curve(n: int, start: Array, seed: int) -> Array:
@@ -100,8 +106,8 @@ def stream(parts: list[tuple[str, int]], seed: int = 0) -> Samples:
     return Samples(0, frozen(xyze), line, tuple(events), commands, ends_stretch=True)
 
 
-def text(chunks: list[Samples], firmware: Player) -> tuple[bytes, GcodeWriter]:
-    writer = GcodeWriter("none", firmware)
+def text(chunks: list[Samples], firmware: Parts) -> tuple[bytes, GcodeWriter]:
+    writer = GcodeWriter("none", *firmware)
     pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in writer.write(chunks)]
     return b"".join(pieces), writer
 
@@ -123,7 +129,7 @@ def test_filament_and_height_are_those_of_the_samples(
     name: str, parts: list[tuple[str, int]]
 ) -> None:
     whole = stream(parts)
-    written, writer = text([whole], player_of(name))
+    written, writer = text([whole], parts_of(PROFILES[name]))
     reading = follow(written)
     assert reading.filament == pytest.approx(whole.xyze[-1, E], abs=5e-4)
     assert writer.summary.filament == pytest.approx(reading.filament, abs=1e-9)
@@ -132,7 +138,7 @@ def test_filament_and_height_are_those_of_the_samples(
         assert reading.points[-1][2] == pytest.approx(whole.xyze[-1, 2], abs=6e-4)
 
 
-def test_filament_of_every_carried_line_is_exact(klipper: Player) -> None:
+def test_filament_of_every_carried_line_is_exact(klipper: Parts) -> None:
     """Of a thousand lines between segments: filament before each is its sample's, rounded."""
     n = 5000
     whole = stream([("move", n)])
@@ -143,7 +149,7 @@ def test_filament_of_every_carried_line_is_exact(klipper: Player) -> None:
     np.testing.assert_allclose(reading.at_layer, whole.xyze[at, E], atol=1.1e-5)
 
 
-def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klipper: Player) -> None:
+def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klipper: Parts) -> None:
     n = 3000
     whole = stream([("move", n)])
     at = np.unique(np.random.default_rng(2).integers(200, n - 200, 50))
@@ -158,10 +164,10 @@ def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klippe
             assert x == pytest.approx(whole.xyze[k, 0], abs=0.01)
 
 
-def test_lag_stays_bounded_however_long_the_stream(klipper: Player) -> None:
+def test_lag_stays_bounded_however_long_the_stream(klipper: Parts) -> None:
     """What Klipper takes by its own formulas, dwells and all, against the samples' time."""
     parts = [("move", 700), ("retract", 80), ("move", 400), ("lift", 20), ("wait", 50)] * 40
-    writer, lags = GcodeWriter("none", klipper), list[float]()
+    writer, lags = GcodeWriter("none", *klipper), list[float]()
 
     def chunks() -> Iterator[Samples]:
         for part in batches([stream(parts)], 1000):
@@ -173,7 +179,7 @@ def test_lag_stays_bounded_however_long_the_stream(klipper: Player) -> None:
     assert max(lags) < 1.5e-3
 
 
-def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Player) -> None:
+def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Parts) -> None:
     released = Passthrough(7, b"M600", Handling.RELEASE, STATE)
     moving, onward = stream([("move", 300)]), stream([("move", 300)], seed=9)
     end = len(moving)
@@ -190,14 +196,14 @@ def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Player) -> 
 
 
 @pytest.mark.parametrize("n", [1, 7, 100, 10_000])
-def test_bytes_do_not_depend_on_the_cut(firmware: Player, n: int) -> None:
+def test_bytes_do_not_depend_on_the_cut(firmware: Parts, n: int) -> None:
     parts = [("move", 2500), ("mark", 1), ("move", 900), ("retract", 80), ("wait", 30)]
     parts += [("move", 30), ("lift", 40), ("mark", 1), ("move", 20_000), ("mark", 1)]
     whole = stream(parts)
     assert text(list(batches([whole], n)), firmware)[0] == text([whole], firmware)[0]
 
 
-def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klipper: Player) -> None:
+def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klipper: Parts) -> None:
     """Short ones join the next segment, longer ones are dwells; together they are all the time."""
     moving = curve(200, np.array([100.0, 100.0, 0.3, 0.0]), 3)
     for still in (10, 400):
@@ -213,7 +219,7 @@ def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klippe
         assert waited == 0 if still == 10 else abs(waited - still) < 40
 
 
-def test_lines_are_different_only_in_what_changes(klipper: Player) -> None:
+def test_lines_are_different_only_in_what_changes(klipper: Parts) -> None:
     """No word is written that says what the machine knows already."""
     rows = [
         line for line in text([stream([("move", 3000)])], klipper)[0].splitlines()
@@ -248,6 +254,8 @@ def test_every_sample_of_a_steady_second_is_a_line() -> None:
     xyze = np.column_stack([100.0 + x, np.full((len(x), 1), 100.0), np.zeros((len(x), 2))])
     commands = {"racking": xyze[:, :2]}
     samples = Samples(0, xyze, np.zeros(len(x), np.int64), (), commands)
-    writer = GcodeWriter("racking", player(load("paper"), None))
+    printer = load("paper")
+    own = firmware_of(printer)
+    writer = GcodeWriter("racking", own.motion(printer, None), own.code(printer))
     list(writer.write([samples]))
     assert writer.summary.busiest_second == 1000, "lines in a second"

@@ -1,1 +1,1 @@
-"""Klipper as a player of the stream."""
+"""Klipper."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from hframe_post.firmware.configuration import Finding
 from hframe_post.firmware.klipper.macros import END, FILE, WRAPPERS, macros
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import Finding
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 
 LAST = f"make [include {FILE}] the last line before the block of SAVE_CONFIG"

@@ -12,10 +12,10 @@ unusual spelling, with ``rename_existing``, is called first and passes the comma
 from __future__ import annotations
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.klipper.code import KlipperCode
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 
 FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
@@ -144,13 +144,13 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     if printer.firmware.dialect != "klipper":
         cause = f"{printer.firmware.dialect} has no macros: they are for printer.cfg of Klipper"
         raise PrinterError(cause, "firmware.dialect", printer.name)
-    player = Klipper.from_printer(printer)
-    shaper_off, limits = player.limits_of_stream
+    code = KlipperCode.from_printer(printer)
+    shaper_off, limits = code.limits_of_stream
     text = (
         _LIMITS.replace("@shaper_off", shaper_off)
         .replace("@limits", limits)
         .replace("@corner", f"{SQUARE_CORNER_VELOCITY:g}")
-        .replace("@acceleration", f"{player.limits.acceleration:g}")
+        .replace("@acceleration", f"{code.stream.acceleration:g}")
     )
     # Klipper's own commands refuse a macro of their name that does not rename them
     own = _own_commands(config) if config is not None else []

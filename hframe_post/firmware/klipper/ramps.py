@@ -10,7 +10,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.firmware import ramps
-from hframe_post.firmware.player import VELOCITY_HEADROOM, whole_feeds
+from hframe_post.firmware.motion import VELOCITY_HEADROOM, whole_feeds
 from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
@@ -111,7 +111,7 @@ def feeds(
     at: Array, T: Array, rest: Flags, before: float, after: float, limits: StreamLimits,
     per_feed: float,
 ) -> tuple[Integers, Array]:  # fmt: skip
-    """Return F and the seconds that segments then take; see ``Player.feeds``."""
+    """Return F and the seconds that segments then take; see ``MotionRules.feeds``."""
     if (compiled := kernel("klipper_feeds")) is None:
         return _feeds(at, T, rest, before, after, limits, per_feed)
     k = len(T)
@@ -136,7 +136,7 @@ def _feeds(
 def durations(
     at: Array, v: Array, rest: Flags, before: float, after: float, limits: StreamLimits
 ) -> Array:
-    """Return the seconds that segments take; see ``Player.durations``."""
+    """Return the seconds that segments take; see ``MotionRules.durations``."""
     if (compiled := kernel("klipper_durations")) is None:
         ramped = Ramped.from_moves(np.diff(at, axis=0), rest, limits, after)
         return ramped.durations(v, before)

@@ -1,1 +1,1 @@
-"""Marlin as a player of the stream."""
+"""Marlin."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.block_times import Timer
 from hframe_post.firmware.marlin.blocks import Blocks
+from hframe_post.firmware.marlin.code import MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
-from hframe_post.firmware.marlin.player import Marlin
 from hframe_post.firmware.marlin.segments import most_steps, motor_steps
-from hframe_post.firmware.player import plain
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
@@ -56,7 +56,7 @@ def calibration(printer: Printer) -> Calibration:
             "this calibration",
             "firmware.dialect", printer.name,
         )  # fmt: skip
-    marlin = Marlin.from_printer(printer)
+    marlin = MarlinCode.from_printer(printer)
     parts = _steady(printer, marlin), _uneven(printer, marlin)
     durations = {
         name: tuple(_duration(part, printer, marlin, planner) for part in parts)
@@ -65,7 +65,7 @@ def calibration(printer: Printer) -> Calibration:
     return Calibration(_lines(printer, marlin, parts), tuple(p.name for p in parts), durations)
 
 
-def _boards(marlin: Marlin) -> list[tuple[str, Planner]]:
+def _boards(marlin: MarlinCode) -> list[tuple[str, Planner]]:
     """Return the keys of the profile that stand for each kind of board, and its planner."""
     hz, found = marlin.table.timer_hz, []
     for name in GENERATIONS:
@@ -77,14 +77,14 @@ def _boards(marlin: Marlin) -> list[tuple[str, Planner]]:
     return found
 
 
-def _steady(printer: Printer, marlin: Marlin) -> Part:
+def _steady(printer: Printer, marlin: MarlinCode) -> Part:
     left, right = _room(printer, marlin)
     v = printer.limits.velocity
     stroke = (right - left) / v + v / printer.limits.acceleration
     return Part("steady", np.array([left, right]), np.array([v]), _even(SECONDS / stroke))
 
 
-def _uneven(printer: Printer, marlin: Marlin) -> Part:
+def _uneven(printer: Printer, marlin: MarlinCode) -> Part:
     """Return blocks on whole steps, so short that they do not reach their fast speed."""
     left, right = _room(printer, marlin)
     d = STEPS * marlin.steps.belt
@@ -99,7 +99,7 @@ def _even(strokes: float) -> int:
     return max(2, round(strokes / 2.0) * 2)
 
 
-def _room(printer: Printer, marlin: Marlin) -> tuple[float, float]:
+def _room(printer: Printer, marlin: MarlinCode) -> tuple[float, float]:
     belt = marlin.steps.belt
     left, right = printer.travel.x[0] + EDGE, printer.travel.x[1] - EDGE
     if right - left < 2.0 * EDGE:
@@ -108,10 +108,10 @@ def _room(printer: Printer, marlin: Marlin) -> tuple[float, float]:
     return math.ceil(left / belt) * belt, math.floor(right / belt) * belt
 
 
-def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) -> float:
+def _duration(part: Part, printer: Printer, marlin: MarlinCode, planner: Planner) -> float:
     belt = marlin.steps.belt
     cells = np.rint(np.column_stack([part.x, np.zeros_like(part.x)]) / belt).astype(np.int64)
-    n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
+    n = most_steps(motor_steps(cells, printer.kinematics)).astype(np.float64)
     d = np.diff(cells[:, 0]) * belt
     total = 0.0
     for order in (1, -1):  # there, and back
@@ -123,7 +123,7 @@ def _duration(part: Part, printer: Printer, marlin: Marlin, planner: Planner) ->
     return total * part.strokes / 2.0
 
 
-def _lines(printer: Printer, marlin: Marlin, parts: tuple[Part, ...]) -> list[bytes]:
+def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> list[bytes]:
     limits, table = printer.limits, marlin.table
     a, v = plain(limits.acceleration, 0), plain(limits.velocity + 1.0, 0)
     y = plain(sum(printer.travel.y) / 2.0, 3)

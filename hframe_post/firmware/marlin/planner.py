@@ -40,7 +40,7 @@ class SteppedPlanner:
         return 0.0 if self.stepper.development else 1.0 / SLOWEST
 
     def possible_times(self, blocks: Blocks, T: Array, before: float) -> Array:
-        """Return times (k,) as near to T (k,) as blocks can last; before: see ``Player``."""
+        """Return times (k,) as near to T (k,) as blocks can last; before: see ``MotionRules``."""
         n, d, *_ = blocks
         T = np.minimum(T, n / (1.0 if self.stepper.development else SLOWEST))
         for _ in range(ROUNDS):
@@ -98,7 +98,10 @@ class SteppedPlanner:
         return v_s, v_e, block_times(blocks, *rates, self.stepper)
 
     def entry(self, blocks: Blocks, v: Array, before: float) -> Array:
-        """Return the speeds (k,), mm/s, at which blocks begin; v (k,), before: see ``Player``."""
+        """Return the speeds (k,), mm/s, at which blocks begin.
+
+        v (k,), before: see ``MotionRules``.
+        """
         return ramps.ends(v, blocks.corners, before, self._least_entry(blocks))[0]
 
     def _least_entry(self, blocks: Blocks) -> Array:

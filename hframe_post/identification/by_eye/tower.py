@@ -20,8 +20,8 @@ import numpy as np
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.pipeline import Options
 from hframe_post.errors import HframeError, LimitError
-from hframe_post.firmware.player import plain
-from hframe_post.firmware.registry import player
+from hframe_post.firmware.code import Code, plain
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import OFF, STAMP
 from hframe_post.identification.by_eye.racking import BLOCK, Comb
 from hframe_post.identification.by_eye.waves import Band
@@ -35,7 +35,6 @@ LAYER, WIDTH = 0.2, 0.5  # mm
 LAYERS, LOW = 20, 10  # of a band; of a low square, over which the print head can pass
 SPEEDS = (60.0, 100.0, 150.0)  # mm/s of bands, as far as the printer reaches them
 HARD, SOFT = 20.0, 0.4  # mm/s at corners, and the share of it at soft ones
-DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
 BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
 COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
@@ -60,11 +59,8 @@ def bands(printer: Printer) -> list[Band]:
 
 
 def _corners(printer: Printer) -> tuple[float, float]:
-    """Return the mm/s of hard and of soft corners, as far as Marlin takes their deviation."""
-    marlin = printer.firmware.marlin if printer.firmware.dialect == "marlin" else None
-    if marlin is None or marlin.classic_jerk:
-        return HARD, SOFT * HARD
-    least, most = np.sqrt(RIGHT_ANGLE * printer.limits.acceleration * np.array(DEVIATIONS)).tolist()
+    """Return the mm/s of hard and of soft corners, as far as the firmware takes them."""
+    least, most = _code(printer).corner_range(printer.limits.acceleration)
     hard = min(HARD, most)
     return hard, min(max(SOFT * hard, least), hard)
 
@@ -89,25 +85,17 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
         lines += _square(printer, (x, y), SIDE, band.speed, range(k * LAYERS, (k + 1) * LAYERS))
     top = len(bands(printer)) * LAYERS * LAYER + GAP
     state = ModalState(True, False, 0.0, TRAVEL, (0.0, 0.0, 0.0))
-    end = player(printer, None).end(state, np.array([x, y, top, 0.0]))
+    end = _code(printer).end(state, np.array([x, y, top, 0.0]))
     return [*lines, f"G1 Z{plain(top, 2)} F600", *(line.decode() for line in end), *COLD]
+
+
+def _code(printer: Printer) -> Code:
+    return firmware(printer).code(printer)
 
 
 def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
     """Return commands for mm/s² and the mm/s of corners, without input shaping."""
-    a, v = plain(acceleration, 0), plain(printer.limits.velocity, 0)
-    if printer.firmware.dialect == "klipper":
-        return [
-            "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
-            f"SET_VELOCITY_LIMIT VELOCITY={v} ACCEL={a} MINIMUM_CRUISE_RATIO=0 "
-            f"SQUARE_CORNER_VELOCITY={plain(corner, 2)}",
-        ]
-    table = printer.firmware.marlin
-    assert table is not None
-    deviation, each = corner**2 / (RIGHT_ANGLE * acceleration), plain(corner, 2)
-    corners = f"X{each} Y{each}" if table.classic_jerk else f"J{plain(deviation, 4)}"
-    return ["M400", "M593 F0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
-            f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
+    return _code(printer).set_limits(printer.limits.velocity, acceleration, corner)
 
 
 def _heated(heat: Heat) -> list[str]:
@@ -131,8 +119,7 @@ def comb(printer: Printer) -> Comb | None:
 def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
     """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
     left, right, back = wall.left, wall.left + wall.blocks * BLOCK, y + DEPTH
-    klipper = printer.firmware.dialect == "klipper"
-    accelerate = "SET_VELOCITY_LIMIT ACCEL=" if klipper else "M204 P"
+    code = _code(printer)
     yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
     yield from _brim(printer, (left, y), (right, back))
     yield _travel(left, y)
@@ -141,7 +128,7 @@ def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
         for x, both in zip(wall.borders().tolist(), pairwise(wall.accelerations), strict=True):
             halves = pairwise([(x, y), (x + BLOCK / 2.0, y), (x + BLOCK, y)])
             for half, a in zip(halves, both, strict=True):
-                yield f"{accelerate}{plain(a, 0)}"
+                yield code.set_acceleration(a)
                 yield from _line(printer, half, wall.speed if layer else FIRST)
             yield "G4 P0"
         yield from _line(printer, [(right, y), (right, back), (left, back), (left, y)], FIRST)

@@ -28,7 +28,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.printer.klipper_cfg import KlipperConfig
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 
 SECTION = "resonance_tester"
 SLACK = 1e-6  # Hz by which the last frequency may exceed max_freq, as in the firmware

@@ -34,9 +34,12 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
-from hframe_post.firmware.klipper.player import Klipper
+from hframe_post.firmware.code import plain
+from hframe_post.firmware.klipper.code import KlipperCode
+from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.firmware.player import VELOCITY_HEADROOM, plain
+from hframe_post.firmware.motion import VELOCITY_HEADROOM
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.recordings.accelerometer import FULL_SCALE
 from hframe_post.identification.recordings.excitation import peaks, trajectory
@@ -110,18 +113,17 @@ def positions(printer: Printer, axis: int) -> list[tuple[float, float]]:
 
 
 def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, float]:
-    """Return the mm/s and mm/s² of a run that the limits, the motors and Klipper allow.
+    """Return the mm/s and mm/s² of a run that the limits, the motors and the firmware allow.
 
     share: of the belts' speed that an axis may have. multiple: of the run's acceleration, that the
-    motors must allow Klipper.
+    motors must allow the firmware.
     """
-    limits, klipper, motors = printer.limits, printer.firmware.klipper, printer.motors
+    limits, motors = printer.limits, printer.motors
     stream = StreamLimits.from_limits(limits, motors, printer.kinematics)
     velocity = min(limits.velocity, share * motors.belt_velocity)
     acceleration = min(limits.acceleration, stream.acceleration / multiple)
-    if klipper is None:
-        return velocity, acceleration
-    return min(velocity, klipper.velocity), min(acceleration, klipper.acceleration)
+    most = firmware(printer).most(printer)
+    return min(velocity, most[0]), min(acceleration, most[1])
 
 
 def within_limits(printer: Printer) -> tuple[Sweep, float]:
@@ -230,11 +232,11 @@ def seconds_of(planned: Sequence[Run]) -> float:
 
 def check_records(printer: Printer) -> None:
     """Raise PrinterError if the printer's firmware records no accelerometers."""
-    if (dialect := printer.firmware.dialect) != "klipper":
+    if not printer.firmware.kind.records:
         raise PrinterError(
-            f"{dialect} records no accelerometers, which this run needs. To find out what drifted, "
-            "measure again: 'hframe-post sweep', then identify. To see what compensation brings, "
-            "print a part with and without it (-c none)",
+            f"{printer.firmware.dialect} records no accelerometers, which this run needs. To find "
+            "out what drifted, measure again: 'hframe-post sweep', then identify. To see what "
+            "compensation brings, print a part with and without it (-c none)",
             "firmware.dialect", printer.name,
         )  # fmt: skip
 
@@ -259,7 +261,7 @@ def gcode(
     # Two digits more than a print: at 80 Hz a step of 1 µm is 250 mm/s² of acceleration. Kept in
     # time over 200 segments: a motion that is late at one frequency would look like the printer's
     # own delay. Over 16 s it would be late by 0.2 ms.
-    writer = GcodeWriter("none", _player(printer, planned), 2, steady=200)
+    writer = GcodeWriter("none", *_klipper(printer, planned), 2, steady=200)
     sensors = [recording_chips(printer, run, chips) for run in planned]
     yield from writer.write(_samples(planned, sensors, z))
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
@@ -278,21 +280,22 @@ def recording_chips(printer: Printer, run: Run, chips: Sequence[str]) -> tuple[s
     return tuple(dict.fromkeys(found)) or (USUAL_CHIP,)
 
 
-def _player(printer: Printer, planned: list[Run]) -> Klipper:
+def _klipper(printer: Printer, planned: list[Run]) -> tuple[KlipperMotion, KlipperCode]:
     """Return Klipper with limits no higher than the runs need, since a cancel leaves them."""
-    player = Klipper.from_printer(printer)
+    motion, code = KlipperMotion.from_printer(printer), KlipperCode.from_printer(printer)
     speed, acceleration = (
         max(np.linalg.norm(np.diff(run.command, n=n, axis=0), axis=1).max() for run in planned)
         / TS**n
         for n in (1, 2)
     )
     limits = replace(
-        player.limits,
-        velocity=min(player.limits.velocity, math.ceil(VELOCITY_HEADROOM * speed)),
-        acceleration=min(player.limits.acceleration, math.ceil(MULTIPLE * acceleration)),
+        motion.limits,
+        velocity=min(motion.limits.velocity, math.ceil(VELOCITY_HEADROOM * speed)),
+        acceleration=min(motion.limits.acceleration, math.ceil(MULTIPLE * acceleration)),
     )
     # begin_macro would set the limits of a print
-    return replace(player, limits=limits, table=replace(player.table, begin_macro=""))
+    table = replace(code.table, begin_macro="")
+    return replace(motion, limits=limits), replace(code, stream=limits, table=table)
 
 
 def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -> Iterator[Samples]:

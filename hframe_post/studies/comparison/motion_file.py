@@ -17,8 +17,9 @@ import numpy as np
 from hframe_post.arrays import Array, E, Integers, Z, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.firmware import ramps
+from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
-from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP, Dialect
+from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP
 from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines

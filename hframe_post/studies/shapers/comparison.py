@@ -16,18 +16,14 @@ from hframe_post.arrays import TS
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers.search import (
-    KLIPPER,
-    calibrated_with,
-    paths,
-    search,
-)
+from hframe_post.studies.shapers.search import calibrated_with, paths, search
 from hframe_post.writers.stream.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies

@@ -16,6 +16,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.conversion.pipeline import Options, parsed, sampled
 from hframe_post.errors import HframeError
+from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import Linear
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.shapers import (
@@ -41,8 +43,6 @@ WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klip
 BY_ERROR = attrgetter("rms")
 
 # Klipper's calibration, as of November 2025 (klippy/extras/shaper_calibrate.py)
-KLIPPER = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
-FIRMWARE = {"klipper": KLIPPER, "marlin": ("zv",)}  # shapers that every version has, by dialect
 KLIPPER_HZ = np.arange(5.0, 135.0, 0.5)  # that its test shakes with
 KLIPPER_LOW = 10.0  # Hz, below which its data count less
 KLIPPER_DAMPING = 0.1  # that a shaper is made for
@@ -107,7 +107,7 @@ def best(plant: Plant, paths: Paths, name: str, Q: Array) -> Shaping:
 
 
 @one_blas_thread()
-def good(plant: Plant, paths: Paths, dialect: str) -> Shaping | None:
+def good(plant: Plant, paths: Paths, firmware: Firmware) -> Shaping | None:
     """Return about the most accurate of the firmware's shapers, in a tenth of a second.
 
     None if there are no paths. It is within some percent of what ``search`` finds.
@@ -115,7 +115,7 @@ def good(plant: Plant, paths: Paths, dialect: str) -> Shaping | None:
     if not paths:
         return None
     Q = quadratic_form(plant, paths)
-    return min((error(plant, guess(Q, name), paths) for name in FIRMWARE[dialect]), key=BY_ERROR)
+    return min((error(plant, guess(Q, name), paths) for name in firmware.shapers), key=BY_ERROR)
 
 
 def search(plant: Plant, paths: Paths) -> list[Shaping]:
@@ -229,18 +229,18 @@ def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
     return {"shapers": shapers, "klipper_calibration": calibration}
 
 
-def shapings_as_text(found: list[Shaping], usual: Shaping, dialect: str) -> str:
+def shapings_as_text(found: list[Shaping], usual: Shaping, firmware: Firmware) -> str:
     """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [f"{'shaper':16s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
     lines += [_row(s.x.name, s) for s in found]
     names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
     lines += [_row(f"Klipper's calibration: {names}", usual)]
-    best = next(s for s in found if s.x.name in FIRMWARE[dialect])
+    best = next(s for s in found if s.x.name in firmware.shapers)
     newer = next((s for s in found if s.x.name in WITH_PARAMETERS), best)
-    lines += ["", best.config(dialect)]
-    if dialect == "klipper" and newer.rms < WORTH * best.rms:
-        lines += ["", f"# {newer.rms * 1e3:.1f} µm, on Klipper of 27 April 2026 or newer only:"]
-        lines += [f"# {line}" for line in newer.config(dialect).splitlines()]
+    lines += ["", firmware.shaper_settings(best)]
+    if firmware.newer_versions and newer.rms < WORTH * best.rms:
+        lines += ["", f"# {newer.rms * 1e3:.1f} µm, on {firmware.newer_versions} only:"]
+        lines += [f"# {line}" for line in firmware.shaper_settings(newer).splitlines()]
     return "\n".join(lines)
 
 

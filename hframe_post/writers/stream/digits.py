@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, E, Integers, Z
 from hframe_post.errors import HframeError
-from hframe_post.firmware.player import plain
+from hframe_post.firmware.code import plain
 from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from hframe_post.arrays import E, Z
-from hframe_post.firmware.player import Player
+from hframe_post.firmware.code import Code
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.stream import digits
 from hframe_post.writers.stream.machine import Machine, Settings, StandingMove, Text
@@ -72,7 +73,8 @@ class GcodeWriter:
     def __init__(
         self,
         strategy: str,
-        player: Player,
+        rules: MotionRules,
+        code: Code,
         finer: int = 0,
         place: Position | None = None,
         offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -80,8 +82,8 @@ class GcodeWriter:
     ) -> None:
         self._units = Units(finer)
         at = self._units.place(place) if place is not None else None
-        self._machine = Machine(strategy, player, self._units, at, offset)
-        self._pace = Pace(player, self._units, steady)
+        self._machine = Machine(strategy, rules, code, self._units, at, offset)
+        self._pace = Pace(rules, self._units, steady)
         self._lines = 0
 
     def write(self, chunks: Iterable[Samples]) -> Iterator[Output]:

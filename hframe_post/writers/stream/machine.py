@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
-from hframe_post.firmware.player import Player
+from hframe_post.firmware.code import Code
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import (
     Handling,
@@ -93,12 +94,14 @@ class Machine:
     def __init__(
         self,
         strategy: str,
-        player: Player,
+        rules: MotionRules,
+        code: Code,
         units: Units,
         at: Place | None,
         offset: tuple[float, float, float],
     ) -> None:
-        self._strategy, self._player, self._units = strategy, player, units
+        self._strategy, self._units = strategy, units
+        self._rules, self._code = rules, code
         self._at, self._offset = at, offset
         self._inside = at is not None  # the stream's limits and modes hold
         self._buffer = SampleBuffer()
@@ -188,13 +191,13 @@ class Machine:
         if not isinstance(move := pause.action, Standing):
             return 0.0
         way, planned = (move.start, move.end), (pause.entry, pause.leaving)
-        return self._player.corners(way, move.speed, planned)[0]
+        return self._rules.corners(way, move.speed, planned)[0]
 
     def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
         """Yield the commands for a batch, whose motion may end at a speed, mm/s."""
         assert self._at is not None
         still = self._still
-        made = segments(batch, self._at, still, self._player, self._units)
+        made = segments(batch, self._at, still, self._rules, self._units)
         self.ledger.approximated(batch.samples, made.missed)
         self._still = made.still
         if len(made.T):
@@ -220,10 +223,10 @@ class Machine:
 
     def _passed_on(self, mark: Mark) -> Iterator[Text]:
         """Yield a line of the file, and what restores the stream's modes after it."""
-        labels = self._player.labels_object(mark.text)
+        labels = self._code.labels_object(mark.text)
         yield Text(passed_on(mark.text, mark.index * TS), labels)
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
-            yield Text(self._player.modes_after(coded.name))
+            yield Text(self._code.modes_after(coded.name))
 
     def _pause(self, pause: Pause) -> Iterator[Command]:
         action = pause.action
@@ -234,7 +237,7 @@ class Machine:
         if releases:
             yield self._release(action)
         if action.text or not releases:
-            yield Text(action.text + b"\n", self._player.labels_object(action.text))
+            yield Text(action.text + b"\n", self._code.labels_object(action.text))
 
     def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
         yield from self._enter()
@@ -249,14 +252,14 @@ class Machine:
         assert self._at is not None
         entering, self._inside = not self._inside, True
         if entering:
-            begin = self._player.begin(self._offset, self._where)
+            begin = self._code.begin(self._offset, self._where)
             yield Text(b"".join(line + b"\n" for line in begin))
         if entering or self.ledger.is_count_due():
             yield self._count()
 
     def _count(self) -> Text:
         """Return the line after which the firmware counts filament from 0, if it needs one."""
-        return Text(self._player.reset_extruder(float(self._where[E])))
+        return Text(self._code.reset_extruder(float(self._where[E])))
 
     @property
     def _where(self) -> Array:
@@ -267,7 +270,7 @@ class Machine:
     def _release(self, action: Passthrough) -> Settings:
         end: list[bytes] = []
         if self._inside and self._at is not None:
-            end = self._player.end(action.state, self._where)
+            end = self._code.end(action.state, self._where)
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
         return Settings(b"".join(line + b"\n" for line in end))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
-from hframe_post.firmware.player import Dwelling, Player, Stroke, Way
+from hframe_post.firmware.motion import Dwelling, MotionRules, Stroke, Way
 from hframe_post.writers.stream.machine import (
     Command,
     Motion,
@@ -52,8 +52,8 @@ class Pace:
     next motion makes up for it.
     """
 
-    def __init__(self, player: Player, units: Units, steady: int = 0) -> None:
-        self._player, self._units, self._steady = player, units, steady or player.steady
+    def __init__(self, rules: MotionRules, units: Units, steady: int = 0) -> None:
+        self._rules, self._units, self._steady = rules, units, steady or rules.steady
         self._per_feed = units.per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
         self.lag = 0.0
@@ -98,7 +98,7 @@ class Pace:
         if self._lift is not None:
             before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
             v = float(feeds[0] / self._per_feed)
-            yield from self._leave(self._player.entry(at[:2], v, before))
+            yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
         texts = [(row, Text(line)) for row, line in lines if line]
         self._may_be_elsewhere |= any(text.labels for _, text in motion.between)
@@ -115,7 +115,7 @@ class Pace:
         if np.abs(way).max() < 1.5 / per_mm[X]:
             return motion
         self._may_be_elsewhere = False
-        rejoined = self._player.rejoin(motion.at[0] / per_mm, way, float(motion.T[0]))
+        rejoined = self._rules.rejoin(motion.at[0] / per_mm, way, float(motion.T[0]))
         if rejoined is None:
             return motion
         self._before, self._ending = rejoined.speed, None
@@ -134,7 +134,7 @@ class Pace:
         if self._turns_back(at):
             self._stand()
         rest[0] |= self._before == 0.0
-        planned, T = T, self._player.possible_times(at, T, self._before)
+        planned, T = T, self._rules.possible_times(at, T, self._before)
         if self._lift is not None:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
             T[0] = self._lift[0].stroke.time_of_next(first, float(T[0]))
@@ -158,7 +158,7 @@ class Pace:
 
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
         """Return F by which segments are to last T (k,), and how long they then take."""
-        return self._player.feeds(at, T, rest, self._before, after, self._per_feed)
+        return self._rules.feeds(at, T, rest, self._before, after, self._per_feed)
 
     def _turns_back(self, at: Array) -> bool:
         """Return whether a batch goes back along the last segment of the one before it."""
@@ -175,7 +175,7 @@ class Pace:
         last, v_last, from_rest, entry = self._ending
         segment = last, v_last, np.array([from_rest, False]), entry
         seconds, planned = (
-            float(self._player.durations(*segment, end)[0]) for end in (0.0, self._before)
+            float(self._rules.durations(*segment, end)[0]) for end in (0.0, self._before)
         )
         self.lag += seconds - planned
         self._before = 0.0
@@ -188,7 +188,7 @@ class Pace:
             last, v_last, from_rest, entry = self._ending
             segment = last, v_last, np.array([from_rest, False]), entry
             seconds, planned = (
-                float(self._player.durations(*segment, end)[0]) for end in (slower, self._before)
+                float(self._rules.durations(*segment, end)[0]) for end in (slower, self._before)
             )
             self.lag += seconds - planned
         alone = len(v) == 1
@@ -198,14 +198,14 @@ class Pace:
     def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
         way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
-        into, out = self._player.corners(way, move.speed, (pause.entry, pause.leaving), previous)
+        into, out = self._rules.corners(way, move.speed, (pause.entry, pause.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
         if self._before == 0.0 and (line := self._dwell(0, next_to)):
             yield Text(line)
         planned = pause.samples * TS
         stroke_to = partial(
-            self._player.stroke, way, move.speed, pause.exact, planned - self.lag, self._before
+            self._rules.stroke, way, move.speed, pause.exact, planned - self.lag, self._before
         )
         stroke = stroke_to(out)
         self.lag += stroke.seconds - planned
@@ -246,7 +246,7 @@ class Pace:
 
         It is empty where the firmware leaves the standstill out.
         """
-        dwell = self._player.dwell(samples * TS - self.lag, next_to)
+        dwell = self._rules.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
             return None
         line, waited = dwell

@@ -11,7 +11,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
-from hframe_post.firmware.player import Player
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.native import kernel
 from hframe_post.stream.types import Mark, Position
 
@@ -174,17 +174,17 @@ class Segments(NamedTuple):
     missed: float
 
 
-def segments(batch: Batch, start: Place, still: int, player: Player, units: Units) -> Segments:
+def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: Units) -> Segments:
     """Return the segments of a batch that its firmware asks for.
 
     start: where the machine stands; still: for how many samples it has. A segment that moves
     nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
     """
     forced = batch.forced
-    made, places = player.segments(batch.points, forced, batch.last)
+    made, places = rules.segments(batch.points, forced, batch.last)
     at, ends, T, dwell = _moving(places, made, forced, np.array(start), still, units)
     left = batch.samples - int(ends[-1]) if len(ends) else still + batch.samples
-    bounded = player.lines_per_second < math.inf
+    bounded = rules.lines_per_second < math.inf
     missed = _missed(batch.points, made, places) if bounded else 0.0
     return Segments(at, ends, T, dwell, left, missed)
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
+from hframe_post.firmware.configuration import Finding
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.settings import corner_in, extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
-from hframe_post.printer.klipper_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, as_float, corner_in, extruder, motors
+from hframe_post.printer.setup import Known, as_float, motors
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
@@ -31,14 +32,6 @@ class Difference(NamedTuple):
     option: str
     text: str
     key: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A difference from the profile. wrong: the printer would not move as computed."""
-
-    wrong: bool
-    text: str
 
 
 def check(

@@ -1,16 +1,17 @@
-"""What the writer asks of a firmware, and the words of G-code that all firmwares share."""
+"""How a firmware moves: what the writer must know of it to keep the machine in time."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.stream.types import ModalState, Position, Rests
+from hframe_post.stream.types import Position, Rests
 
 SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
 VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
@@ -69,50 +70,27 @@ class Rejoined:
     seconds: float
 
 
-class Player(Protocol):
-    """A firmware as the writer sees it: commands, segments, feed rates, strokes, dwells."""
+class MotionRules(ABC):
+    """How a firmware moves on a printer: segments, feed rates, strokes, dwells.
+
+    lines_per_second: lines that it can take in a second; inf if nothing limits them. steady:
+    segments over which time is kept inside a motion; 0: over a batch. rests: how the command passes
+    from motion into lifts and retractions, and back.
+    """
 
     @property
     def lines_per_second(self) -> float:
-        """Return the lines that it can take in a second; inf if nothing limits them."""
-
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """Return warnings about how its files are sent."""
+        return math.inf
 
     @property
     def steady(self) -> int:
-        """Return the segments over which time is kept inside a motion; 0: over a batch."""
+        return 0
 
     @property
     def rests(self) -> Rests:
-        """Return how the command passes from motion into lifts and retractions, and back."""
+        return Rests()
 
-    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        """Return the lines that change from the user's limits and modes to the stream's.
-
-        offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine stands.
-        """
-
-    def end(self, state: ModalState, at: Array) -> list[bytes]:
-        """Return the lines that restore the user's limits and the file's modes and places."""
-
-    def modes_after(self, name: str) -> bytes:
-        """Return lines that restore the stream's modes after a command of the file."""
-
-    def labels_object(self, text: bytes) -> bool:
-        """Return whether the firmware may leave out the moves before or after this line."""
-
-    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined | None:
-        """Return how a machine at rest comes back to ``at`` after moves that it left out.
-
-        at (4,): where the commands are, mm; way (2,): x, y of the next segment, mm, which lasts
-        T. None: this firmware leaves nothing out.
-        """
-
-    def reset_extruder(self, filament: float) -> bytes:
-        """Return a line that resets the firmware's count of filament (mm), or nothing."""
-
+    @abstractmethod
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return where segments end: indices (k,) of points, ascending, and positions (k, 4), mm.
 
@@ -126,7 +104,9 @@ class Player(Protocol):
 
         before: see ``feeds``.
         """
+        return T
 
+    @abstractmethod
     def feeds(
         self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
     ) -> tuple[Integers, Array]:
@@ -137,6 +117,7 @@ class Player(Protocol):
         none; after: greatest speed at the end of the last.
         """
 
+    @abstractmethod
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
@@ -147,6 +128,7 @@ class Player(Protocol):
 
         before: greatest speed at the end of the stroke that precedes it.
         """
+        return min(v, before)
 
     def corners(
         self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None
@@ -156,6 +138,7 @@ class Player(Protocol):
         speed: the user's; planned: of z in the plan, where they are certain; previous: the way of
         a stroke that directly precedes it.
         """
+        return 0.0, 0.0
 
     def stroke(
         self, way: Way, speed: float, seconds: float, wanted: float,
@@ -166,25 +149,21 @@ class Player(Protocol):
         speed: the user's; seconds: what it takes at that speed; wanted: seconds left for it;
         entry, leaving: speeds of the motion before and after it, 0: at rest.
         """
+        return Stroke(speed, seconds)
 
+    @abstractmethod
     def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         """Return lines for a standstill, and the seconds that they last; None: no dwell."""
+
+    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined | None:
+        """Return how a machine at rest comes back to ``at`` after moves that it left out.
+
+        at (4,): where the commands are, mm; way (2,): x, y of the next segment, mm, which lasts
+        T. None: this firmware leaves nothing out.
+        """
+        return None
 
 
 def whole_feeds(v: Array, per_feed: float) -> Integers:
     """Return speeds (k,), mm/s, as F is written, in units of which a mm/s has ``per_feed``."""
     return np.asarray(np.maximum(np.rint(v * per_feed), 1.0).astype(np.int64))
-
-
-def plain(value: float, decimals: int) -> str:
-    """Return a number without exponent, trailing zeros or negative zero."""
-    text = f"{value:.{decimals}f}"
-    if "." in text:
-        text = text.rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
-
-
-def coordinates(offset: tuple[float, float, float], at: Array) -> list[str]:
-    """Return G92 for the place ``at``, with the axes whose offset is not 0."""
-    words = [f"{a}{plain(p, 3)}" for a, p, o in zip("XYZ", at, offset, strict=False) if o]
-    return [" ".join(["G92", *words])] if words else []

@@ -1,4 +1,6 @@
-"""A sweep of plain moves, for Marlin, whose whole steps and short queue can play no sine.
+"""A sweep of moves as they are written, for firmwares that record no accelerometers.
+
+Some of these play no sine: Marlin has whole steps and a short queue.
 
 The axis travels to and fro around its place, and while it travels its speed pulses:
 
@@ -6,7 +8,7 @@ The axis travels to and fro around its place, and while it travels its speed pul
 
 So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
 turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
-what the firmware makes of the moves, by the rules of ``firmware.marlin.block_times``.
+what the firmware makes of the moves (``firmware.written_moves``).
 
 Any program may record it: start and clock are found from the motion (``self_alignment``).
 """
@@ -20,10 +22,10 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import LimitError
-from hframe_post.firmware.marlin.blocks import Blocks
-from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, TRAPEZOIDS, Marlin
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps
-from hframe_post.firmware.player import SPARED, plain
+from hframe_post.firmware.code import plain
+from hframe_post.firmware.motion import SPARED
+from hframe_post.firmware.registry import firmware
+from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.sweep import APPROACH, LIFT, Run, room, within_limits
 from hframe_post.printer.settings import Printer
@@ -40,7 +42,7 @@ HEAD = """\
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature at
 ; which you print, screw the accelerometer to {part}, and start to record all of its axes.
 ; The nozzle rises to z {z} mm and moves in {axis}; nothing is extruded.
-; If you cancel it, send M501: it brings back the settings that are saved in the printer.
+; If you cancel it, {after_cancel}
 """
 
 
@@ -59,12 +61,14 @@ class _Moves:
 
 
 def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
-    """Return a run as Marlin plays it, and the G-code for it. run: names place and axis; z: mm.
+    """Return a run as it is played, and the G-code for it. run: names place and axis; z: mm.
 
-    Raises PrinterError if the profile lacks Marlin's tables, and LimitError without room or speed.
+    Raises PrinterError if the profile lacks the firmware's table, and LimitError without room or
+    speed.
     """
-    marlin = Marlin.from_printer(printer)
-    x, y = (round(place / marlin.steps.belt) * marlin.steps.belt for place in run.position)
+    own = firmware(printer)
+    play = own.moves(printer)
+    x, y = (round(place / play.step) * play.step for place in run.position)
     reach = min(room(printer, run.axis, run.position), REACH)
     if reach < NARROWEST:
         raise LimitError("room to either side (mm)", reach, NARROWEST, None, "choose another place")
@@ -72,17 +76,18 @@ def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
     if velocity < 2.0 * SLOW:
         raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
     a = float(np.floor(sweep.amplitude))
-    end_hz = min(sweep.end_hz, SPARED * marlin.lines_per_second / 2.0)  # two lines a period
-    pulses = _pulses(marlin, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
+    lines_per_second = own.motion(printer, None).lines_per_second
+    end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
+    pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
     moves = _Moves(*(np.array(column) for column in zip(*pulses, strict=True)))
     cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
     cells[1:, run.axis] = np.cumsum(moves.steps)
-    along = _motion(marlin, moves, cells, a)
+    along = _motion(play, moves, cells, a)
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, run.axis] += along
     done = Run(run.name, run.axis, (x, y), frozen(command))
-    ends = (x, y)[run.axis] + cells[1:, run.axis] * marlin.steps.belt
-    return done, _gcode(printer, marlin, done, np.asarray(ends), moves.v, a, z)
+    ends = (x, y)[run.axis] + cells[1:, run.axis] * play.step
+    return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
 
 
 def summary(stem: str, played: list[Run], bed_may_move: bool) -> str:
@@ -99,11 +104,11 @@ def summary(stem: str, played: list[Run], bed_may_move: bool) -> str:
 
 
 def _pulses(
-    marlin: Marlin, a: float, most: float, reach: float, end_hz: float, rate: float
+    play: WrittenMoves, a: float, most: float, reach: float, end_hz: float, rate: float
 ) -> Iterator[tuple[int, float]]:
     """Yield steps and speed of each move."""
-    belt, least = marlin.steps.belt, marlin.table.min_steps_per_segment
-    shortest = least * belt / SLOW
+    step, least = play.step, play.least
+    shortest = least * step / SLOW
     at, way, hz = 0.0, 1, START_HZ
     while hz <= end_hz:
         period = 1.0 / hz
@@ -111,61 +116,54 @@ def _pulses(
         rise = min(a * (period - shortest) / 2.0, most)
         ramp = rise / a
         hold = max((period - 2.0 * ramp - shortest) / 2.0, 0.0)  # at full speed, and as long slow
-        slow = max(least, round(SLOW * (period - 2.0 * ramp - hold) / belt))
-        fast = (SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / belt
+        slow = max(least, round(SLOW * (period - 2.0 * ramp - hold) / step))
+        fast = (SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / step
         fast = max(least, 2 * round(fast / 2.0))  # even: both ramps have as many steps
-        travel = (slow + fast) * belt
+        travel = (slow + fast) * step
         if travel > reach:
             continue  # too slow for the room that there is
         if way * at + travel > reach:
             way = -way
         at += way * travel
         for n, v in ((slow, SLOW), (fast, SLOW + rise)):
-            # Marlin rounds steps a second up; the development branch rounds them where moves meet
-            yield way * n, (round(v / belt) - 0.4) * belt
+            yield way * n, play.speed(v)
 
 
-def _motion(marlin: Marlin, moves: _Moves, cells: Integers, a: float) -> Array:
+def _motion(play: WrittenMoves, moves: _Moves, cells: Integers, a: float) -> Array:
     """Return the displacement (m,) in mm every 1 ms, at rest at both ends."""
-    n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
-    d = np.abs(moves.steps) * marlin.steps.belt
-    blocks = Blocks(n, d, np.floor(a * n / d))
-    v_s, v_e, seconds = marlin.planner.stroke(blocks, moves.turns, moves.v)
+    d = np.abs(moves.steps) * play.step
+    v_s, v_e, seconds = play.ramps(cells, moves.v, moves.turns, a)
     top = np.minimum(moves.v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
     up, down = (top - v_s) / a, (top - v_e) / a
     cruise = np.maximum(d - (v_s + top) / 2.0 * up - (v_e + top) / 2.0 * down, 0.0) / top
     ends = np.cumsum(seconds)
     t = np.arange(int(np.ceil(ends[-1] / TS)) + 1) * TS
-    k = np.minimum(np.searchsorted(ends, t, side="right"), len(n) - 1)
+    k = np.minimum(np.searchsorted(ends, t, side="right"), len(d) - 1)
     share = np.clip((t - (ends - seconds)[k]) / seconds[k], 0.0, 1.0)
     tau = share * (up + cruise + down)[k]  # as if the ramps were exact
     rising, falling = np.minimum(tau, up[k]), np.maximum(tau - (up + cruise)[k], 0.0)
     s = v_s[k] * rising + a * rising**2 / 2.0 + top[k] * np.maximum(tau - up[k], 0.0)
     s -= a * falling**2 / 2.0
     made = np.cumsum(moves.steps) - moves.steps
-    way = made[k] * marlin.steps.belt + np.sign(moves.steps)[k] * np.minimum(s, d[k])
+    way = made[k] * play.step + np.sign(moves.steps)[k] * np.minimum(s, d[k])
     return np.pad(way, PAD, mode="edge")
 
 
 def _gcode(
-    printer: Printer, marlin: Marlin, run: Run, at: Array, v: Array, a: float, z: float
+    printer: Printer, play: WrittenMoves, run: Run, at: Array, v: Array, a: float, z: float
 ) -> list[str]:
     """Return the lines of the file. at (k,): where each move ends along the axis."""
     axis, height = "XY"[run.axis], plain(z, 3)
     part = ("the print head", "the bed if it moves in y, otherwise to the print head")[run.axis]
     head = HEAD.format(
         name=run.name, printer=printer.name, version=__version__, seconds=run.seconds, part=part,
-        z=height, axis=axis.lower(),
+        z=height, axis=axis.lower(), after_cancel=play.after_cancel,
     )  # fmt: skip
     x, y = (plain(place, 3) for place in run.position)
-    corners = "X1 Y1 E1" if marlin.table.classic_jerk else "J0.3"  # to turn is to stop with either
-    fastest, most = plain(float(v.max()) + 1.0, 0), plain(a, 0)
     begin = [
-        "M400", "M593 F0", FIXED_TIME if marlin.planner.fixed_time else RAMPED, TRAPEZOIDS,
-        "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
-        f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}", "M400",
-        f"M201 X{most} Y{most}", f"M203 X{fastest} Y{fastest}", f"M204 P{most} T{most}",
-        f"M205 B0 S0 T0 {corners}", f"G4 P{BEFORE * 1000}",
+        *play.begin, "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
+        f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}",
+        *play.limits(float(v.max()) + 1.0, a), f"G4 P{BEFORE * 1000}",
     ]  # fmt: skip
     feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
     places = (plain(place, 4) for place in at.tolist())
@@ -173,5 +171,5 @@ def _gcode(
     last = np.array([*run.position, z, 0.0])
     last[run.axis] = at[-1]
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
-    end = [line.decode() for line in marlin.end(state, last)]
+    end = [line.decode() for line in play.code.end(state, last)]
     return [OFF.decode(), *head.splitlines(), *begin, *moves, f"G4 P{AFTER * 1000}", *end]

@@ -1,4 +1,4 @@
-"""Sweeps for Marlin: played by a simulated board, recorded by anything, identified."""
+"""Sweeps of moves as written: played by a simulated board, recorded by anything, identified."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hframe_post.identification.recordings.clock_sync import (
     moving_samples,
 )
 from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.recordings.marlin_sweep import PAD, played
 from hframe_post.identification.recordings.sweep import Run
+from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
@@ -42,7 +42,7 @@ def ender(planner: str = "2.1", acceleration: float = 1500.0) -> Printer:
         printer,
         limits=replace(printer.limits, acceleration=acceleration),
         firmware=replace(
-            printer.firmware, marlin=replace(printer.firmware.marlin, planner=planner)
+            printer.firmware, tables=(replace(printer.firmware.marlin, planner=planner),)
         ),
     )
 

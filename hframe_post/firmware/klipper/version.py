@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hframe_post.errors import one_line
-from hframe_post.printer.klipper_cfg import KlipperConfig
-from hframe_post.printer.klipper_check import Finding
+from hframe_post.firmware.configuration import Finding
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 
 LOG = "klippy.log"
 VERSION = re.compile(rb"Git version: '([^']+)'")  # at each start, and where a new log begins

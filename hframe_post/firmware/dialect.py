@@ -1,0 +1,39 @@
+"""What the commands of a sliced file mean where firmwares differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s²
+Words = Mapping[str, float]  # of a command: letter → number
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The meaning of commands where firmwares differ.
+
+    obeyed: the commands that set limits which this firmware obeys.
+    accelerations: what M204 sets, given its words and the values before.
+    dwell: seconds that G4 waits, given its words.
+    g90_sets_e: G90 and G91 set the mode of E as M82 and M83 do. Elsewhere E is relative while
+    the file is in G91.
+    saves_factor: M220 B saves the speed factor and M220 R restores it.
+    ignores_zero_feed: F0 means nothing; elsewhere it is an error.
+    splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
+    retraction_settings: the commands that set what G10 and G11 do.
+    g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
+    rejoins_after_object: after it skips an object, the firmware can be led back to the stream.
+    """
+
+    obeyed: frozenset[str]
+    accelerations: Callable[[Words, Accelerations], Accelerations]
+    dwell: Callable[[Words], float]
+    retraction_settings: frozenset[str] = frozenset()
+    g90_sets_e: bool = False
+    saves_factor: bool = False
+    ignores_zero_feed: bool = False
+    splines: bool = False
+    cr_ends_lines: bool = False
+    g92_resets: bool = False
+    rejoins_after_object: bool = False

@@ -1,0 +1,83 @@
+"""Klipper as a firmware: what it reads, and where its parts are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.configuration import Finding, Source
+from hframe_post.firmware.dialect import Accelerations, Dialect, Words
+from hframe_post.firmware.klipper.code import KlipperCode, table_of
+from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.model.shapers import Shaping
+from hframe_post.printer.settings import Printer
+
+SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
+
+
+def _accelerations(words: Words, before: Accelerations) -> Accelerations:
+    """Return S, or the lower of P and T if both are given, for every move."""
+    if "S" in words:
+        return words["S"], words["S"]
+    both = min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before[0]
+    return both, both
+
+
+def _dwell(words: Words) -> float:
+    """Return P, which is in ms; S means nothing."""
+    return words.get("P", 0.0) / 1000.0
+
+
+class Klipper(Firmware):
+    """Klipper."""
+
+    name = "klipper"
+    dialect = Dialect(
+        frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations, _dwell,
+        retraction_settings=frozenset({"SET_RETRACTION"}), g92_resets=True,
+        rejoins_after_object=True,
+    )  # fmt: skip
+    decimates = True
+    shapers = SHAPERS
+    newer_versions = "Klipper of 27 April 2026 or newer"
+    configuration = compared = "printer.cfg"
+    unchecked = "printer.cfg is not checked: name it with --printer-cfg"
+
+    def motion(
+        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
+    ) -> KlipperMotion:
+        return KlipperMotion.from_printer(printer, tolerance, retract_moving)
+
+    def code(self, printer: Printer) -> KlipperCode:
+        return KlipperCode.from_printer(printer)
+
+    def most(self, printer: Printer) -> tuple[float, float]:
+        table = table_of(printer)
+        return table.velocity, table.acceleration
+
+    def shaper_settings(self, shaping: Shaping) -> str:
+        lines = ["[input_shaper]"]
+        for axis, chosen in (("x", shaping.x), ("y", shaping.y)):
+            lines += [
+                f"shaper_type_{axis}: {chosen.name}",
+                f"shaper_freq_{axis}: {chosen.hz:.1f}",
+                f"damping_ratio_{axis}: {chosen.damping:.3f}",
+            ]
+        return "\n".join(lines)
+
+    def source(self, files: Sequence[Path]) -> Source:
+        from hframe_post.firmware.klipper.source import KlipperSource
+
+        return KlipperSource(files[0])
+
+    def host_findings(
+        self, config: Path, log: Path | None, printer: Printer, remedy: str
+    ) -> Iterator[Finding]:
+        from hframe_post.firmware.klipper.macro_check import check_macros
+        from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+        from hframe_post.firmware.klipper.version import check_version
+
+        read = KlipperConfig(config)
+        yield from check_macros(read, printer, remedy)
+        yield from check_version(read, log)

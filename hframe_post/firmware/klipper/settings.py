@@ -1,0 +1,196 @@
+"""The settings of a new profile that printer.cfg decides."""
+
+from __future__ import annotations
+
+import math
+
+from hframe_post.errors import HframeError
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.printer.firmware_tables import END_MACRO
+from hframe_post.printer.settings import CHIP_NAME
+from hframe_post.printer.setup import (
+    CLOCK,
+    Known,
+    Tables,
+    as_float,
+    gentle,
+    motors,
+    profile_text,
+    sweep,
+)
+
+KINEMATICS = {  # ours, the safest first, by Klipper's name
+    "corexy": ("corexy", "hbot"),
+    "hybrid_corexy": ("hybrid-corexy",),
+    "corexz": ("corexz",),
+    "cartesian": ("cartesian",),
+}
+DEFAULT = "Klipper's default"
+
+
+def kinematics_in(config: KlipperConfig) -> tuple[str, ...]:
+    """Return the kinematics that the printer may have, the safest first. Raises HframeError."""
+    kind = config.text("printer", "kinematics")
+    if kind not in KINEMATICS:
+        usable = ", ".join(KINEMATICS)
+        raise HframeError(
+            f"{config.path}: [printer] kinematics: {kind or 'missing'}; hframe-post can only "
+            f"compensate {usable}"
+        )
+    return KINEMATICS[kind]
+
+
+def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
+    """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
+    velocity = _needed(config, "printer", "max_velocity")
+    acceleration = _needed(config, "printer", "max_accel")
+    corner = corner_in(config)
+    tables: Tables = {
+        "travel": {axis: _range(config, axis) for axis in "xy"},
+        "limits": {
+            "velocity": velocity,
+            "acceleration": acceleration,
+            **gentle(acceleration),
+            "square_corner_velocity": corner,
+            "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
+            "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
+            **extruder(config, velocity, acceleration),
+        },
+        "motors": motors(kinematics, velocity, acceleration, corner),
+        "steps": _steps(config),
+        "retraction": _retraction(config),
+        "speed": {"acceleration": acceleration},
+        "sweep": {**sweep(acceleration), **_chips(config)},
+        "firmware.klipper": {
+            "velocity": velocity,
+            "acceleration": acceleration,
+            "square_corner_velocity": corner,
+            "minimum_cruise_ratio": _or(
+                config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
+            ),
+            **_shaper(config),
+            "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
+        },
+    }
+    for section in config.sections("dual_carriage")[:1]:
+        tables["firmware"] = {"other_tools": Known(("T1",), f"[{section}] prints then")}
+    # a file that was not found may set it
+    unknown = ("steps", "retraction") if config.missing else ("steps",)
+    return {name: table for name, table in tables.items() if table or name not in unknown}
+
+
+def corner_in(config: KlipperConfig) -> Known:
+    """Return Klipper's speed through a right angle."""
+    return _or(config, "printer", "square_corner_velocity", 5.0)
+
+
+def _chips(config: KlipperConfig) -> dict[str, Known]:
+    """Return the accelerometers of x and y, as Klipper's commands name them, if it is decided."""
+    section, found = "resonance_tester", dict[str, Known]()
+    for axis in "xy":
+        keys = [key for key in (f"accel_chip_{axis}", "accel_chip") if config.text(section, key)]
+        if keys:
+            chip, origin = config.text(section, keys[0]), f"{keys[0]} of [{section}]"
+        else:
+            chip, origin = " ".join(config.accelerometers()), "the only accelerometer"
+        words = chip.split()
+        if words and CHIP_NAME.fullmatch(words[-1]) and (keys or len(words) == 1):
+            found[f"chip_{axis}"] = Known(words[-1], origin)
+    return found
+
+
+def _needed(config: KlipperConfig, section: str, key: str) -> Known:
+    value = config.number(section, key)
+    if math.isnan(value):
+        where = f"{config.path}: [{section}] {key} is missing"
+        lost = f"; {config.missing[0]}" if config.missing else ""
+        raise HframeError(where + lost)
+    if not 0.0 < value < 1e9:
+        raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
+    return Known(value, f"{key} of [{section}]")
+
+
+def _or(config: KlipperConfig, section: str, key: str, default: float | Known) -> Known:
+    """Return the number in printer.cfg, or what Klipper uses without it."""
+    value = config.number(section, key)
+    if not math.isnan(value):
+        return Known(value, f"{key} of [{section}]")
+    if isinstance(default, Known):
+        return Known(default.value, f"{default.origin}, without {key}")
+    return Known(default, f"{DEFAULT} for {key}")
+
+
+def _range(config: KlipperConfig, axis: str) -> Known:
+    section = f"stepper_{axis}"
+    low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
+    if not low < high:
+        raise HframeError(
+            f"{config.path}: [{section}] position_max is missing, or below position_min"
+        )
+    return Known((low, high), f"position_min and position_max of [{section}]")
+
+
+def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
+    """Return the limits of filament; those not given as Klipper computes them.
+
+    Klipper lets the extruder follow a move whose line is max_extrude_cross_section (mm²) thick.
+    """
+    diameter = _or(config, "extruder", "filament_diameter", 1.75)
+    if not as_float(diameter) > 0.0:
+        raise HframeError(f"{config.path}: [extruder] filament_diameter must be above 0")
+    thickest = 4.0 * config.number("extruder", "nozzle_diameter", 0.4) ** 2
+    thickest = config.number("extruder", "max_extrude_cross_section", thickest)
+    share = thickest / (math.pi / 4.0 * as_float(diameter) ** 2)
+
+    def limit(key: str, of: Known, most: float) -> Known:
+        computed = min(float(f"{share * as_float(of):.6g}"), most)  # what a profile takes
+        return _or(config, "extruder", key, Known(computed, "as Klipper computes it"))
+
+    return {
+        "extruder_velocity": limit("max_extrude_only_velocity", velocity, 1e4),
+        "extruder_acceleration": limit("max_extrude_only_accel", acceleration, 1e6),
+        "extruder_corner_velocity": _or(config, "extruder", "instantaneous_corner_velocity", 1.0),
+        "filament_diameter": diameter,
+    }
+
+
+def _steps(config: KlipperConfig) -> dict[str, Known]:
+    """Return mm per step of each motor; nothing if one cannot be computed or x and y differ."""
+    sections = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
+    sizes = {name: config.step(section) for name, section in sections.items()}
+    same = math.isclose(sizes["belt"], config.step("stepper_y"), rel_tol=0.01)  # for x and y
+    if not same or not all(1e-6 <= size <= 10.0 for size in sizes.values()):
+        return {}
+    found = {
+        name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]")
+        for name, section in sections.items()
+    }
+    return {**found, "clock_hz": CLOCK}
+
+
+def _retraction(config: KlipperConfig) -> dict[str, Known]:
+    section = "firmware_retraction"
+    if not config.number(section, "retract_length", 0.0) > 0.0:
+        return {}
+    return {
+        "length": _or(config, section, "retract_length", 0.0),
+        "speed": _or(config, section, "retract_speed", 20.0),
+        "return_speed": _or(config, section, "unretract_speed", 10.0),
+        "extra": _or(config, section, "unretract_extra_length", 0.0),
+    }
+
+
+def _shaper(config: KlipperConfig) -> dict[str, Known]:
+    return {
+        key: _or(config, "input_shaper", key, 0.0)
+        for key in (f"shaper_freq_{axis}" for axis in "xyz")
+        # a file that was not found may set it
+        if not config.missing or config.text("input_shaper", key)
+    }
+
+
+def text_from_klipper(config: KlipperConfig) -> str:
+    """Return a new profile for a printer.cfg, with the safest kinematics. Raises HframeError."""
+    kind = kinematics_in(config)[0]
+    tables = {"kinematics": {"type": Known(kind, "kinematics of [printer]")}}
+    return profile_text(tables | from_klipper(config, kind), f"made from {config.path.name}")

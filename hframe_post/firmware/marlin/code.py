@@ -1,0 +1,188 @@
+"""Marlin's G-code: the settings of the stream, and those before and after it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import Array, E, Z
+from hframe_post.errors import PrinterError
+from hframe_post.firmware.code import Code, coordinates, plain
+from hframe_post.firmware.marlin.block_times import Timer
+from hframe_post.firmware.marlin.planner import Planner, make_planner
+from hframe_post.firmware.motion import VELOCITY_HEADROOM
+from hframe_post.printer.firmware_tables import MarlinTable
+from hframe_post.printer.settings import Limits, Motors, Printer, Steps
+from hframe_post.stream.types import ModalState
+
+HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
+JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
+DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
+JERK = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
+FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
+TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinCode(Code):
+    """Marlin's G-code. limits: the user's."""
+
+    table: MarlinTable
+    limits: Limits
+    motors: Motors
+    steps: Steps
+
+    @classmethod
+    def from_printer(cls, printer: Printer) -> MarlinCode:
+        """Return the G-code for this printer. Raises PrinterError without Marlin's tables."""
+        table, steps = printer.firmware.marlin, printer.steps
+        if table is None or steps is None:
+            key = "steps" if table else "firmware.marlin"
+            raise PrinterError("the table is missing: Marlin needs it", key, printer.name)
+        return cls(table, printer.limits, printer.motors, steps)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        received = self.table.lines_received
+        if received == self.table.lines_per_second:
+            return ()
+        return (
+            f"a serial line of {self.table.baud} baud carries {received:.0f} lines in "
+            "a second, so motion is coarser: raise its baud rate, or print from the SD card, "
+            "without baud in the profile",
+        )
+
+    @property
+    def planner(self) -> Planner:
+        t = self.table
+        timer = Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
+        return make_planner(t.planner, timer, t.classic_jerk, t.s_curve_acceleration)
+
+    @property
+    def motion_mode(self) -> str:
+        """Return the line that turns fixed-time motion on or off, as the board is built."""
+        return FIXED_TIME if self.planner.fixed_time else RAMPED
+
+    @property
+    def filament_acceleration(self) -> float:
+        """Return the limit of filament in motion, mm/s²."""
+        known = self.table.max_acceleration_e > 0.0
+        return self.block_acceleration if known else self.limits.extruder_acceleration
+
+    @property
+    def block_acceleration(self) -> float:
+        """Return the acceleration of the stream's blocks, mm/s²."""
+        return HEADROOM * self.motors.belt_acceleration
+
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+        velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
+        a, v = plain(self.block_acceleration, 0), plain(velocity, 0)
+        start = [
+            "M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS,
+            f"M201 X{a} Y{a}{self._filament(self.block_acceleration)}", f"M203 X{v} Y{v}",
+            f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self.corners(False)}",
+        ]  # fmt: skip
+        start += ["G90", "M83", *coordinates(offset, at)]
+        return [line.encode() for line in [*start, *self._filling_lines(float(at[Z]))]]
+
+    def _filling_lines(self, z: float) -> list[str]:
+        """Return moves of z, up and down again, while which fixed-time motion fills its queue.
+
+        It plans 128 ms ahead. With an empty queue it would plan to stop at the end of each line.
+        """
+        if not self.planner.fixed_time:
+            return []
+        steps = self.table.min_steps_per_segment
+        way, seconds = steps * self.steps.z, 0.25
+        feed = plain(60.0 * way / seconds, 2)
+        return [f"G1 Z{plain(z + way, 5)} F{feed}", f"G1 Z{plain(z, 5)} F{feed}"]
+
+    def end(self, state: ModalState, at: Array) -> list[bytes]:
+        table = self.table
+        (a_x, a_y), (v_x, v_y) = table.max_acceleration, table.max_velocity
+        lines = [
+            "M400",
+            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)}{self._filament(table.max_acceleration_e)}",
+            f"M203 X{plain(v_x, 3)} Y{plain(v_y, 3)}",
+            f"M204 P{plain(table.acceleration, 3)} T{plain(table.travel_acceleration, 3)}"
+            f"{self._retract(True)}",
+            f"M205 B{plain(table.min_segment_time * 1e6, 0)} S{plain(table.min_velocity, 3)} "
+            f"T{plain(table.min_travel_velocity, 3)} {self.corners(True)}",
+        ]
+        if table.linear_advance:
+            lines.append(f"M900 K{plain(table.linear_advance, 5)}")
+        for axis, frequency in (("X", table.shaper_freq_x), ("Y", table.shaper_freq_y)):
+            if frequency:
+                lines.append(f"M593 {axis} F{plain(frequency, 3)}")
+        if table.fixed_time_motion or self.planner.fixed_time:
+            lines.append(f"M493 S{table.fixed_time_motion}")
+        for axis, shaper in zip("XY", table.fixed_time_shaper, strict=True):
+            if shaper:  # the mode is a word of the axis, or of C in later builds
+                lines.append(f"M493 {axis}{shaper:.0f} C{shaper:.0f}")
+        lines += [
+            *coordinates(state.offset, at[:E] - state.offset),
+            f"G1 F{plain(state.feed * 60, 1)}",
+        ]
+        if not state.absolute:
+            lines.append("G91")  # before M82: it makes E relative, too
+        if state.absolute_e:
+            lines.append("M82")
+        # also for a relative E, which Marlin counts on: a later G90 makes it absolute
+        lines.append(f"G92 E{plain(state.e, 5)}")
+        return [line.encode() for line in lines]
+
+    def modes_after(self, name: str) -> bytes:
+        # G90 and G91 set E, too; linear advance stays off
+        modes = {"G90": b"M83\n", "G91": b"G90\nM83\n", "M82": b"M83\n", "M900": b"M900 K0\n"}
+        return modes.get(name, b"")
+
+    def reset_extruder(self, filament: float) -> bytes:
+        # Marlin counts in floats: large ones lose the smallest moves. It rounds to whole steps,
+        # of which the fraction must stay.
+        return b"G92 E%s\n" % plain(filament % self.steps.e, 5).encode()
+
+    def set_limits(self, velocity: float, acceleration: float, corner: float) -> list[str]:
+        a, v, each = plain(acceleration, 0), plain(velocity, 0), plain(corner, 2)
+        deviation = corner**2 / (RIGHT_ANGLE * acceleration)
+        corners = f"X{each} Y{each}" if self.table.classic_jerk else f"J{plain(deviation, 4)}"
+        return ["M400", "M593 F0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+                f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
+
+    def set_acceleration(self, acceleration: float) -> str:
+        return f"M204 P{plain(acceleration, 0)}"
+
+    def corner_range(self, acceleration: float) -> tuple[float, float]:
+        if self.table.classic_jerk:
+            return 0.0, math.inf
+        least, most = np.sqrt(RIGHT_ANGLE * acceleration * np.array(DEVIATIONS)).tolist()
+        return least, most
+
+    def stroke_corners(self, users: bool, lifts: bool) -> str:
+        """Return what M205 needs for a retraction or a lift, other than the stream's."""
+        if not self.table.classic_jerk:
+            return self.corners(users)
+        return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK, 3)}"
+
+    def _filament(self, acceleration: float) -> str:
+        """Return the word of M201 for filament, if the profile knows what to restore.
+
+        The user's limit would brake blocks by their steps of filament, which rounding changes.
+        """
+        return f" E{plain(acceleration, 3)}" if self.table.max_acceleration_e else ""
+
+    def _retract(self, users: bool) -> str:
+        """Return the word of M204 for the acceleration that retractions are planned with."""
+        if not self.table.retract_acceleration:
+            return ""
+        limits = self.table.retract_acceleration, self.limits.extruder_acceleration
+        return f" R{plain(limits[0] if users else limits[1], 3)}"
+
+    def corners(self, users: bool) -> str:
+        """Return the words of M205 for the user's corners or the stream's."""
+        table = self.table
+        if not table.classic_jerk:
+            return f"J{plain(table.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
+        x, y, e = (*table.jerk, table.jerk_e) if users else (JERK, JERK, JERK)
+        return f"X{plain(x, 3)} Y{plain(y, 3)} E{plain(e, 3)}"

@@ -1,0 +1,90 @@
+"""Marlin as a firmware: what it reads, and where its parts are.
+
+These are imported where they are needed: most printers run Klipper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hframe_post.errors import PrinterError
+from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.configuration import Source
+from hframe_post.firmware.dialect import Accelerations, Dialect, Words
+from hframe_post.model.shapers import Shaping
+from hframe_post.printer.settings import Printer
+
+if TYPE_CHECKING:
+    from hframe_post.firmware.marlin.code import MarlinCode
+    from hframe_post.firmware.marlin.motion import MarlinMotion
+    from hframe_post.firmware.marlin.written_moves import MarlinMoves
+
+
+def _accelerations(words: Words, before: Accelerations) -> Accelerations:
+    """Return P for printing and T for travel, or S for both."""
+    if "S" in words:
+        return words["S"], words["S"]
+    return words.get("P", before[0]), words.get("T", before[1])
+
+
+def _dwell(words: Words) -> float:
+    """Return S, or P, which is in ms, if there is no S."""
+    return words["S"] if "S" in words else words.get("P", 0.0) / 1000.0
+
+
+class Marlin(Firmware):
+    """Marlin."""
+
+    name = "marlin"
+    dialect = Dialect(
+        frozenset({"M201", "M203", "M204", "M205"}), _accelerations, _dwell,
+        retraction_settings=frozenset({"M207", "M208"}), g90_sets_e=True, saves_factor=True,
+        ignores_zero_feed=True, splines=True, cr_ends_lines=True,
+    )  # fmt: skip
+    configuration = "m503.txt"
+    unchecked = (
+        "after each change of the printer's settings save its answers to M503 and M115, and run "
+        "'hframe-post setup' with them again"
+    )
+
+    def motion(
+        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
+    ) -> MarlinMotion:
+        """Return its motion. tolerance: not used, segments are as long as whole steps make them."""
+        from hframe_post.firmware.marlin.motion import MarlinMotion
+
+        return MarlinMotion.from_printer(printer, retract_moving)
+
+    def code(self, printer: Printer) -> MarlinCode:
+        from hframe_post.firmware.marlin.code import MarlinCode
+
+        return MarlinCode.from_printer(printer)
+
+    def moves(self, printer: Printer) -> MarlinMoves:
+        from hframe_post.firmware.marlin.written_moves import MarlinMoves
+
+        return MarlinMoves(self.code(printer), printer.kinematics)
+
+    def shaper_settings(self, shaping: Shaping) -> str:
+        lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
+        for axis, chosen in (("X", shaping.x), ("Y", shaping.y)):
+            lines.append(f"M593 {axis} F{chosen.hz:.1f} D{chosen.damping:.3f}")
+        return "\n".join([*lines, "M500 ; saves it"])
+
+    def source(self, files: Sequence[Path]) -> Source | None:
+        from hframe_post.firmware.marlin.m503 import is_of_marlin, text_in
+        from hframe_post.firmware.marlin.source import MarlinSource
+
+        return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
+
+    def check_serial(self, printer: Printer) -> None:
+        table = printer.firmware.marlin
+        if table is not None and not table.baud:
+            raise PrinterError(
+                "OctoPrint prints over a serial line, which starves without it and makes prints "
+                "worse: set it to the speed of the connection, such as 115200 or 250000 "
+                "(docs/firmware.md)",
+                "firmware.marlin.baud", printer.name,
+            )  # fmt: skip

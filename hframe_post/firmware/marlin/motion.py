@@ -1,0 +1,162 @@
+"""Marlin's motion: whole steps, its planners, its corners.
+
+1. Marlin rounds coordinates to whole steps of x and of y; belt motors then make x ± y of them.
+2. A block in which no motor makes MIN_STEPS_PER_SEGMENT steps joins the next and moves at
+   its speed. Segments are therefore long enough, and end on whole steps.
+3. The motor with the most steps sets the pace, see ``planner``.
+4. When the queue has run empty, Marlin waits for three blocks before it goes on. So the stream
+   has no dwells of its own: standstill that no line of the file asks for is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.errors import HframeError
+from hframe_post.firmware import ramps
+from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
+from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
+from hframe_post.firmware.marlin.planner import Planner
+from hframe_post.firmware.marlin.segments import motor_steps, segment_ends
+from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Stroke, Way, whole_feeds
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import Printer
+
+SLOWEST_STROKE = 0.3  # of the speed that the file asks for
+Z_JERK = 0.3  # mm/s, Marlin's default; profiles have none
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinMotion(MotionRules):
+    """Marlin's motion under the settings of its G-code.
+
+    Lengths are in mm, rates in steps per second of the leading motor.
+    """
+
+    code: MarlinCode
+    kinematics: Kinematics
+
+    @classmethod
+    def from_printer(cls, printer: Printer, retract_moving: bool = False) -> MarlinMotion:
+        """Return Marlin's motion on this printer.
+
+        Raises PrinterError without its tables, HframeError if it is to retract in motion.
+        """
+        if retract_moving:
+            raise HframeError(
+                "Marlin does not retract in motion: leave out --retract moving, or write for "
+                "Klipper with --firmware klipper"
+            )
+        return cls(MarlinCode.from_printer(printer), printer.kinematics)
+
+    @property
+    def planner(self) -> Planner:
+        return self.code.planner
+
+    @property
+    def lines_per_second(self) -> float:
+        return self.code.table.lines_received
+
+    @property
+    def steady(self) -> int:
+        # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
+        return 0 if self.planner.fixed_time else 50
+
+    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
+        # standstill is left out, and what follows makes up for it
+        return (b"", 0.0) if next_to is Dwelling.MOTION else None
+
+    def entry(self, at: Array, v: float, before: float) -> float:
+        return float(self.planner.entry(self._blocks(at), np.array([v]), before)[0])
+
+    def corners(
+        self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None
+    ) -> tuple[float, float]:
+        """Return the speeds of the user's corners: Marlin does not stop there, but to turn back.
+
+        Corners are square. On from a stroke, both axes are at their limit.
+        """
+        if previous is not None and (np.subtract(*way) * np.subtract(*previous)).sum() < 0.0:
+            return 0.0, self.corners(way, speed, planned)[1]
+        at = np.array(way)
+        lifts = bool(at[0, Z] != at[1, Z])
+        if self.code.table.classic_jerk:
+            into = out = Z_JERK if lifts else self.code.table.jerk_e
+        else:
+            n, d, a = (float(each[0]) for each in self._blocks(at)[:3])
+            own = of_axis = a * d / n
+            if not (lifts or self.planner.fixed_time):
+                of_axis = self.code.filament_acceleration
+            per_a = self.code.table.junction_deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5))
+            into, out = (math.sqrt(per_a * each) for each in (own, math.sqrt(2.0) * of_axis))
+        return min(into, speed), min(out, speed)
+
+    def stroke(
+        self, way: Way, speed: float, seconds: float, wanted: float,
+        entry: float = 0.0, leaving: float = 0.0,
+    ) -> Stroke:  # fmt: skip
+        """Return a stroke between the speeds of the user's corners, slower by the time this saves.
+
+        With the stream's corners it would begin and end at full speed.
+        """
+        at = np.array(way)
+        n, d, a, _ = blocks = self._blocks(at)
+        a = a * d / n
+        T = np.maximum(wanted, d / speed)
+        v = float(ramps.speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
+        v = min(max(v, SLOWEST_STROKE * speed), speed)
+        if self.planner.fixed_time:
+            v = max(v, leaving)
+        v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
+        taken = self.planner.stroke(blocks, np.array([entry, leaving]), np.array([v]))[2]
+        lifts = bool(at[0, Z] != at[1, Z])
+        words = (self.code.stroke_corners(users, lifts) for users in (True, False))
+        before, after = (f"M205 {word}\n".encode() if word else b"" for word in words)
+        stroke = Stroke(v, float(taken[0]), min(leaving, v), before, after)
+        if not self.planner.fixed_time:
+            return stroke
+        # it overshoots where the next block begins faster
+        fastest = min(speed, math.sqrt(entry * entry + 2.0 * float((a * d)[0])))
+        cruise = max(float((d - (v * v - entry * entry) / (2.0 * a))[0]), 0.0)
+        return stroke._replace(fastest=fastest, cruise=cruise)
+
+    def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
+        """Return segments on whole steps. A line of the file waits for the end of its segment."""
+        cells = np.rint(points[:, :Z] / self.code.steps.belt).astype(np.int64)
+        apart = 1.0 / (TS * SPARED * self.lines_per_second)
+        ends = segment_ends(
+            motor_steps(cells, self.kinematics), self.code.table.min_steps_per_segment,
+            max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
+        )  # fmt: skip
+        at = points[ends]
+        at[:, :Z] = cells[ends] * self.code.steps.belt
+        return ends, at
+
+    def possible_times(self, at: Array, T: Array, before: float) -> Array:
+        """Return times no longer than the slowest steps, no shorter than the first from rest."""
+        return self.planner.possible_times(self._blocks(at), T, before)
+
+    def feeds(
+        self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
+    ) -> tuple[Integers, Array]:
+        blocks = self._blocks(at, after)
+        feeds = whole_feeds(self.planner.feed_rates(blocks, T, before), per_feed)
+        return feeds, self.planner.durations(blocks, feeds / per_feed, before)
+
+    def durations(
+        self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
+    ) -> Array:
+        return self.planner.durations(self._blocks(at, after), v, before)
+
+    def _blocks(self, at: Array, after: float = math.inf) -> Blocks:
+        code, steps = self.code, self.code.steps
+        limits = BlockLimits(
+            steps.belt, steps.z, steps.e, code.block_acceleration, code.limits.z_acceleration,
+            code.filament_acceleration, code.limits.extruder_acceleration,
+            math.inf if code.table.classic_jerk else JUNCTION_DEVIATION,
+        )  # fmt: skip
+        return blocks_between(at, after, limits, self.kinematics)

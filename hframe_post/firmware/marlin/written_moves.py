@@ -1,0 +1,60 @@
+"""Moves of one axis as Marlin plays them: whole steps and step rates, and its planner's ramps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import Array, Integers
+from hframe_post.firmware.code import plain
+from hframe_post.firmware.marlin.blocks import Blocks
+from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
+from hframe_post.firmware.marlin.segments import most_steps, motor_steps
+from hframe_post.firmware.written_moves import Ramps, WrittenMoves
+from hframe_post.model.kinematics import Kinematics
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinMoves(WrittenMoves):
+    """Moves as Marlin plays them."""
+
+    code: MarlinCode
+    kinematics: Kinematics
+
+    @property
+    def step(self) -> float:
+        return self.code.steps.belt
+
+    @property
+    def least(self) -> int:
+        return self.code.table.min_steps_per_segment
+
+    @property
+    def begin(self) -> list[str]:
+        return ["M400", "M593 F0", self.code.motion_mode, TRAPEZOIDS]
+
+    @property
+    def after_cancel(self) -> str:
+        return "send M501: it brings back the settings that are saved in the printer."
+
+    def limits(self, fastest: float, acceleration: float) -> list[str]:
+        corners = "X1 Y1 E1" if self.code.table.classic_jerk else "J0.3"
+        v, a = plain(fastest, 0), plain(acceleration, 0)
+        return [
+            "M400", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
+            f"M205 B0 S0 T0 {corners}",
+        ]  # fmt: skip
+
+    def speed(self, v: float) -> float:
+        """Return a feed rate: Marlin rounds steps a second up, or where moves meet to the nearest.
+
+        The development branch does the latter.
+        """
+        return (round(v / self.step) - 0.4) * self.step
+
+    def ramps(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Ramps:
+        n = most_steps(motor_steps(cells, self.kinematics)).astype(np.float64)
+        d = np.abs(np.diff(cells, axis=0)).sum(axis=1) * self.step
+        blocks = Blocks(n, d, np.floor(acceleration * n / d))
+        return Ramps(*self.code.planner.stroke(blocks, turns, v))

@@ -1,0 +1,98 @@
+"""Every command with a firmware that is none of those in the package."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hframe_post.identification.recordings.excitation import read_command
+from tests.command_line import RECTANGLE, run
+from tests.conftest import ROOT
+
+PROFILE = """\
+extends = "paper"
+[firmware]
+dialect = "stub"
+[firmware.stub]
+acceleration = 3000.0
+[plant]
+invented = false
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a profile for the stub, its configuration and a converted file."""
+    made = tmp_path_factory.mktemp("stub")
+    (made / "own.toml").write_text(PROFILE)
+    (made / "stub.txt").write_text("3000")
+    (made / "prints").mkdir()
+    (made / "prints" / "rectangle.gcode").write_bytes(RECTANGLE.read_bytes())
+    # each process that Python starts imports it, also those that work for a batch
+    (made / "sitecustomize.py").write_text("import tests.firmware.stub\n")
+    done = command(made, "convert {print} -o {folder}/out.gcode --report {folder}/page.html")
+    assert done.returncode == 0, done.stderr
+    return made
+
+
+def command(folder: Path, line: str) -> subprocess.CompletedProcess[bytes]:
+    places = {"print": RECTANGLE, "folder": folder}
+    words = [word.format(**places) for word in line.split()]
+    return run(
+        *words, PYTHONPATH=os.pathsep.join([str(folder), str(ROOT)]),
+        HFRAME_PRINTER=str(folder / "own.toml"), XDG_CONFIG_HOME=str(folder / "config"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
+        "batch {folder}/prints -d {folder}/batch",
+        "simulate {print}",
+        "simulate {print} --shapers",
+        "tune {print} --knots 10 --effort 10 --draws 0",
+        "tune {print} --shaper",
+        "calibrate-print -o {folder}/tower.gcode",
+        "calibrate-print --compare 6% -o {folder}/squares.gcode",
+        "sweep -o {folder}/sweep.gcode",
+        "convert {print} -o {folder}/fast.gcode --max-error 100um",
+        "doctor",
+        "setup {folder}/stub.txt -o {folder}/new --bed 220,200",
+        "octoprint-plugin --folder {folder}",
+    ],
+    ids=lambda line: " ".join(word for word in line.split() if "{" not in word),
+)
+def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
+    done = command(folder, line)
+    assert done.returncode == 0, done.stderr
+    assert b"bug" not in done.stderr
+
+
+@pytest.mark.parametrize("line", [
+    "measure -o {folder}/m.gcode", "check --gcode {folder}/c.gcode", "klipper-macros",
+    "verify --gcode {folder}/v.gcode", "calibrate-marlin -o {folder}/a.gcode",
+])  # fmt: skip
+def test_what_is_for_another_firmware_says_so(folder: Path, line: str) -> None:
+    done = command(folder, line)
+    assert done.returncode == 1
+    assert b"stub" in done.stderr
+    assert b"bug" not in done.stderr
+
+
+def test_output_has_its_lines_and_the_page_its_shaper(folder: Path) -> None:
+    text = (folder / "out.gcode").read_bytes()
+    assert b"\nM204 S100000\n" in text
+    assert b"\nM204 S3000\n" in text
+    assert b"best input shaper" in (folder / "page.html").read_bytes()
+
+
+def test_moves_of_a_sweep_are_those_of_its_command(folder: Path) -> None:
+    assert command(folder, "sweep -o {folder}/moves.gcode --axis x").returncode == 0
+    for moves in folder.glob("moves.*.gcode"):
+        places = [line for line in moves.read_text().splitlines() if line.startswith("G1 X")]
+        x = read_command(moves.with_suffix(".csv"))[:, 0]
+        assert abs(float(places[-1].split()[1][1:]) - x[-1]) < 1e-3, "mm"
