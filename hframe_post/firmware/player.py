@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.stream.types import ModalState, Position, Rests
 
@@ -169,11 +167,6 @@ class Player(Protocol):
 
     def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
         """Return lines for a standstill, and the seconds that they last; None: no dwell."""
-
-
-def whole_feeds(v: Array, per_feed: float) -> Integers:
-    """Return speeds (k,), mm/s, as F is written, in units of which a mm/s has ``per_feed``."""
-    return np.asarray(np.maximum(np.rint(v * per_feed), 1.0).astype(np.int64))
 
 
 def plain(value: float, decimals: int) -> str:

@@ -11,9 +11,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper import ramps
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
-from hframe_post.firmware.klipper.segments import breakpoints, fitted, sparser, thinned
+from hframe_post.firmware.klipper.segments import sparser, thinned
 from hframe_post.firmware.player import (
     SPARED,
     Dwelling,
@@ -24,6 +23,8 @@ from hframe_post.firmware.player import (
     plain,
 )  # fmt: skip
 from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.native.decimate import breakpoints, fitted
+from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Rests
@@ -172,12 +173,12 @@ class Klipper:
     def feeds(
         self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
     ) -> tuple[Integers, Array]:
-        return ramps.feeds(at, T, rest, before, after, self.limits, per_feed)
+        return klipper_feeds(at, T, rest, before, after, self.limits.row, per_feed)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return ramps.durations(at, v, rest, before, after, self.limits)
+        return klipper_durations(at, v, rest, before, after, self.limits.row)
 
     def entry(self, at: Array, v: float, before: float) -> float:
         return min(v, before)

@@ -17,11 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware import ramps
-from hframe_post.firmware.marlin.block_times import Timer
-from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.firmware.marlin.planner import Planner, make_planner
-from hframe_post.firmware.marlin.segments import motor_steps, segment_ends
 from hframe_post.firmware.player import (
     SPARED,
     VELOCITY_HEADROOM,
@@ -30,9 +26,12 @@ from hframe_post.firmware.player import (
     Way,
     coordinates,
     plain,
-    whole_feeds,
 )  # fmt: skip
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.block_times import Timer
+from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
+from hframe_post.native.ramps import speeds, whole_feeds
+from hframe_post.native.whole_steps import motor_steps, segment_ends
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState, Rests
@@ -214,7 +213,7 @@ class Marlin:
         n, d, a, _ = blocks = self._blocks(at)
         a = a * d / n
         T = np.maximum(wanted, d / speed)
-        v = float(ramps.speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
+        v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
         v = min(max(v, SLOWEST_STROKE * speed), speed)
         if self.planner.fixed_time:
             v = max(v, leaving)
@@ -273,7 +272,7 @@ class Marlin:
         cells = np.rint(points[:, :Z] / self.steps.belt).astype(np.int64)
         apart = 1.0 / (TS * SPARED * self.lines_per_second)
         ends = segment_ends(
-            motor_steps(cells, self.kinematics), self.table.min_steps_per_segment,
+            motor_steps(cells, self.kinematics.matrix), self.table.min_steps_per_segment,
             max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
         )  # fmt: skip
         at = points[ends]
@@ -313,4 +312,4 @@ class Marlin:
             self.limits.extruder_acceleration,
             math.inf if self.table.classic_jerk else JUNCTION_DEVIATION,
         )  # fmt: skip
-        return blocks_between(at, after, limits, self.kinematics)
+        return blocks_between(at, after, limits, self.kinematics.matrix)

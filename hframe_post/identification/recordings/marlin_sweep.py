@@ -6,7 +6,7 @@ The axis travels to and fro around its place, and while it travels its speed pul
 
 So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
 turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
-what the firmware makes of the moves, by the rules of ``firmware.marlin.block_times``.
+what the firmware makes of the moves, by the rules of ``native.block_times``.
 
 Any program may record it: start and clock are found from the motion (``self_alignment``).
 """
@@ -20,12 +20,12 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import LimitError
-from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.firmware.marlin.player import FIXED_TIME, RAMPED, TRAPEZOIDS, Marlin
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.player import SPARED, plain
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.sweep import APPROACH, LIFT, Run, room, within_limits
+from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import most_steps, motor_steps
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, frozen
 from hframe_post.version import __version__
@@ -127,7 +127,7 @@ def _pulses(
 
 def _motion(marlin: Marlin, moves: _Moves, cells: Integers, a: float) -> Array:
     """Return the displacement (m,) in mm every 1 ms, at rest at both ends."""
-    n = most_steps(motor_steps(cells, marlin.kinematics)).astype(np.float64)
+    n = most_steps(motor_steps(cells, marlin.kinematics.matrix)).astype(np.float64)
     d = np.abs(moves.steps) * marlin.steps.belt
     blocks = Blocks(n, d, np.floor(a * n / d))
     v_s, v_e, seconds = marlin.planner.stroke(blocks, moves.turns, moves.v)
