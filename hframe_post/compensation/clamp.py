@@ -16,7 +16,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Flags, Z
 from hframe_post.compensation.guard import SLACK
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native import kernel
+from hframe_post.native.guard import is_safe
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import join, neighbours, stretches
 from hframe_post.stream.types import Pause, Samples, frozen
@@ -77,16 +77,13 @@ class Clamp:
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
     def _all_safe(self, chunks: list[Samples], strategy: str) -> bool:
-        """Return whether the compiled loop finds nothing to reduce in successive chunks."""
-        if (compiled := kernel("safe")) is None:
-            return False
+        """Return whether there is nothing to reduce in successive chunks."""
         belts, peaks, before = self._kinematics.matrix, np.zeros(4), None
         for chunk in filter(len, chunks):
-            command = np.ascontiguousarray(chunk.commands[strategy])
+            command = chunk.commands[strategy]
             if before is None:  # no change of speed at the first samples
                 before = command[:1] - np.outer([2.0, 1.0], command[:2][-1] - command[0])
-            motion = chunk.xyze, command, len(command), before
-            if not compiled(*motion, self._limits, belts, TS, peaks):
+            if not is_safe(chunk.xyze, command, before, self._limits, belts, peaks):
                 return False
         return True
 

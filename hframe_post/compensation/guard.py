@@ -17,7 +17,7 @@ from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.plant import Plant, there
 from hframe_post.model.rounds import contraction
-from hframe_post.native import kernel
+from hframe_post.native.guard import farthest, is_safe
 from hframe_post.printer.settings import Limits, Motors, Printer, Travel
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Samples
@@ -83,7 +83,7 @@ def check_deviation(
             if load != (now := plant.load(float(chunk.xyze[0, E]))):
                 load, most = now, max_deviation(plant.loaded(now), limits)
             command = chunk.commands[strategy]
-            k = _farthest(chunk.xyze, command)
+            k = farthest(chunk.xyze, command)
             off = float(np.hypot(*(command[k] - chunk.xyze[k, :Z])))
             if not off <= most:
                 raise HframeError(
@@ -92,14 +92,6 @@ def check_deviation(
                     f"most {most:.1f} mm. Probably {ADVICE}"
                 )
         yield chunk
-
-
-def _farthest(xyze: Array, command: Array) -> int:
-    """Return the sample whose command is farthest from the path, or one without a number."""
-    if (compiled := kernel("farthest")) is not None:
-        return compiled(xyze, np.ascontiguousarray(command), len(command))
-    dx, dy = (command[:, axis] - xyze[:, axis] for axis in (X, Y))
-    return int((dx * dx + dy * dy).argmax())
 
 
 def check_prediction(rms: float) -> None:
@@ -165,14 +157,9 @@ class Guard:
                 yield chunk
 
     def _safe(self, chunk: Samples, command: Array, differences: Differences) -> bool:
-        """Return whether the compiled loop finds the command safe; then note its rates."""
-        if (compiled := kernel("safe")) is None:
-            return False
-        command, before = np.ascontiguousarray(command), differences.before(command)
-        limits, belts = self._limits, self._kinematics.matrix
-        return bool(
-            compiled(chunk.xyze, command, len(command), before, limits, belts, TS, self._peaks)
-        )
+        """Return whether the command is safe; then note its rates."""
+        before, belts = differences.before(command), self._kinematics.matrix
+        return is_safe(chunk.xyze, command, before, self._limits, belts, self._peaks)
 
 
 def _greatest(values: Array) -> float:

@@ -22,8 +22,9 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z, moved
 from hframe_post.model.plant import Response
 from hframe_post.model.stop import StopSolver
-from hframe_post.model.stop_cost import BESIDE, BEYOND, NEAREST, Stop, Surroundings
+from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
 from hframe_post.model.strategies import Compensator, strategy
+from hframe_post.native.stop import NEAREST
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Pause, Rests, Samples, frozen

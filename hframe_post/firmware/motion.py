@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-import numpy as np
-
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.stream.types import Position, Rests
 
@@ -162,8 +160,3 @@ class MotionRules(ABC):
         T. None: this firmware leaves nothing out.
         """
         return None
-
-
-def whole_feeds(v: Array, per_feed: float) -> Integers:
-    """Return speeds (k,), mm/s, as F is written, in units of which a mm/s has ``per_feed``."""
-    return np.asarray(np.maximum(np.rint(v * per_feed), 1.0).astype(np.int64))

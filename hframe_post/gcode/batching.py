@@ -11,7 +11,7 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode.curves import FARTHEST
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Bed, State
-from hframe_post.native import kernel
+from hframe_post.native.reading import plain_moves
 from hframe_post.stream.types import (
     Handling,
     Item,
@@ -34,7 +34,7 @@ MIN_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may 
 
 
 class PlainMoves:
-    """Reader of many plain moves at once, by a compiled loop, if it is there.
+    """Reader of many plain moves at once.
 
     To the bit, it does what ``Reader`` does line by line. It stops before the first line that is
     not a plain G0 or G1 in which x or y changes, or that needs a closer look: too far, too slow,
@@ -44,9 +44,8 @@ class PlainMoves:
     def __init__(self, source: Lines, state: State, bed: Bed) -> None:
         self._source, self._state = source, state
         self._edges = (*bed.smallest, *bed.largest)
-        self._run = kernel("plain_moves")
         self._values, self._rules = np.empty(10), np.empty(16)
-        self._rows, self._taken = np.empty((MOVES_PER_ITEM, 8)), np.empty(2, dtype=np.int64)
+        self._rows = np.empty((MOVES_PER_ITEM, 8))
 
     def take(self, most: int) -> Array | None:
         """Read moves and change the state; return a row for each of at most ``most`` moves (k, 8).
@@ -55,7 +54,7 @@ class PlainMoves:
         is None where the next line is not a plain move.
         """
         state, source = self._state, self._source
-        if self._run is None or not (state.absolute and state.e_mode_known and all(state.known)):
+        if not (state.absolute and state.e_mode_known and all(state.known)):
             return None
         text, offset = source.upcoming()
         if not text.startswith((b"G1 ", b"G0 "), offset):
@@ -66,11 +65,9 @@ class PlainMoves:
             not state.absolute_e, state.acceleration, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
             MIN_PATH,
         )  # fmt: skip
-        count = self._run(
-            text, len(text), offset, source.number + 1, most,
-            self._values, self._rules, self._rows, self._taken,
-        )  # fmt: skip
-        lines, size = self._taken.tolist()
+        count, lines, size = plain_moves(
+            text, offset, source.number + 1, self._values, self._rules, self._rows[:most]
+        )
         source.skip(lines, size)
         x, y, z, e, *_, state.feed, _ = self._values.tolist()
         if count:

@@ -1,16 +1,4 @@
-"""Motion at constant acceleration, as firmware makes it: speeds at junctions, and trapezoids.
-
-Junction speeds are those of Klipper's ``toolhead`` (docs/Kinematics.md, "Look-ahead"), after Grbl's
-junction deviation: the corner is passed as if on an arc that is tangent to both moves and misses
-their vertex by the junction deviation. With θ the angle between the moves (180° is straight on),
-R = sin(θ/2)/(1 − sin(θ/2)):
-
-    v² ≤ R·deviation·a                  centripetal acceleration on the arc
-    v² ≤ ½·length·a·tan(θ/2)            the arc must fit into half of each move
-    v ≤ corner velocity / |Δ(e per mm)| sudden change of extrusion speed
-
-A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a.
-"""
+"""Motion at constant acceleration, as firmware makes it."""
 
 from __future__ import annotations
 
@@ -19,38 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, E
-
-
-def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
-    """Return the junction deviation, mm, for a speed through a right angle; same shapes."""
-    squared = np.square(square_corner_velocity)
-    return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
-
-
-def junction_speeds(
-    delta: Array,
-    length: Array,
-    acceleration: Array,
-    deviations: Array | float,
-    extruder_corner_velocity: float,
-) -> Array:
-    """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
-
-    delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
-    deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
-    """
-    # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
-    unit = delta[:, :E] * (1.0 / length)[:, None]
-    x, y, z = (unit[:-1] * unit[1:]).T
-    cosine = np.clip(-(x + y + z), -1.0, 1.0)
-    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
-    turn, fit = deviations * acceleration, 0.5 * length * acceleration
-    with np.errstate(divide="ignore", invalid="ignore"):
-        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
-        v2 = np.fmin(v2, np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half)
-        extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
-    return np.asarray(np.fmin(np.sqrt(v2), extruder))
+from hframe_post.arrays import Array
+from hframe_post.native.sampling import distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +38,12 @@ class Trapezoid:
         ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
         return (self.length + ramped) / peak
 
+    @property
+    def row(self) -> Array:
+        """Return it as ``native.sampling`` takes it, (7,)."""
+        way = self.length, self.v_s, self.acceleration, self.peak, *self.ramps, self.seconds
+        return np.array(way)
+
     def slowed_to(self, seconds: float) -> Trapezoid:
         """Return the same motion at the lower speed at which it takes so long, or itself if longer.
 
@@ -95,9 +59,4 @@ class Trapezoid:
 
     def distance(self, t: Array) -> Array:
         """Return the distance done (n,), mm, at times t (n,), s, after its beginning."""
-        up, down = self.ramps
-        t = np.clip(t, 0.0, self.seconds)
-        begun, ending = np.minimum(t, up), np.maximum(t - (self.seconds - down), 0.0)
-        lost = self.acceleration * ending * ending / 2.0
-        sped = begun * (self.v_s + self.acceleration * begun / 2.0)
-        return np.asarray(sped + self.peak * (t - begun) - lost)
+        return distance(self.row, t)

@@ -14,23 +14,19 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.machinery import PathFinder
-from importlib.util import module_from_spec
-from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers, X, Y
+from hframe_post.arrays import Array, X, Y
 from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.native import Kernel, kernel
+from hframe_post.native import plant as native
+from hframe_post.native.plant import Couplings, Sections, coupled, filtered, sliding_sums, sum_of
 
-BLOCK = 32  # outputs of a finite response that the compiled loop computes together
-PIECE = 8 * BLOCK  # outputs for which the nodes of a response along x are chosen together
+PIECE = 256  # outputs for which the nodes of a response along x are chosen together
 STIFF = ImpulseResponse(np.zeros(1), 0)
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
@@ -198,13 +194,7 @@ class Filter:
 
     def run(self, u: Array) -> Array:
         """Return the output (n,) at the next samples of the input u (n,)."""
-        if (compiled := kernel("filtered")) is not None:
-            u, y = np.ascontiguousarray(u), np.empty(len(u))
-            compiled(self.sections, len(self.sections), self.state, u, len(u), y)
-            return y
-        signals = np.array(u, ndmin=2)
-        _cascade()(self.sections, signals, self.state[None])
-        return np.asarray(signals[0])
+        return filtered(self.sections, self.state, u)
 
     def advance(self, u: Array) -> None:
         """Take the state that the next samples of the input lead to."""
@@ -255,10 +245,7 @@ class FiniteFilter:
     def run(self, u: Array) -> Array:
         n, memory = len(u), len(self._taps) - 1
         known = np.concatenate([self.state, u])
-        acceleration = np.zeros(memory + -(-n // BLOCK) * BLOCK)
-        rate = np.diff(known[len(self.state) - memory - 2 :])
-        np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
-        y = sliding_sums(self._taps, acceleration)[:n]
+        y = sliding_sums(self._taps, np.diff(known[len(self.state) - memory - 2 :], n=2))
         before = len(self.state) - self._late
         y += self._rest * known[before : before + n]
         if self._lag:
@@ -297,9 +284,7 @@ class FilterAlongX(FiniteFilter):
         """
         n, memory = len(u), len(self._each[0]) - 1
         known = np.concatenate([self.state, u])
-        acceleration = np.zeros(memory + -(-n // PIECE) * PIECE)
-        rate = np.diff(known[len(self.state) - memory - 2 :])
-        np.subtract(rate[1:], rate[:-1], out=acceleration[: memory + n])
+        acceleration = np.diff(known[len(self.state) - memory - 2 :], n=2)
         x = np.clip(x, self._x[0], self._x[-1])
         left = np.clip(np.searchsorted(self._x, x, "right") - 1, 0, len(self._x) - 2)
         share = (x - self._x[left]) / (self._x[left + 1] - self._x[left])
@@ -309,8 +294,8 @@ class FilterAlongX(FiniteFilter):
             nodes, part = left[piece], share[piece]
             for k in range(int(nodes.min()), int(nodes.max()) + 2):
                 weight = np.where(nodes == k, 1.0 - part, np.where(nodes == k - 1, part, 0.0))
-                sums = sliding_sums(self._each[k], acceleration[a : a + memory + PIECE])
-                y[piece] += weight * sums[: len(part)]
+                around = acceleration[a : piece.stop + memory]
+                y[piece] += weight * sliding_sums(self._each[k], around)
         before = len(self.state) - self._late
         y += self._rest * known[before : before + n]
         lag = (1.0 - share) * self._lags[left] + share * self._lags[left + 1]
@@ -324,87 +309,44 @@ def _output(f: StreamFilter, u: Array, x: Array) -> Array:
     return f.along(u, x) if isinstance(f, FilterAlongX) else f.run(u)
 
 
-def sliding_sums(factors: Array, u: Array) -> Array:
-    """Return the sum of the factors times as many samples of u, from each sample that has them.
-
-    Only whole BLOCKs of sums are sure to be computed.
-    """
-    sums = np.zeros(len(u) + 1 - len(factors))
-    if (compiled := kernel("sliding_sums")) is not None:
-        compiled(factors, len(factors), u, len(sums) // BLOCK, sums)
-        return sums
-    for k, factor in enumerate(factors.tolist()):
-        sums += factor * u[k : k + len(sums)]
-    return sums
-
-
-@cache
-def _cascade() -> Callable[[Array, Array, Array], None]:
-    """Return scipy's filter of sections (k, 6), which replaces signals (1, n) and states (1, k, 2).
-
-    It is loaded alone, because all of scipy.signal takes 0.7 s and 70 MB; a scipy that has it
-    elsewhere is asked in the usual way.
-    """
-    import scipy
-
-    place = str(Path(scipy.__file__).parent / "signal")
-    spec = PathFinder.find_spec("_sosfilt", [place])
-    if spec is None or spec.loader is None:
-        return _by_scipy_signal
-    alone = module_from_spec(spec)
-    spec.loader.exec_module(alone)
-    return cast(Callable[[Array, Array, Array], None], alone._sosfilt)
-
-
-def _by_scipy_signal(sections: Array, signals: Array, states: Array) -> None:
-    from scipy.signal import sosfilt
-
-    if signals.size:  # scipy takes no empty array
-        signals[0], states[0] = sosfilt(sections, signals[0], zi=states[0])
-
-
 class Filters:
     """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
 
-    If all are transfer functions and none is late they are ``fused``, in one block of memory for
-    the compiled loops: sections (k, 6), state (k, 2): of all of them, in turn; counts: how many
-    each has. axes (couplings, 3): of the answer, of the command, and of the lever arm or -1;
-    centres (couplings,).
+    couplings: the last filters'. If all are transfer functions and none is late they are ``fused``,
+    in one block of memory.
     """
 
     def __init__(self, direct: Sequence[Linear], couplings: Sequence[Coupling], late: int) -> None:
         functions = (*direct, *(coupling.G for coupling in couplings))
         self.each = [stream_filter(G, late) for G in functions]
-        self.couplings, self.late = couplings, late
-        self.along_x = any(map(varies, functions))
-        fused = [f for f in self.each if isinstance(f, Filter)]
-        self.fused = len(fused) == len(self.each)
-        if not self.fused:
-            return
-        self.sections = np.concatenate([f.sections for f in fused])
-        self.counts = np.array([len(f.sections) for f in fused])
-        self.state = np.zeros((len(self.sections), 2))
-        parts = np.split(self.state, np.cumsum(self.counts)[:-1])
-        for f, part in zip(fused, parts, strict=True):
-            f.state = part
+        self.late, self.along_x = late, any(map(varies, functions))
         axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
-        self.axes = np.array(axes, np.int64).reshape(-1, 3)
-        self.centres = np.array([coupling.centre for coupling in couplings])
+        centres = np.array([coupling.centre for coupling in couplings])
+        self.couplings = Couplings(np.array(axes, np.int64).reshape(-1, 3), centres)
+        self.fused = _fused(self.each)
 
     @classmethod
     def of_plant(cls, plant: Plant, late: int) -> Filters:
         return cls((plant.Gxx, plant.Gyy), plant.couplings, late)
 
-    def loop(self, name: str) -> Kernel | None:
-        """Return the compiled loop of that name, if it can take these filters."""
-        return kernel(name) if self.fused else None
+    @property
+    def commands(self) -> list[int]:
+        """Return the axis of the command of each coupling."""
+        commands: list[int] = self.couplings.axes[:, 1].tolist()
+        return commands
 
-    def arguments(self) -> tuple[Array | Integers | int, ...]:
-        """Return the first arguments of a compiled loop."""
-        return (
-            self.sections, len(self.sections), self.state, self.counts, len(self.each),
-            self.axes, self.centres, len(self.axes),
-        )  # fmt: skip
+
+def _fused(filters: Sequence[StreamFilter]) -> Sections | None:
+    """Return the sections of all filters, whose states become parts of it; None if not all have."""
+    alone = [f for f in filters if isinstance(f, Filter)]
+    if len(alone) < len(filters):
+        return None
+    table = np.concatenate([f.sections for f in alone])
+    counts = np.array([len(f.sections) for f in alone])
+    fused = Sections(table, np.zeros((len(table), 2)), counts)
+    for f, (_, state) in zip(alone, fused.each(), strict=True):
+        f.state = state
+    return fused
 
 
 class Coupled:
@@ -422,16 +364,15 @@ class Coupled:
 
         All are relative to the origin. The lever arms are those of the path.
         """
-        filters, added = self._filters, np.zeros(len(path))
-        if (compiled := filters.loop("coupled")) is not None:
-            path, x_dm, y_dm = (np.ascontiguousarray(each) for each in (path, x_dm, y_dm))
-            compiled(*filters.arguments(), self._origin, path, x_dm, y_dm, len(path), added)
-            return added
-        place, commands = path + self._origin, (x_dm, y_dm)
-        for coupling, G in zip(filters.couplings, filters.each, strict=True):
-            output = _output(G, commands[coupling.command], place[:, X])
-            added += coupling.lever(place) * output
-        return added
+        filters, couplings, commands = self._filters, self._filters.couplings, (x_dm, y_dm)
+        if filters.fused is not None:
+            return coupled(filters.fused, couplings, self._origin, path, commands)
+        place = path + self._origin
+        outputs = [
+            _output(G, commands[axis], place[:, X])
+            for G, axis in zip(filters.each, filters.commands, strict=True)
+        ]
+        return sum_of(outputs, couplings, place)
 
 
 class Response:
@@ -460,7 +401,7 @@ class Response:
 
     def advance(self, command: Array) -> None:
         """Go on to the state after the next samples of the command (n, 2)."""
-        if self._filters.fused:  # the compiled loop is faster than its filters one by one
+        if self._filters.fused is not None:  # all at once is faster than one by one
             self.run(command)
             return
         u = (command - self._origin).T
@@ -469,8 +410,7 @@ class Response:
 
     def _commanded(self) -> Iterator[tuple[StreamFilter, int]]:
         """Yield each filter with the axis of its command."""
-        axes = X, Y, *(coupling.command for coupling in self._filters.couplings)
-        yield from zip(self._filters.each, axes, strict=True)
+        yield from zip(self._filters.each, (X, Y, *self._filters.commands), strict=True)
         if self._x is not None:
             yield self._x, X
 
@@ -483,7 +423,7 @@ class Response:
 
     def motion(self, command: Array) -> tuple[Array, Array]:
         """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
-        both = self._motion(command, np.empty((len(command), 2 + len(self._filters.couplings))))
+        both = self._motion(command, np.empty((len(command), len(self._filters.each))))
         return both[:, :2], both[:, 2:]
 
     def imagined(self, command: Array) -> tuple[Array, Array]:
@@ -496,24 +436,14 @@ class Response:
         return motion
 
     def _motion(self, command: Array, motion: Array) -> Array:
-        filters, (n, columns) = self._filters, motion.shape
-        if (compiled := filters.loop("response")) is not None:
-            command = np.ascontiguousarray(command)
-            compiled(*filters.arguments(), self._origin, command, n, motion, columns)
-            return motion
+        filters, couplings = self._filters, self._filters.couplings
+        if filters.fused is not None:
+            return native.response(filters.fused, couplings, self._origin, command, motion)
         u = np.subtract(command.T, self._origin[:, None], order="C")
         x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
-        axes = X, Y, *(coupling.command for coupling in filters.couplings)
+        axes = X, Y, *filters.commands
         outputs = [_output(f, u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
-        for axis in (X, Y):
-            np.add(outputs[axis], self._origin[axis], out=motion[:, axis])
-        if filters.couplings:
-            place = motion[:, :2].copy()
-            for coupling, output in zip(filters.couplings, outputs[2:], strict=True):
-                motion[:, coupling.answer] += coupling.lever(place) * output
-        for k, output in enumerate(outputs[2:columns], 2):
-            motion[:, k] = output
-        return motion
+        return native.nozzle(outputs, couplings, self._origin, motion)
 
 
 def nozzle(plant: Plant, origin: Array, command: Array) -> Array:

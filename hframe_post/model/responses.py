@@ -13,9 +13,8 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.model.plant import Filters, Plant, Response
-from hframe_post.native import Kernel, kernel
-
-WIDTH = 4  # lanes that the compiled loop takes together
+from hframe_post.native import plant as native
+from hframe_post.native.plant import LANES, Couplings, Sections
 
 
 class Responses(Protocol):
@@ -53,19 +52,23 @@ class Plants:
             self._key, self._loaded = key, tuple(map(Plant.loaded, self._each, loads))
             late = max(plant.ahead for plant in self._loaded)
             filters = [Filters.of_plant(plant, late) for plant in self._loaded]
-            self._lanes = _Lanes(filters, commands) if _alike(filters) else None
-        if (compiled := kernel("responses")) is not None and self._lanes is not None:
-            return _SideBySide(self._lanes, origin, compiled)
+            couplings = [each.couplings for each in filters]
+            fused = _alike(filters)
+            self._lanes = _Lanes(fused, couplings, commands) if fused else None
+        if self._lanes is not None:
+            return _SideBySide(self._lanes, origin)
         return _OneByOne(self._loaded, origin, commands)
 
 
-def _alike(filters: Sequence[Filters]) -> bool:
-    """Return whether they differ in coefficients and lever arms only, and are fused."""
-    first = filters[0]
-    return all(f.fused for f in filters) and all(
-        np.array_equal(other.counts, first.counts) and np.array_equal(other.axes, first.axes)
-        for other in filters
+def _alike(filters: Sequence[Filters]) -> list[Sections]:
+    """Return the sections of fused filters that differ in coefficients and lever arms only."""
+    fused, first = [f.fused for f in filters if f.fused is not None], filters[0]
+    alike = len(fused) == len(filters) and all(
+        np.array_equal(sections.counts, fused[0].counts)
+        and np.array_equal(other.couplings.axes, first.couplings.axes)
+        for sections, other in zip(fused, filters, strict=True)
     )
+    return fused if alike else []
 
 
 class _OneByOne:
@@ -84,38 +87,39 @@ class _OneByOne:
 
 
 class _Lanes:
-    """A lane for each plant and command, in groups of WIDTH; the last group repeats some.
+    """A lane for each plant and command, in groups of LANES; the last group repeats some.
 
-    The loop's arguments: sections (groups, k, 6, WIDTH), centres (groups, couplings, WIDTH), and
-    command (lanes,), the number of each lane's command.
+    table, couplings: as ``native.plant.responses`` takes them; which (lanes,): the number of each
+    lane's command.
     """
 
-    def __init__(self, filters: Sequence[Filters], commands: int) -> None:
-        self.like, self.shape = filters[0], (len(filters), commands)
-        lanes = len(filters) * commands
-        lane = np.arange(-(-lanes // WIDTH) * WIDTH) % lanes
-        plant = (lane // commands).reshape(-1, WIDTH)
-        self.command = lane[:lanes] % commands
-        self.sections, self.centres = (
-            np.ascontiguousarray(np.moveaxis(np.stack(tables)[plant], 1, -1))
-            for tables in ([f.sections for f in filters], [f.centres for f in filters])
+    def __init__(
+        self, fused: Sequence[Sections], couplings: Sequence[Couplings], commands: int
+    ) -> None:
+        self.shape, self.counts = (len(fused), commands), fused[0].counts
+        lanes = len(fused) * commands
+        lane = np.arange(-(-lanes // LANES) * LANES) % lanes
+        plant = (lane // commands).reshape(-1, LANES)
+        self.which = lane[:lanes] % commands
+        self.table, centres = (
+            np.ascontiguousarray(np.moveaxis(np.stack(arrays)[plant], 1, -1))
+            for arrays in ([each.table for each in fused], [each.centres for each in couplings])
         )
+        self.couplings = Couplings(couplings[0].axes, centres)
 
 
 class _SideBySide:
     late = 0  # fused filters never are
 
-    def __init__(self, lanes: _Lanes, origin: Array, compiled: Kernel) -> None:
-        self._lanes, self._origin, self._compiled = lanes, np.ascontiguousarray(origin), compiled
-        groups, sections, _, _ = lanes.sections.shape
-        self._state = np.zeros((groups, sections, 2, WIDTH))
+    def __init__(self, lanes: _Lanes, origin: Array) -> None:
+        self._lanes, self._origin = lanes, np.ascontiguousarray(origin)
+        groups, sections, _, _ = lanes.table.shape
+        state = np.zeros((groups, sections, 2, LANES))
+        self._filters = Sections(lanes.table, state, lanes.counts)
 
     def run(self, commands: Sequence[Array]) -> Array:
-        lanes, like, n = self._lanes, self._lanes.like, len(commands[0])
-        motion = np.empty((*lanes.shape, n, 2))
-        self._compiled(
-            lanes.sections, len(like.sections), self._state, like.counts, len(like.counts),
-            like.axes, lanes.centres, len(like.axes), self._origin, np.array(commands),
-            len(commands), lanes.command, n, len(lanes.command), motion,
-        )  # fmt: skip
-        return motion
+        lanes, together = self._lanes, np.array(commands)
+        motion = native.responses(
+            self._filters, lanes.couplings, self._origin, together, lanes.which
+        )
+        return motion.reshape(*lanes.shape, -1, 2)

@@ -40,12 +40,12 @@ from functools import lru_cache
 import numpy as np
 
 from hframe_post.arrays import TS, Array, X
-from hframe_post.model.linear import product
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant, Response
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings
 from hframe_post.model.stop_plant import AroundStops
-from hframe_post.model.stop_problem import ROOM, Problem, Splines
+from hframe_post.native.linear import product
+from hframe_post.native.stop import Problem, Splines, least_squares
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 AT_HOLD = 0.5  # share of that next to the hold, where firmware stops within one segment
@@ -75,7 +75,6 @@ class StopSolver:
         self._reach = reach.tolist()
         self._N_before, self._N_after = away[::-1, ::-1], away
         self.around = AroundStops(plant, self._N_before, self._N_after)
-        self._room = np.empty(ROOM)
         self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
     def solve(self, around: Surroundings, command: Array, before: Response, stop: Stop) -> Array:
@@ -99,10 +98,10 @@ class StopSolver:
         sequence = np.concatenate([command[: BESIDE + 2], hold, later])
         bed = self._bed - around.origin[:, None]
         problem = Problem(
-            rows, known, levers, self.around.axes, splines, sequence, self._effort, self._belts,
-            self._limit, bed, self._room,
+            rows.path, rows.index, rows.held, rows.weight, rows.extruding, known, levers,
+            self.around.axes, splines, sequence, self._effort, self._belts, self._limit, bed,
         )  # fmt: skip
-        sequence += product(problem.solution().T, splines.by_column).T
+        sequence += product(least_squares(problem).T, splines.by_column).T
         command = command[2 : 2 + n + 2 * BESIDE]
         command[:BESIDE] = sequence[2 : BESIDE + 2]
         command[BESIDE : BESIDE + n] = sequence[BESIDE + 2]

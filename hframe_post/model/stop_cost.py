@@ -14,15 +14,12 @@ from hframe_post.arrays import Array, Flags, Integers
 
 BESIDE = 100  # samples before and after a hold in which its command may change
 BEYOND = 100  # samples after these that are judged too: ringing shows there
-NEAREST = 24  # samples to either side in which the path's nearest point is sought
 
 # weights of a sample's squared deviation across the path; 1 while it extrudes
 TRAVELLING = 0.03  # while it does not
 STANDING = 0.04  # in the hold
 ARRIVING = 1.0  # at the end of a hold from which an extrusion begins
-ALONG = 0.01  # times any of these, for the deviation along the path
 SOON = 25  # samples after a hold in which that extrusion begins
-FAR = 0.05  # mm off the path beyond which an extruding sample gets more weight
 
 
 def _thinned(n: int) -> tuple[Integers, Array]:
@@ -111,9 +108,3 @@ class Rows:
         if n and around.extruding[stop.b : stop.b + SOON].any():
             weight[held.stop - 1] = ARRIVING
         return cls(around.path, index, held, weight, extruding)
-
-    def candidates(self) -> Array:
-        """Return the path around each row, (r, 2·NEAREST + 1, 2)."""
-        path = self.path[self.index[:, None] + np.arange(-NEAREST, NEAREST + 1)]
-        path[self.held] = path[self.held, NEAREST, None]
-        return np.asarray(path)

@@ -25,7 +25,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
-from hframe_post.model.linear import power, product, recursion
+from hframe_post.native.linear import power, product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner

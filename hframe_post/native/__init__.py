@@ -1,9 +1,10 @@
-"""Access to the compiled loops of modules that also have them in numpy.
+"""Loops in C, each next to a function that does the same in numpy.
 
-``kernel("name")`` is None if the loops were not built. Then the module's numpy version is used,
-which gives the same bits and takes longer. A loop takes numbers and contiguous arrays as they are.
-The wrong type or layout raises TypeError; a length, a count or an index that does not fit the
-others raises ValueError. Loops run without the global interpreter lock.
+``NAME.py`` defines the functions that everyone calls, with their constants. They run the loop of
+``NAME.c`` if the extension was built, and numpy otherwise, which gives the same bits and takes
+longer. A loop takes numbers and contiguous arrays as they are. The wrong type or layout raises
+TypeError; a length, a count or an index that does not fit the others raises ValueError. Loops run
+without the global interpreter lock.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cache
 from importlib import import_module
 from types import ModuleType
 
-BUILT_FOR = 11  # as in kernels.h: raised whenever a signature changes
+BUILT_FOR = 12  # as in kernels.h: raised whenever a signature changes
 
 Kernel = Callable[..., int]
 

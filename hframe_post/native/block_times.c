@@ -1,13 +1,10 @@
-/* The loops of firmware/marlin/block_times.py and planner.py, with their symbols. */
-
 #include "kernels.h"
 
-enum { ROUNDS = 3, STEPPER = 6 };
-#define SLOWEST 120.0
-#define FASTEST 3.0
-#define MOST_LOST 0.01
+struct stepper { double hz, extra_tick, smoothing_hz, ahead, development, s_curve, slowest; };
+enum { STEPPER = sizeof(struct stepper) / sizeof(double) };
 
-struct stepper { double hz, extra_tick, smoothing_hz, ahead, development, s_curve; };
+struct rules { double fastest, most_lost, rounding, at_bound, unrounded_hz; };
+enum { RULES = sizeof(struct rules) / sizeof(double) };
 
 struct ramp { double start, end, a, interrupts, ahead; };
 
@@ -54,9 +51,10 @@ INSIDE double ramped(const struct ramp *ramp, double shares, const struct steppe
 }
 
 /* Return the rate at an end of a block as Marlin rounds it. */
-INSIDE double rounded(double w, double rate, int development)
+INSIDE double rounded(double w, double rate, const struct stepper *s)
 {
-    w = development ? greater(floor(w + 0.5), 1.0) : greater(ceil(w - 1e-6), SLOWEST);
+    int development = s->development != 0.0;
+    w = development ? greater(floor(w + 0.5), 1.0) : greater(ceil(w - 1e-6), s->slowest);
     return lesser(w, rate);
 }
 
@@ -64,7 +62,7 @@ INSIDE double block_seconds(double n, double a, double begin, double rate, doubl
                             const struct stepper *s)
 {
     int development = s->development != 0.0, s_curve = s->s_curve != 0.0;
-    begin = rounded(begin, rate, development), end = rounded(end, rate, development);
+    begin = rounded(begin, rate, s), end = rounded(end, rate, s);
     double rise = (rate * rate - begin * begin) / (2.0 * a);
     double fall = (rate * rate - end * end) / (2.0 * a), meet = (n + rise - fall) / 2.0;
     double up = ceil(rise), down = development ? ceil(fall) : floor(fall);
@@ -154,12 +152,13 @@ INSIDE double dithered(double rate, int64_t i, const struct stepper *s)
 
 /* Return the share of time that blocks lose to rounding: they take ``taken`` (k). */
 INSIDE double lost_share(const double *n, int64_t k, const double *T, const double *rate,
-                         const double *taken)
+                         const double *taken, const struct rules *to)
 {
     double late = 0.0, total = 0.0;
     for (int64_t i = 0; i < k; i++) {
         double own = taken[i] - T[i];
-        int no_rate_fits = fabs(own) > 0.05 * T[i] || rate[i] > 0.9 * FASTEST * n[i] / T[i];
+        int no_rate_fits = fabs(own) > to->rounding * T[i]
+                           || rate[i] > to->at_bound * to->fastest * n[i] / T[i];
         late += no_rate_fits ? 0.0 : own;
         total += T[i];
     }
@@ -169,22 +168,22 @@ INSIDE double lost_share(const double *n, int64_t k, const double *T, const doub
 /* v (k): the speeds at which blocks take the time T (k). room (3 k). */
 WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *d, const double *a,
                                       const double *corners, const double *T, double before,
-                                      int64_t free_entry, const struct stepper *s, double *room,
-                                      double *v)
+                                      int64_t free_entry, const struct stepper *s, int64_t rounds,
+                                      const struct rules *to, double *room, double *v)
 {
     struct blocks b = {n, d, a, corners};
-    struct stepper exact = {1e15, 0.0, 0.0, s->ahead, s->development, s->s_curve};
+    struct stepper exact = {to->unrounded_hz, 0.0, 0.0, s->ahead, s->development, s->s_curve, s->slowest};
     double *rate = room, *whole = rate + k, *taken = whole + k, lost = 0.0;
     for (int64_t i = 0; i < k; i++)
         rate[i] = n[i] / T[i];
-    for (int round = 0; round < ROUNDS; round++) {
-        for (int step = 0; step < ROUNDS; step++) {
+    for (int64_t round = 0; round < rounds; round++) {
+        for (int64_t step = 0; step < rounds; step++) {
             for (int64_t i = 0; i < k; i++)
                 v[i] = rate[i] * d[i] / n[i];
             find_times(&b, k, v, rate, before, free_entry != 0, &exact, taken);
             for (int64_t i = 0; i < k; i++) {
                 double mean = n[i] / T[i], found = rate[i] * (taken[i] / (T[i] * (1.0 - lost)));
-                rate[i] = between(found, mean / FASTEST, mean * FASTEST);
+                rate[i] = between(found, mean / to->fastest, mean * to->fastest);
             }
         }
         for (int64_t i = 0; i < k; i++) {
@@ -192,11 +191,12 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
             v[i] = (whole[i] - 0.5) * d[i] / n[i];
         }
         find_times(&b, k, v, whole, before, free_entry != 0, s, taken);
-        lost = between(lost + lost_share(n, k, T, rate, taken), -MOST_LOST, MOST_LOST);
+        lost = between(lost + lost_share(n, k, T, rate, taken, to), -to->most_lost, to->most_lost);
     }
     return k;
 }
 
 LOOP(marlin_feed_rates, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
      FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), REAL(6), WHOLE(7),
-     (const struct stepper *)FLOATS(8, STEPPER), OUT_FLOATS(9, 3 * COUNT(0)), OUT_FLOATS(10, COUNT(0)))
+     (const struct stepper *)FLOATS(8, STEPPER), FEW(9),
+     (const struct rules *)FLOATS(10, RULES), OUT_FLOATS(11, 3 * COUNT(0)), OUT_FLOATS(12, COUNT(0)))

@@ -1,8 +1,4 @@
-/* The loop of firmware/marlin/blocks.py, with its symbols. */
-
 #include "kernels.h"
-
-#define STRAIGHT 0.999999
 
 struct limits { /* as BlockLimits */
     double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
@@ -43,18 +39,19 @@ INSIDE void block(const double *from, const double *to, const double *row, const
 }
 
 /* Return the greatest speed between blocks, of which the second has acceleration a, mm/s². */
-INSIDE double corner(const double *unit, const double *next, double a, double deviation)
+INSIDE double corner(const double *unit, const double *next, double a, double deviation,
+                     double straight)
 {
     double cosine = -(unit[0] * next[0] + unit[1] * next[1] + unit[2] * next[2] + unit[3] * next[3]);
-    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -STRAIGHT, STRAIGHT)));
-    return cosine > STRAIGHT ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
+    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -straight, straight)));
+    return cosine > straight ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
 }
 
 /* n, d, a (k), corners (k + 1): of blocks between places at (k + 1, 4). matrix (2, 2): from x, y to
- * the motors. */
+ * the motors; straight: cosine from which on blocks turn straight back. */
 WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limits *limits,
-                                  const double *matrix, double after, double *n, double *d,
-                                  double *a, double *corners)
+                                  const double *matrix, double after, double straight,
+                                  double *n, double *d, double *a, double *corners)
 {
     double unit[2][COLUMNS], row[2][COLUMNS];
     round_to_steps(at, limits, row[0]);
@@ -65,12 +62,13 @@ WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limi
         block(next - COLUMNS, next, from, to, limits, matrix, n + i, d + i, a + i, now);
         corners[i] = INFINITY;
         if (i && limits->deviation < INFINITY)
-            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation);
+            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation, straight);
     }
     corners[k] = after;
     return k;
 }
 
 LOOP(marlin_blocks, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
-     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), OUT_FLOATS(5, COUNT(1)),
-     OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)), OUT_FLOATS(8, COUNT(1) + 1))
+     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), REAL(5),
+     OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)), OUT_FLOATS(8, COUNT(1)),
+     OUT_FLOATS(9, COUNT(1) + 1))

@@ -1,5 +1,3 @@
-/* The loops of prediction/predict.py. */
-
 #include "kernels.h"
 
 struct vector {

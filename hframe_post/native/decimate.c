@@ -1,5 +1,3 @@
-/* The loops of firmware/klipper/segments.py. */
-
 #include "kernels.h"
 
 /* A sample that is still a vertex, in a list by time. */

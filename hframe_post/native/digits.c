@@ -1,5 +1,3 @@
-/* The loop of writers/stream/digits.py that writes lines. */
-
 #include "kernels.h"
 
 enum { WORDS = 5, LINE = 80, MOST_DIGITS = 10 }; /* bytes of a line, at most; digits of a number below 2^32 */
@@ -23,7 +21,7 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
     return c;
 }
 
-/* Write n lines of G1: see motion_lines of digits.py. longest (5): the least numbers that are too
+/* Write n lines of G1: see motion_lines in Python. longest (5): the least numbers that are too
  * long. ends (n): the end of each line. Returns the length of the text, or -1. */
 static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, int64_t feed,
                             const int64_t *decimals, const int64_t *longest, uint8_t *text,

@@ -1,5 +1,3 @@
-/* The loops of compensation/guard.py. */
-
 #include "kernels.h"
 
 struct vector {

@@ -1,5 +1,5 @@
-/* Definitions that the compiled loops share. Each loop does what a numpy function of the package
- * does, by the same operations in the same order, so both give the same bits: no fused
+/* Definitions that the compiled loops share. Each loop does what numpy does in the Python file of the
+ * same name, by the same operations in the same order, so both give the same bits: no fused
  * multiply-add, no -ffast-math. The caller allocates all arrays. module.c makes them functions of
  * Python. */
 
@@ -11,7 +11,7 @@
 
 #include "arguments.h"
 
-#define BUILT_FOR 11 /* as in __init__.py: raised whenever a signature changes */
+#define BUILT_FOR 12 /* as in __init__.py: raised whenever a signature changes */
 
 /* WIDE functions are compiled for wider registers, too, with all that is INSIDE them; the processor
  * chooses. Only sums that do not depend on each other share a register: the bits are the same. */

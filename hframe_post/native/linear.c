@@ -1,4 +1,4 @@
-/* The loops of model/linear.py. A sum starts at zero and takes its terms in order; several sums
+/* A sum starts at zero and takes its terms in order; several sums
  * are computed at once, never several terms of one. */
 
 #include <string.h>

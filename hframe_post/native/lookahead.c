@@ -1,5 +1,3 @@
-/* The loops of planner/lookahead.py. */
-
 #include "kernels.h"
 
 struct limited { /* a move; the deviation is that of its junctions */
@@ -48,7 +46,7 @@ LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOA
      FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
      (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
-/* Return the greatest speed between two moves, as model/constant_acceleration.py finds it. */
+/* Return the greatest speed between two moves, as corners.py finds it. */
 static double junction_speed(const double *one, const double *other, struct limited a,
                              struct limited b, double extruder_corner)
 {

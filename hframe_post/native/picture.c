@@ -1,5 +1,3 @@
-/* The loop of prediction/picture.py. */
-
 #include "kernels.h"
 
 struct table { /* n columns; rows: x, y, the line's, layer's and feature's number, begins, ways */

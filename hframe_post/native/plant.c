@@ -1,5 +1,3 @@
-/* The loops of model/plant.py. */
-
 #include <stddef.h>
 
 #include "kernels.h"
@@ -137,30 +135,40 @@ INSIDE four minus(four a, four b) { return EACH_OF(DIFFERENCE); }
 INSIDE four times(four a, four b) { return EACH_OF(PRODUCT); }
 #endif
 
-enum { ABREAST = 8 }; /* groups of four sums that are computed together */
+enum { ABREAST = 8, BLOCK = LANES * ABREAST }; /* groups of four sums that are computed together */
 
-/* sums (blocks·ABREAST·LANES): of the m factors in turn, each times a number of u; from one sum to
- * the next these go on by one. */
-WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double *u, int64_t blocks,
-                                 double *sums)
+/* BLOCK sums of the m factors in turn, each times a number of u. */
+INSIDE void sum_block(const double *factors, int64_t m, const double *u, double *sums)
 {
-    for (int64_t block = 0; block < blocks; block++, u += LANES * ABREAST, sums += LANES * ABREAST) {
-        four sum[ABREAST];
+    four sum[ABREAST];
+    for (int k = 0; k < ABREAST; k++)
+        sum[k] = four_of(0.0, 0.0, 0.0, 0.0);
+    for (int64_t i = 0; i < m; i++) {
+        four factor = four_of(factors[i], factors[i], factors[i], factors[i]);
         for (int k = 0; k < ABREAST; k++)
-            sum[k] = four_of(0.0, 0.0, 0.0, 0.0);
-        for (int64_t i = 0; i < m; i++) {
-            four factor = four_of(factors[i], factors[i], factors[i], factors[i]);
-            for (int k = 0; k < ABREAST; k++)
-                sum[k] = plus(sum[k], times(factor, *(const four *)(u + i + LANES * k)));
-        }
-        for (int k = 0; k < ABREAST; k++)
-            *(four *)(sums + LANES * k) = sum[k];
+            sum[k] = plus(sum[k], times(factor, *(const four *)(u + i + LANES * k)));
     }
-    return blocks;
+    for (int k = 0; k < ABREAST; k++)
+        *(four *)(sums + LANES * k) = sum[k];
 }
 
-LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + LANES * ABREAST * COUNT(3)),
-     COUNT(3), OUT_FLOATS(4, LANES * ABREAST * COUNT(3)))
+/* sums (n), zero at first: of the m factors in turn, each times a number of u; from one sum to the
+ * next these go on by one. The last block overlaps with the one before. */
+WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double *u, int64_t n,
+                                 double *sums)
+{
+    for (int64_t i = 0; i < m && n < BLOCK; i++)
+        for (int64_t k = 0; k < n; k++)
+            sums[k] += factors[i] * u[i + k];
+    for (int64_t k = 0; k < n && n >= BLOCK; k += BLOCK) {
+        int64_t at = k + BLOCK <= n ? k : n - BLOCK;
+        sum_block(factors, m, u + at, sums + at);
+    }
+    return n;
+}
+
+LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
+     OUT_FLOATS(4, COUNT(3)))
 
 /* As ``next``, for a cascade in each lane: sections (count, 6) and their state (count, 2). */
 INSIDE four next_of_four(const four *c, int64_t count, four *s, four value)
@@ -217,9 +225,9 @@ WIDE static int64_t responses(const four *sections, int64_t total, four *state,
                               const int64_t *counts, int64_t filters, const int64_t *axes,
                               const four *centre, int64_t count, const double *origin,
                               const double *commands, int64_t given, const int64_t *of, int64_t n,
-                              int64_t lanes, double *motion)
+                              int64_t lanes, int64_t together, double *motion)
 {
-    (void)filters, (void)given;
+    (void)filters, (void)given, (void)together;
     for (; lanes > 0; lanes -= LANES, of += LANES, motion += 2 * n * LANES) {
         const double *command[LANES];
         for (int j = 0; j < LANES; j++)
@@ -236,4 +244,4 @@ LOOP(responses, (const four *)FLOATS(0, COEFFICIENTS * FOURS(FEW(1))), FEW(1),
      (four *)OUT_FLOATS(2, STATES * FOURS(FEW(1))), PARTS(3, COUNT(4), FEW(1)),
      WITHIN(4, 2 + FEW(7), MOST_FEW), INTEGERS(5, 3 * FEW(7)), (const four *)FLOATS(6, FOURS(FEW(7))),
      FEW(7), FLOATS(8, 2), FLOATS(9, 2 * FEW(10) * COUNT(12)), FEW(10), INDICES(11, FEW(13), 0, FEW(10)),
-     COUNT(12), FEW(13), OUT_FLOATS(14, 2 * FEW(13) * COUNT(12)))
+     COUNT(12), FEW(13), WITHIN(14, LANES, LANES), OUT_FLOATS(15, 2 * FEW(13) * COUNT(12)))

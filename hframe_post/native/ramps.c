@@ -1,12 +1,10 @@
-/* The loops of firmware/klipper/ramps.py. */
-
 #include "kernels.h"
 
-struct limits { /* as StreamLimits, then the junction deviation */
+struct limits {
     double velocity, acceleration, z_velocity, z_acceleration, e_velocity, e_acceleration, e_corner,
         deviation;
 };
-enum { LIMITS = sizeof(struct limits) / sizeof(double), ROUNDS = 3 }; /* as in firmware/ramps.py */
+enum { LIMITS = sizeof(struct limits) / sizeof(double) };
 
 /* Segments in a row, with Klipper's ramps. */
 struct ramped {
@@ -45,7 +43,7 @@ INSIDE void find_segments(const double *at, int64_t k, const struct limits *limi
     }
 }
 
-/* Find the greatest speeds between segments: junction_speeds of model/constant_acceleration.py */
+/* Find the greatest speeds between segments: junction_speeds of corners.py */
 INSIDE void find_corners(const double *d, const double *a, const double *filament, const double *way,
                          int64_t k, const struct limits *limits, double *restrict caps)
 {
@@ -88,13 +86,13 @@ INSIDE void join(const struct ramped *r, const double *v, double *restrict joint
 }
 
 /* v (k): cruise speeds for the times T (k). joint (k + 1), mean (k): room. */
-INSIDE void find_speeds(const struct ramped *r, const double *T, double *restrict joint,
-                        double *restrict mean, double *restrict v)
+INSIDE void find_speeds(const struct ramped *r, const double *T, int64_t rounds,
+                        double *restrict joint, double *restrict mean, double *restrict v)
 {
     const double *d = r->d, *a = r->a;
     for (int64_t i = 0; i < r->k; i++)
         v[i] = mean[i] = d[i] / T[i];
-    for (int round = 0; round < ROUNDS; round++) {
+    for (int64_t round = 0; round < rounds; round++) {
         join(r, v, joint);
         for (int64_t i = 0; i < r->k; i++) {
             double v_s = joint[i], v_e = joint[i + 1];
@@ -120,35 +118,36 @@ INSIDE void find_durations(const struct ramped *r, const double *v, double *rest
     }
 }
 
-/* T (k) in place of late (k): shortened after segments that are late by more than ``least``. */
-INSIDE void make_up(int64_t k, const double *T, double least, double *late)
+/* T (k) in place of late (k): shortened after segments that are late by more than ``least``, of which
+ * those in time make up for a share of theirs. */
+INSIDE void make_up(int64_t k, const double *T, double least, double share, double *late)
 {
     double total = 0.0, lowest = 0.0, waiting = 0.0;
     for (int64_t i = 0; i < k; i++) {
         double more = late[i] > least ? late[i] : 0.0, waited = waiting;
-        total += more - (more > 0.0 ? 0.0 : 0.04 * T[i]);
+        total += more - (more > 0.0 ? 0.0 : share * T[i]);
         lowest = lesser(lowest, total);
         waiting = total - lowest;
         late[i] = T[i] - (waited + more - waiting);
     }
 }
 
-/* feeds (k): F to ask for; taken (k): how long segments then take; see feeds. room (12 k + 2). */
+/* feeds (k): F to ask for; taken (k): how long segments then take; see Python. room (12 k + 2). */
 WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, const uint8_t *rest,
                                   double before, double after, const struct limits *limits,
-                                  double least, double per_feed, double *room, int64_t *feeds,
-                                  double *taken)
+                                  int64_t rounds, double least, double share, double per_feed,
+                                  double *room, int64_t *feeds, double *taken)
 {
     struct ramped r = ramped(at, k, rest, before, after, limits, room);
     double *joint = room + 8 * k + 1, *top = joint + k + 1, *late = top + k, *v = late + k;
     double most = 0.0;
-    find_speeds(&r, T, joint, top, v);
+    find_speeds(&r, T, rounds, joint, top, v);
     find_durations(&r, v, joint, top, late);
     for (int64_t i = 0; i < k; i++)
         most = greater(most, late[i] -= T[i]);
     if (most > least) {
-        make_up(k, T, least, late);
-        find_speeds(&r, late, joint, top, v);
+        make_up(k, T, least, share, late);
+        find_speeds(&r, late, rounds, joint, top, v);
     }
     for (int64_t i = 0; i < k; i++) {
         feeds[i] = (int64_t)greater(rint(v[i] * per_feed), 1.0);
@@ -159,9 +158,9 @@ WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, 
 }
 
 LOOP(klipper_feeds, FLOATS(0, COLUMNS * (COUNT(1) + 1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(1)),
-     BYTES(3, COUNT(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS), REAL(7),
-     REAL(8), OUT_FLOATS(9, 12 * COUNT(1) + 2), OUT_INTEGERS(10, COUNT(1)),
-     OUT_FLOATS(11, COUNT(1)))
+     BYTES(3, COUNT(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS), FEW(7), REAL(8),
+     REAL(9), REAL(10), OUT_FLOATS(11, 12 * COUNT(1) + 2), OUT_INTEGERS(12, COUNT(1)),
+     OUT_FLOATS(13, COUNT(1)))
 
 /* taken (k): how long segments take at speeds v (k). room (12 k + 2). */
 WIDE static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,

@@ -1,5 +1,5 @@
-/* The loop of PlainMoves in gcode/batching.py: moves as slicers write them, up to the first line that
- * is not one or needs a closer look. It does what gcode/reader.py does, in the same order. */
+/* Moves as slicers write them, up to the first line that is not one or needs a closer look. It does
+ * what gcode/reader.py does, in the same order. */
 
 #include <string.h>
 

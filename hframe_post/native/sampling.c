@@ -1,5 +1,3 @@
-/* The loops of planner/sampling.py and planner/profiles.py. */
-
 #include "kernels.h"
 
 enum { PHASES = 7 }; /* of a run; t, j (r, 7) are their durations and jerks */
@@ -63,10 +61,11 @@ static int64_t misses(const double *t, const double *j, const double *v0, const 
 LOOP(misses, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4)),
      FLOATS(3, COUNT(4)), COUNT(4), REAL(5), OUT_BYTES(6, COUNT(4)))
 
-/* speed (r + 1) and s (r + 1) at the ends of runs; samples of ``interval`` s. Fill table (6, p) with
+/* speed (r + 1) and s (r + 1) at the ends of runs; samples of ``interval`` s, by a share of which a
+ * point of rest may be late. Fill table (6, p) with
  * the phases as below, and end with the time of the end; return p. */
 static int64_t phases(const double *t, const double *j, const double *speed, const double *s, int64_t r,
-                      double start, double interval, double *table, double *end)
+                      double start, double interval, double forgiven, double *table, double *end)
 {
     int64_t p = 0, row = 0;
     double spent = 0.0, waited = 0.0, begin = start;
@@ -86,7 +85,7 @@ static int64_t phases(const double *t, const double *j, const double *speed, con
         spent += phase[PHASES].time;
         double arrival = start + spent + waited;
         if (speed[i + 1] == 0.0)
-            waited += greater(ceil(arrival / interval - 1e-9) - arrival / interval, 0.0) * interval;
+            waited += greater(ceil(arrival / interval - forgiven) - arrival / interval, 0.0) * interval;
         begin = start + spent + waited;
     }
     *end = begin;
@@ -94,8 +93,8 @@ static int64_t phases(const double *t, const double *j, const double *speed, con
 }
 
 LOOP(phases, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4) + 1),
-     FLOATS(3, COUNT(4) + 1), COUNT(4), REAL(5), REAL(6), OUT_FLOATS(7, 6 * PHASES * COUNT(4)),
-     OUT_FLOATS(8, 1))
+     FLOATS(3, COUNT(4) + 1), COUNT(4), REAL(5), REAL(6), REAL(7),
+     OUT_FLOATS(8, 6 * PHASES * COUNT(4)), OUT_FLOATS(9, 1))
 
 /* phases (6, p): start time, duration, path length, speed, acceleration, jerk. Path lengths s (n)
  * at samples first, first + 1, … of ``interval`` s, within 0 … end. */

@@ -1,5 +1,3 @@
-/* The loop of writers/stream/segments.py. */
-
 #include "kernels.h"
 
 static int marked(const uint8_t *forced, int64_t from, int64_t to)
@@ -11,7 +9,7 @@ static int marked(const uint8_t *forced, int64_t from, int64_t to)
 
 /* places (k, 4), mm, at ``ends`` (k) of points forced (n); per_mm (4): units in a mm; start (4): the
  * place before them, for ``still`` samples. Returns how many segments move; at (k + 1, 4), ended,
- * T and dwell (k): theirs, as in Segments. */
+ * T and dwell (k): theirs. */
 static int64_t motion_segments(const double *places, const int64_t *ends, int64_t k,
                                const uint8_t *forced, int64_t n, const double *per_mm,
                                const int64_t *start, int64_t still, int64_t least_dwell,

@@ -1,4 +1,4 @@
-/* The least squares of one stop: model/stop_problem.py, with its symbols and its order of sums.
+/* The least squares of one stop, with the symbols of model/stop.py.
  *
  * The columns are those of p, x and y in turn, and then the residual. A row in time has a prefix of
  * columns that are not zero, and these are ``begun`` at it; products skip the rest. Rows of a matrix
@@ -9,27 +9,23 @@
 #include "kernels.h"
 
 enum {
-    SEARCHES = 2, EMPHASES = 3, TRIALS = 10, NEAREST = 24, PIECES = 2 * NEAREST,
+    NEAREST = 24, PIECES = 2 * NEAREST,
     MOST_SPLINES = 37, MOST_ROWS = 147, MOST_SAMPLES = 206, MOST_PIECES = 400,
     TOGETHER = 4, /* rows of add_rows */
     LINE = 8, WIDTH = 80 /* columns, in whole lines */
 };
-#define ALONG 0.01
-#define FAR_OFF 0.05
-#define EMPHASIS 1.5
-#define MOST_EMPHASIS 10.0
-#define TARGET 0.7
-#define EASY 0.4
-#define RAISED 2.0
-#define MOST_RAISED 5.0
-#define HARDEST (0.97 / 0.8)
-#define EXCESS_COST 0.2
-#define CLEARANCE 0.02
-#define SHORT2 1e-14
 
 typedef double vector[2];
 
+struct rules { /* the constants of stop.py */
+    double along, far_off, emphasis, most_emphasis, target, easy, raised,
+        most_raised, hardest, excess_cost, short2, clearance;
+};
+enum { RULES = sizeof(struct rules) / sizeof(double) };
+
 struct problem {
+    struct rules to;
+    int64_t searches, emphases, trials; /* at most */
     const vector *path;
     const int64_t *index; /* (r) into path */
     int64_t r, held_from, held_to;
@@ -84,11 +80,11 @@ INSIDE double reweighted(double ratio, double gain, double most)
     return ratio > 1.0 ? lesser(gain * (ratio * ratio), most) : 1.0;
 }
 
-INSIDE void unit(double x, double y, const vector otherwise, vector out)
+INSIDE void unit(double x, double y, double short2, const vector otherwise, vector out)
 {
     double length2 = x * x + y * y, length = sqrt(length2);
-    out[0] = length2 > SHORT2 ? x / length : otherwise[0];
-    out[1] = length2 > SHORT2 ? y / length : otherwise[1];
+    out[0] = length2 > short2 ? x / length : otherwise[0];
+    out[1] = length2 > short2 ? y / length : otherwise[1];
 }
 
 INSIDE int held(const struct problem *q, int64_t row)
@@ -124,7 +120,8 @@ INSIDE void moved(const struct problem *q, int64_t row, const vector *p, vector 
 }
 
 /* The path's nearest point to the nozzle, and the path's step there, among PIECES from one on. */
-INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, vector foot, vector step)
+INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, double short2,
+                    vector foot, vector step)
 {
     const double *x = path->x + from, *y = path->y + from, *dx = path->dx + from, *dy = path->dy + from;
     const double *length2 = path->length2 + from, *share = path->share + from;
@@ -133,7 +130,7 @@ INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, ve
         double to_x = at[0] - x[i], to_y = at[1] - y[i];
         along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share[i], 0.0, 1.0);
         double off_x = to_x - along[i] * dx[i], off_y = to_y - along[i] * dy[i];
-        squared[i] = length2[i] > SHORT2 ? off_x * off_x + off_y * off_y : INFINITY;
+        squared[i] = length2[i] > short2 ? off_x * off_x + off_y * off_y : INFINITY;
     }
     for (int lane = 0; lane < LINE; lane++)
         least[lane] = squared[lane];
@@ -158,7 +155,7 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
         const double *x = output(q, 0, row), *y = output(q, 1, row);
         const double *t = room->t[row], *known = q->known[row], *place = q->path[q->index[row]];
         double normal = sqrt(room->weight[row]);
-        double along = (held(q, row) ? 1.0 : sqrt(ALONG)) * normal;
+        double along = (held(q, row) ? 1.0 : sqrt(q->to.along)) * normal;
         while (begun < k && q->first[begun] <= row)
             begun++;
         for (int side = 0; side < 2; side++) {
@@ -338,15 +335,16 @@ INSIDE void judge(const struct problem *q, struct room *room, const vector *p, d
 INSIDE void raise(const struct problem *q, struct room *room)
 {
     struct bound_weights *w = &room->weights;
+    const struct rules *to = &q->to;
     for (int64_t r = 0; r < q->q - 2; r++) {
         double share = room->share[r];
-        double factor = share < EASY ? 0.5 : reweighted(share / TARGET, RAISED, MOST_RAISED);
+        double factor = share < to->easy ? 0.5 : reweighted(share / to->target, to->raised, to->most_raised);
         w->effort[r] = greater(w->effort[r] * factor, 1.0);
     }
     for (int64_t r = 0; r < q->q; r++)
         for (int axis = 0; axis < 2; axis++)
             if (room->outside[r][axis] > 0.0) {
-                double low = q->low[axis] + CLEARANCE, high = q->high[axis] - CLEARANCE;
+                double low = q->low[axis] + to->clearance, high = q->high[axis] - to->clearance;
                 w->bed[r][axis] = greater(10.0 * w->bed[r][axis], 1.0);
                 w->inside[r][axis] = clipped(room->place[r][axis], low, high);
             }
@@ -357,13 +355,13 @@ INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
 {
     vector tried[MOST_SPLINES];
     double least_hard = INFINITY, least_cost = INFINITY, most[3];
-    for (int trial = 0; trial < TRIALS; trial++) {
+    for (int64_t trial = 0; trial < q->trials; trial++) {
         add_bounds(q, room);
         solve(2 * q->k, room, tried[0]);
         judge(q, room, (const vector *)tried, most);
         double excess = greater(most[0], 1.0) + most[2];
-        double hard = greater(most[1] / (HARDEST * q->full_limit), 1.0) + most[2];
-        double cost = cost_of(2 * q->k, room, tried[0]) + EXCESS_COST * (excess - 1.0);
+        double hard = greater(most[1] / (q->to.hardest * q->full_limit), 1.0) + most[2];
+        double cost = cost_of(2 * q->k, room, tried[0]) + q->to.excess_cost * (excess - 1.0);
         if (hard < least_hard || (hard == least_hard && cost < least_cost)) {
             memcpy(p, tried, sizeof(vector) * (size_t)q->k);
             room->kept = room->weights;
@@ -387,8 +385,8 @@ INSIDE double seek_feet(const struct problem *q, struct room *room, const vector
         if (q->extruding[row] != extruding || held(q, row))
             continue;
         moved(q, row, p, at);
-        nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, foot, step);
-        unit(step[0], step[1], (const double *)room->direction[row], room->t[row]);
+        nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, q->to.short2, foot, step);
+        unit(step[0], step[1], q->to.short2, (const double *)room->direction[row], room->t[row]);
         double x = at[0] - foot[0], y = at[1] - foot[1];
         room->off[row] = sqrt(x * x + y * y);
         most = greater(most, room->off[row]);
@@ -423,7 +421,7 @@ INSIDE void begin(const struct problem *q, struct room *room)
     static const vector ahead = {1.0, 0.0};
     for (int64_t row = 0; row < q->r; row++) {
         const vector *path = q->path + q->index[row], *next = path + !held(q, row);
-        unit(next[0][0] - path[0][0], next[0][1] - path[0][1], ahead, room->direction[row]);
+        unit(next[0][0] - path[0][0], next[0][1] - path[0][1], q->to.short2, ahead, room->direction[row]);
         room->weight[row] = q->weight[row];
         for (int axis = 0; axis < 2; axis++) {
             room->foot[row][axis] = path[0][axis];
@@ -443,25 +441,27 @@ INSIDE void begin(const struct problem *q, struct room *room)
 WIDE static int search(const struct problem *q, struct room *room, vector *best)
 {
     vector p[MOST_SPLINES];
+    const struct rules *to = &q->to;
     double least = INFINITY;
     if (!cut_path(q, &room->pieces))
         return 0;
     begin(q, room);
-    for (int searched = 1; searched <= SEARCHES + EMPHASES; searched++) {
+    for (int64_t searched = 1; searched <= q->searches + q->emphases; searched++) {
         jacobian(q, room);
         sum_squares(q, room);
         bounded(q, room, p);
         double peak = seek_feet(q, room, (const vector *)p, 1);
-        if (searched >= SEARCHES) {
+        if (searched >= q->searches) {
             if (peak < least) {
                 memcpy(best, p, sizeof(vector) * (size_t)q->k);
                 least = peak;
             }
-            if (least <= FAR_OFF || searched == SEARCHES + EMPHASES)
+            if (least <= to->far_off || searched == q->searches + q->emphases)
                 break;
             for (int64_t row = 0; row < q->r; row++)
                 if (q->extruding[row])
-                    room->weight[row] *= reweighted(room->off[row] / FAR_OFF, EMPHASIS, MOST_EMPHASIS);
+                    room->weight[row] *= reweighted(room->off[row] / to->far_off, to->emphasis,
+                                                    to->most_emphasis);
         }
         seek_feet(q, room, (const vector *)p, 0);
     }
@@ -473,15 +473,20 @@ WIDE static int search(const struct problem *q, struct room *room, vector *best)
 static int64_t least_squares(const double *path, const int64_t *index, int64_t r, int64_t held_from,
                              int64_t held_to, const double *weight, const uint8_t *extruding,
                              const double *known, const double *levers, const int64_t *axes,
-                             int64_t couplings, const double *by_p, const int64_t *first, int64_t k, const double *command, int64_t q,
+                             int64_t couplings, const double *by_p, const int64_t *first, int64_t k,
+                             const double *command, int64_t q,
                              const double *N, const double *D, const int64_t *bands, const double *limit,
-                             const double *bounds, double *room, double *p)
+                             const double *bounds, int64_t reach, int64_t searches,
+                             int64_t emphases, int64_t trials, const struct rules *rules, double *room,
+                             double *p)
 {
     struct problem problem = {
-        (const vector *)path, index, r, held_from, held_to, weight, extruding, (const vector *)known,
+        *rules, searches, emphases, trials, (const vector *)path, index, r, held_from, held_to, weight,
+        extruding, (const vector *)known,
         levers, axes, couplings, by_p, first, k, q, (const vector *)command, N, D, bands,
         limit, bounds, bounds + 2, bounds + 6, bounds + 8, bounds[10],
     };
+    (void)reach;
     if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
         return 0;
     room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
@@ -494,5 +499,6 @@ LOOP(least_squares, FLOATS(0, 2 * PIECES), INDICES(1, FEW(2), NEAREST, ITEMS(0) 
      FLOATS(11, (2 + FEW(10)) * FEW(2) * FEW(13)), INTEGERS(12, FEW(13)), FEW(13), FLOATS(14, 2 * FEW(15)),
      FEW(15), FLOATS(16, FEW(15) * FEW(13)), FLOATS(17, (FEW(15) - 2) * FEW(13)),
      INDICES(18, 2 * FEW(15), 0, FEW(13) + 1), FLOATS(19, FEW(15) - 2), FLOATS(20, 11),
-     OUT_FLOATS(21, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
-     OUT_FLOATS(22, 2 * FEW(13)))
+     WITHIN(21, NEAREST, NEAREST), FEW(22), FEW(23), FEW(24), (const struct rules *)FLOATS(25, RULES),
+     OUT_FLOATS(26, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
+     OUT_FLOATS(27, 2 * FEW(13)))

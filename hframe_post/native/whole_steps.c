@@ -1,10 +1,8 @@
-/* The loop of firmware/marlin/segments.py, with its symbols. */
-
 #include <stdlib.h>
 
 #include "kernels.h"
 
-enum { MOTORS = 2, IDLE = 24 };
+enum { MOTORS = 2 };
 
 struct steps {
     int64_t n;
@@ -19,13 +17,13 @@ static int64_t most(const int64_t *place, const int64_t *from)
     return one > other ? one : other;
 }
 
-/* Mark in stops the first and the last sample of each standstill. */
-static void mark_standstill(const struct steps *s, uint8_t *stops)
+/* Mark in stops the first and the last sample of each standstill of more than ``idle`` samples. */
+static void mark_standstill(const struct steps *s, int64_t idle, uint8_t *stops)
 {
     for (int64_t i = 1, first = 0; i <= s->n + 1; i++) {
         if (i <= s->n && s->path[i] == s->path[first])
             continue;
-        if (i - first > IDLE)
+        if (i - first > idle)
             stops[first] = stops[i - 1] = 1;
         first = i;
     }
@@ -121,7 +119,8 @@ static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, in
 
 /* ends (n): the samples at which segments end; returns how many. steps (n, 2); room (6 n + 6). */
 static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t least, int64_t apart,
-                                   int64_t stall, int64_t last, int64_t *room, int64_t *ends)
+                                   int64_t idle, int64_t stall, int64_t last, int64_t *room,
+                                   int64_t *ends)
 {
     int64_t *place = room, *path = place + MOTORS * (n + 1), *one = path + n + 1, *other = one + n + 1;
     uint8_t *stops = (uint8_t *)(other + n + 1), *marks = stops + n + 1;
@@ -134,7 +133,7 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
         path[i + 1] = path[i] + most(to, to - MOTORS);
         stops[i + 1] = 0;
     }
-    mark_standstill(&s, stops);
+    mark_standstill(&s, idle, stops);
     for (int motor = 0; motor < MOTORS; motor++)
         mark_turns(&s, motor, stall, one, marks, stops);
     int64_t k = chain(&s, apart, stops, ends);
@@ -148,5 +147,5 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
     return k;
 }
 
-LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), COUNT(4),
-     WHOLE(5), OUT_INTEGERS(6, 6 * (COUNT(1) + 1)), OUT_INTEGERS(7, COUNT(1)))
+LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), WHOLE(4),
+     COUNT(5), WHOLE(6), OUT_INTEGERS(7, 6 * (COUNT(1) + 1)), OUT_INTEGERS(8, COUNT(1)))

@@ -13,48 +13,14 @@ from itertools import pairwise
 import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
-from hframe_post.arrays import TS, Array, E, Flags, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native import kernel
+from hframe_post.native.sampling import misses, ramps, samples_until, stand
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Plan, Standing
 
 ALMOST = 0.999  # share of a limit that counts as all of it
-DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
-
-
-def samples_until(seconds: float) -> int:
-    """Return the first whole sample at or after a time, forgiving a billionth of a sample."""
-    return math.ceil(seconds / TS - 1e-9)
-
-
-@dataclass(frozen=True, slots=True)
-class Phases:
-    """Phases of constant jerk.
-
-    table (6, p): start time, duration, and path length, speed, acceleration, jerk at the start.
-    """
-
-    table: Array
-
-    def path(self, first: int, n: int, end: float) -> Array:
-        """Return the path length (n,) at samples first, first + 1, …, within 0 … ``end``.
-
-        Between two phases the path stands where the earlier one ended.
-        """
-        if (compiled := kernel("path_lengths")) is not None:
-            lengths = np.empty(n)
-            compiled(self.table, self.table.shape[1], first, n, TS, end, lengths)
-            return lengths
-        t = TS * np.arange(first, first + n).astype(float)
-        time, duration, *_ = self.table
-        phase = np.clip(np.searchsorted(time, t, side="right") - 1, 0, None)
-        _, _, s, v, a, j = self.table[:, phase]
-        dt = np.minimum(t - time[phase], duration[phase])
-        length = s + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
-        return np.asarray(np.clip(length, 0.0, end))
-
 
 Profile = tuple[Array, Array]  # durations and jerks of the seven phases of every run, both (r, 7)
 
@@ -103,11 +69,11 @@ class Profiler:
             chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
             chosen_j[free] *= unit
             slow = (ramp[free] > 0.0) & (chosen_t[free].sum(axis=1) >= ramp[free])
-            free = free[slow | _misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
-        wrong = _misses(chosen_t, chosen_j, v0, length)
+            free = free[slow | misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
+        wrong = misses(chosen_t, chosen_j, v0, length)
         if wrong.any():
             chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
-            wrong = _misses(chosen_t, chosen_j, v0, length)
+            wrong = misses(chosen_t, chosen_j, v0, length)
         if wrong.any():
             lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])
             line = lines[int(np.argmax(wrong))]
@@ -130,82 +96,6 @@ class Profiler:
             return [0.0] * 7, [0.0] * 7
         profile = self._trajectory.profiles[0][0]
         return profile.t, profile.j
-
-
-def phases(plan: Plan, profile: Profile, clock: float) -> tuple[Phases, float]:
-    """Return the phases of a plan that begins at time ``clock``, s, and the time of its end.
-
-    Points of rest are put on whole samples.
-    """
-    t, j = profile
-    at_ends = plan.s[plan.ends]
-    if (compiled := kernel("phases")) is not None:
-        room, last = np.empty(6 * t.size), np.empty(1)
-        p = compiled(t, j, plan.speed, at_ends, len(t), clock, TS, room, last)
-        return Phases(room[: 6 * p].reshape(6, p)), float(last[0])
-    a, v, steps = integrate(t, j, plan.speed[:-1])
-    end = clock + np.cumsum(np.cumsum(t, axis=1)[:, -1])
-    wait = np.zeros(len(end))  # standstill after runs so far, to whole samples
-    for run in np.flatnonzero(plan.speed[1:] == 0.0):  # few: corners without speed
-        arrival = end[run] + wait[run]
-        wait[run:] += max(samples_until(arrival) - arrival / TS, 0.0) * TS
-    start = np.concatenate([[clock], end + wait])
-    s = at_ends[:-1, None] + _exclusive(np.cumsum(steps, axis=1))
-    time = start[:-1, None] + _exclusive(np.cumsum(t, axis=1))
-    keep = t.ravel() > 0.0
-    table = np.stack([column.ravel()[keep] for column in (time, t, s, v, a, j)])
-    return Phases(table), float(start[-1])
-
-
-def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
-    """Return one change of speed along the whole of each length, with the least acceleration.
-
-    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
-    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
-    """
-    if (compiled := kernel("ramps")) is not None:
-        (t, j), a = np.empty((2, len(v0), 7)), np.empty(len(v0))
-        compiled(v0, v1, length, len(v0), jerk, t, j, a)
-        return t, j, a
-    change = v1 - v0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        T = 2.0 * length / (v0 + v1)
-        root = np.sqrt(np.maximum(T * T - 4.0 * np.abs(change) / jerk, 0.0))
-        a = 2.0 * np.abs(change) / (T + root)
-        ramp = a / jerk
-        t = np.zeros((len(v0), 7))
-        t[:, 0] = t[:, 2] = ramp
-        t[:, 1] = np.where(np.isfinite(T), T - 2.0 * ramp, 0.0)
-    j = np.zeros((len(v0), 7))
-    j[:, 0] = np.copysign(jerk, change)
-    j[:, 2] = -j[:, 0]
-    return t, j, a
-
-
-def integrate(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
-    """Return acceleration and speed at the start of each phase, and its path length; all (r, 7)."""
-    da = j * t
-    a = _exclusive(np.cumsum(da, axis=1))
-    v = v0[:, None] + _exclusive(np.cumsum(t * (a + da / 2.0), axis=1))
-    return a, v, t * (v + t * (a / 2.0 + da / 6.0))
-
-
-def _misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
-    """Return which runs have a profile that goes backwards or misses their length, (r,)."""
-    if (compiled := kernel("misses")) is not None:
-        missed = np.empty(len(t), bool)
-        compiled(t, j, v0, length, len(t), DRIFT, missed)
-        return missed
-    _, v, steps = integrate(t, j, v0)
-    misses = np.abs(np.cumsum(steps, axis=1)[:, -1] - length) > DRIFT
-    return np.asarray(misses | (v.min(axis=1) < -DRIFT))
-
-
-def _exclusive(cumulative: Array) -> Array:
-    """Return cumulative sums along the rows as they are before each term."""
-    shifted = np.zeros_like(cumulative)
-    shifted[:, 1:] = cumulative[:, :-1]
-    return shifted
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,17 +133,8 @@ class StandingProfile:
 
     def places(self, move: Standing, first: int, n: int) -> Array:
         """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
-        way, ends = self.trapezoid, np.array([move.start, move.end])
-        if (compiled := kernel("stand")) is not None:
-            xyze, speeds = np.empty((n, 4)), (way.v_s, way.acceleration, way.peak)
-            trapezoid = np.array([way.length, *speeds, *way.ramps, way.seconds])
-            compiled(trapezoid, ends, first, n, self.samples, TS, xyze)
-            return xyze
-        samples = np.arange(first, first + n)
-        done = way.distance(samples.astype(float) * TS) / way.length
-        share = np.where(samples < self.samples, done, 1.0)[:, None]
-        start, end = ends[:, Z:]
-        return np.hstack([np.tile(ends[1, :Z], (n, 1)), start + share * (end - start)])
+        ends = np.array([move.start, move.end])
+        return stand(self.trapezoid.row, ends, first, n, self.samples)
 
 
 class TravelRetraction:

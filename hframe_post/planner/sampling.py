@@ -18,16 +18,8 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
-from hframe_post.native import kernel
-from hframe_post.planner.profiles import (
-    Phases,
-    Profile,
-    Profiler,
-    StandingProfile,
-    TravelRetraction,
-    phases,
-    samples_until,
-)
+from hframe_post.native.sampling import follow, path_lengths, phases, samples_until
+from hframe_post.planner.profiles import Profile, Profiler, StandingProfile, TravelRetraction
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Event,
@@ -200,7 +192,8 @@ class _Sampler:
 
     def run(self, plan: Plan) -> Iterator[Samples]:
         yield from self._set_out(plan)
-        motion, self._clock = phases(plan, self._profiles.popleft(), self._clock)
+        profile, at_ends = self._profiles.popleft(), plan.s[plan.ends]
+        motion, self._clock = phases(*profile, plan.speed, at_ends, self._clock)
         stops = plan.speed[-1] == 0.0
         last = self._section + (
             samples_until(self._clock) if stops else math.floor(self._clock / TS)
@@ -219,10 +212,10 @@ class _Sampler:
                 continue
             n = min(n, slow[0][0] - first) if slow else n
             arrives = stops and first + n > last
-            s = motion.path(first - self._section, n, float(plan.s[-1]))
+            s = path_lengths(motion, first - self._section, n, float(plan.s[-1]))
             if arrives:
                 s[-1] = plan.s[-1]
-            xyze, move = _follow(plan, s)
+            xyze, move = follow(plan.s, plan.points, s)
             if self._filament_at_mark is not None:
                 xyze[0, E], self._filament_at_mark = self._filament_at_mark, None
             marks = self._pin(plan, marks, s, xyze)
@@ -239,10 +232,10 @@ class _Sampler:
             self._filament_at_mark = float(plan.points[mark.index, E])
         self._state = _State.STOPPED if stops else _State.MOVING
 
-    def _slow_parts(self, plan: Plan, motion: Phases, last: int) -> deque[tuple[int, int]]:
+    def _slow_parts(self, plan: Plan, motion: Array, last: int) -> deque[tuple[int, int]]:
         """Return the samples, first and last, that can be left out of slow straights."""
         parts = deque[tuple[int, int]]()
-        time, duration, s, v, a, j = motion.table
+        time, duration, s, v, a, j = motion
         steady = (v <= SLOW) & (a == 0.0) & (j == 0.0)
         phases = np.flatnonzero(steady & (duration > (FEWEST + 2 * KEPT) * TS))
         if not self._skip_slow or self._retraction is not None or not len(phases):
@@ -258,10 +251,10 @@ class _Sampler:
                     parts.append((first, final))
         return parts
 
-    def _straight(self, plan: Plan, motion: Phases, first: int, last: int) -> Iterator[Samples]:
+    def _straight(self, plan: Plan, motion: Array, first: int, last: int) -> Iterator[Samples]:
         """Leave out samples first … last, which go straight; end the stretch before them."""
-        path = motion.path(last - self._section, 2, float(plan.s[-1]))
-        (before, after), (_, move) = _follow(plan, path)
+        path = path_lengths(motion, last - self._section, 2, float(plan.s[-1]))
+        (before, after), (_, move) = follow(plan.s, plan.points, path)
         x, y, z, e = before.tolist()
         self.output.line = int(plan.line[move])
         self.output.events.append(SlowStraight(first, last - first + 1, (x, y, z, e)))
@@ -386,16 +379,3 @@ class _Sampler:
         """Add the lines that waited for the command to come to rest."""
         self.output.events += [Mark(self.output.index, text) for text in self._waiting_lines]
         self._waiting_lines = []
-
-
-def _follow(plan: Plan, s: Array) -> tuple[Array, Integers]:
-    """Return x, y, z, e at path lengths ``s`` (n,), and the move that each lies on."""
-    n, moves = len(s), len(plan.line)
-    if (compiled := kernel("follow")) is not None:
-        xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
-        compiled(plan.s, np.ascontiguousarray(plan.points), moves, s, n, xyze, move)
-        return xyze, move
-    move = np.clip(np.searchsorted(plan.s, s, side="right") - 1, 0, len(plan.line) - 1)
-    start = plan.points[move]
-    share = (s - plan.s[move]) / (plan.s[move + 1] - plan.s[move])
-    return start + share[:, None] * (plan.points[move + 1] - start), move

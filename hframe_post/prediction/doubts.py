@@ -15,7 +15,8 @@ import numpy as np
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
-from hframe_post.model.plant import BLOCK, Coupling, Plant, sliding_sums
+from hframe_post.model.plant import Coupling, Plant
+from hframe_post.native.plant import sliding_sums
 from hframe_post.stream.types import Samples
 
 EVERY = 16  # samples, a power of two and a multiple of those at which errors are judged
@@ -113,11 +114,7 @@ class Doubts:
         """Return second differences (EVERY, k) column by column, for all outputs of all filters."""
         first = start + self.ahead + 1 - self._longest - EVERY * self._lasting
         n = EVERY * (count + self._lasting) + self._longest - EVERY
-        rate = np.diff(u[first - 2 : first + n])
-        phases = np.zeros((EVERY, n // EVERY + BLOCK))  # zeros: for whole blocks of a compiled loop
-        np.subtract(rate[1:].reshape(-1, EVERY).T, rate[:-1].reshape(-1, EVERY).T,
-                    out=phases[:, : n // EVERY])  # fmt: skip
-        return phases
+        return np.ascontiguousarray(np.diff(u[first - 2 : first + n], n=2).reshape(-1, EVERY).T)
 
 
 def _doubtful(G: Linear, rest: float, drift: float) -> ImpulseResponse:

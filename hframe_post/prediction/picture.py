@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.model.error_range import SUMS
-from hframe_post.native import kernel
+from hframe_post.native.picture import Table, joined_pieces
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 
@@ -22,13 +22,11 @@ PIECE = 4  # samples of a piece at first; ringing at 50 Hz takes 20
 FINEST = 2.0  # mm of a piece at most, as long as there are few; twice as much with each step
 NEAR = 0.01  # mm that the path may be off the line drawn for it; likewise
 FINER = 2.5  # times as exact is the way from the path to the nozzle, which is drawn magnified
-PASSES = 4  # of joining pairs, as long as they join an eighth
 SHAPED = 11  # steps that keep shape and feature; after them any neighbours are joined
 MOST = 300_000  # pieces of a print
 MERGED = 8  # tables that become one with each step
-LINE, LAYER, FEATURE, BEGINS, WAYS = range(Z, Z + 5)  # rows of a table, after x and y
-
-Table = NDArray[np.float32]  # numbers of lines, layers and features are the bits of int32 in it
+# Rows of a table, after x and y. Numbers of lines, layers and features are the bits of int32 in it
+LINE, LAYER, FEATURE, BEGINS, WAYS = range(Z, Z + 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,44 +198,9 @@ class Picture:
         n = shape.shape[1]
         if self.coarser > SHAPED:
             return np.append(np.arange(1, n - 1, 2), n - 1)
-        kept = np.arange(n)
-        if (compiled := kernel("joined_pieces")) is not None:
-            length, near = self.finest
-            numbers = LAYER if self.coarser else LINE
-            rules = numbers, WAYS, length * length, near, near / FINER, PASSES
-            return kept[: compiled(np.ascontiguousarray(shape), *shape.shape, *rules, kept)]
-        for _ in range(PASSES):
-            joined = self._pairs(shape)
-            if joined.any():
-                kept, shape = kept[~joined], shape[:, ~joined]
-            if 8 * np.count_nonzero(joined) < len(kept):
-                break
-        return kept
-
-    def _pairs(self, shape: Table) -> Flags:
-        """Return which may be joined to the next, as pairs: alike, and both lines straight."""
-        n, (length, near) = shape.shape[1], self.finest
-        joined = np.zeros(n, dtype=bool)
-        if n < 3:
-            return joined
-        x, y = shape[:Z]
-        dx, dy = x[2:] - x[:-2], y[2:] - y[:-2]
-        square = dx * dx + dy * dy
-        share = (x[1:-1] - x[:-2]) * dx + (y[1:-1] - y[:-2]) * dy
-        share /= np.maximum(square, np.float32(1e-12))
-        straight = (square <= length * length) & (share >= 0.0) & (share <= 1.0)
-        numbers = _numbers(shape)
-        for row in numbers[LAYER - LINE if self.coarser else 0 : -1]:
-            straight &= row[2:] == row[1:-1]
-        begins = numbers[-1] != 0
-        straight &= ~(begins[2:] | begins[1:-1])
-        for rows, most in ((shape[:Z], near), (shape[WAYS:], near / FINER)):
-            for row in rows:
-                straight &= np.abs(row[1:-1] - row[:-2] - share * (row[2:] - row[:-2])) <= most
-        k = np.arange(1, n - 1)
-        first = np.maximum.accumulate(np.where(straight, 0, k))  # the last one that may not
-        joined[1:-1] = straight & ((k - first) % 2 == 1)
-        return joined
+        length, near = self.finest
+        alike = LAYER if self.coarser else LINE
+        return joined_pieces(shape, alike, WAYS, length, near, near / FINER)
 
 
 def _numbers(table: Table) -> NDArray[np.int32]:

@@ -14,12 +14,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants, Responses
-from hframe_post.model.stop_cost import NEAREST
-from hframe_post.native import kernel
+from hframe_post.native.contour import count_turns, deviation, moving, square
+from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts, JudgedDoubts
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import neighbours, stretches, with_neighbours
@@ -143,11 +143,11 @@ def judge_each(
             motions, start = waiting.popleft(), sum(map(len, before))
             xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])
             first, stop = start + -chunk.first % every, start + len(chunk)
-            at, extruding = _moving(xyze[:stop], first, every)
+            at, extruding = moving(xyze[:stop], first, every)
             path, judgements = Polyline(xyze), list[Judgement]()
             for motion in motions:
                 off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
-                contour = {name: np.sqrt(_square(way)) for name, way in off.items()}
+                contour = {name: np.sqrt(square(way)) for name, way in off.items()}
                 judgements.append(Judgement(chunk, at - start, extruding, contour, off, motion))
             if doubted is not None:
                 own = judgements[0]
@@ -163,26 +163,6 @@ def _noted(
     for chunk, motions in predicted:
         waiting.append(motions)
         yield chunk
-
-
-def _moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
-    """Return which of every n-th sample from ``first`` on move, and which of them extrude, (k,)."""
-    if (compiled := kernel("moving")) is not None:
-        at, extruding = np.empty(len(xyze), np.int64), np.empty(len(xyze), bool)
-        count = compiled(xyze, len(xyze), first, every, at, extruding)
-        return at[:count], extruding[:count]
-    at = np.arange(first, len(xyze), every)
-    moving, extruding = (flags[at] for flags in in_motion(xyze))
-    return at[moving], extruding[moving]
-
-
-def in_motion(xyze: Array) -> tuple[Flags, Flags]:
-    """Return at which samples the path xyze (n, 4) moves, and at which it extrudes too, (n,)."""
-    moving, extruding = np.zeros((2, len(xyze)), dtype=bool)
-    x, y, _, e = xyze.T
-    moving[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
-    extruding[1:] = moving[1:] & (e[1:] > e[:-1])
-    return moving, extruding
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
@@ -214,14 +194,10 @@ def stepped(command: Array, kinematics: Kinematics, steps: Steps) -> Array:
     return np.asarray(np.linalg.solve(kinematics.matrix, mean.T * (steps.belt / ticks)).T)
 
 
-COARSE = 3  # samples from one candidate to the next in the first search
-STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
-
-
 def contour_error(path: Array, nozzle: Array, at: Integers | None = None) -> Array:
     """Return the distance (k,) of the nozzle (p, 2) to the path (p, 2) at samples (k,), or all."""
     at = np.arange(len(path)) if at is None else at
-    return np.sqrt(_square(Polyline(path).deviation(nozzle, at)))
+    return np.sqrt(square(Polyline(path).deviation(nozzle, at)))
 
 
 class Polyline:
@@ -229,82 +205,12 @@ class Polyline:
 
     def __init__(self, path: Array) -> None:
         self._path = np.ascontiguousarray(path)
-        self._turns = _count_turns(self._path)
+        self._turns = count_turns(self._path)
 
     def deviation(self, nozzle: Array, at: Integers, first: int = 0) -> Array:
         """Return the shortest way (k, 2) from the path to the nozzle at its samples ``at`` (k,).
 
         nozzle (n, ≥2): at samples first … first + n − 1, x and y first. The path counts within
-        NEAREST of each. Where it is a straight line, the distance is that to the line; elsewhere
-        the nearest sample is found first, then the nearer of the two segments that meet there.
+        NEAREST samples of each.
         """
-        p = len(self._path)
-        if (compiled := kernel("deviation")) is not None:
-            nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
-            of_path = self._path, self._path.shape[1], p, self._turns
-            of_nozzle = nozzle, nozzle.shape[1], len(nozzle), first
-            compiled(*of_path, *of_nozzle, at, len(at), NEAREST, COARSE, off)
-            return off
-        px, py, turns = self._path[:, X], self._path[:, Y], self._turns
-        ax, ay = nozzle[at - first, :Z].T
-        low, high = np.maximum(at - NEAREST, 0), np.minimum(at + NEAREST, p - 1)
-        off = _from_segment(ax, ay, px[low], py[low], px[high], py[high])
-        bent = np.flatnonzero(turns[high] != turns[low + 1])  # a turn strictly between
-        ax, ay, at = ax[bent], ay[bent], at[bent]
-        coarse = _nearest(px, py, ax, ay, [at + k for k in range(-NEAREST, NEAREST + 1, COARSE)])
-        # next what was left out: around the result, and around the sample of the same time, which
-        # is right at sharp corners if the nozzle follows well
-        k = _nearest(px, py, ax, ay, [coarse - 1, coarse, coarse + 1, at - 1, at, at + 1])
-        k = np.clip(k, 0, p - 1)
-        before, after = np.maximum(k - 1, 0), np.minimum(k + 1, p - 1)
-        x, y = px[k], py[k]
-        one = _from_segment(ax, ay, x, y, px[before], py[before])
-        other = _from_segment(ax, ay, x, y, px[after], py[after])
-        nearer = _square(one) < _square(other)
-        off[bent] = np.where(nearer[:, None], one, other)
-        return off
-
-
-def _count_turns(path: Array) -> Integers:
-    """Return how many samples before each, (p + 1,), change the path's direction."""
-    turns = np.zeros(len(path) + 1, np.int64)
-    if (compiled := kernel("count_turns")) is not None:
-        compiled(path, path.shape[1], len(path), STRAIGHT, turns)
-        return turns
-    dx, dy = np.diff(path[:, X]), np.diff(path[:, Y])
-    cross, dot = dx[:-1] * dy[1:] - dy[:-1] * dx[1:], dx[:-1] * dx[1:] + dy[:-1] * dy[1:]
-    still = (dx == 0.0) & (dy == 0.0)
-    turning = (np.abs(cross) > STRAIGHT * np.abs(dot)) | (dot < 0.0)
-    changes = np.ones(len(path), dtype=bool)
-    changes[1:-1] = turning | (still[:-1] != still[1:])
-    np.cumsum(changes, out=turns[1:])
-    return turns
-
-
-def _nearest(px: Array, py: Array, ax: Array, ay: Array, candidates: list[Integers]) -> Integers:
-    """Return which of the candidate samples, (q,) each, is nearest to each of the points a (q,)."""
-    nearest, best = candidates[0], np.full(len(ax), np.inf)
-    for candidate in candidates:
-        k = np.clip(candidate, 0, len(px) - 1)
-        dx, dy = px[k] - ax, py[k] - ay
-        distance2 = dx * dx + dy * dy
-        nearest = np.where(distance2 < best, candidate, nearest)
-        np.minimum(best, distance2, out=best)
-    return nearest
-
-
-def _square(off: Array) -> Array:
-    return np.asarray(off[:, X] * off[:, X] + off[:, Y] * off[:, Y])
-
-
-def _from_segment(ax: Array, ay: Array, px: Array, py: Array, qx: Array, qy: Array) -> Array:
-    """Return the shortest way (q, 2) to points a from the segments between p and q, all (q,)."""
-    dx, dy, ax, ay = qx - px, qy - py, ax - px, ay - py
-    length2 = dx * dx + dy * dy
-    share = np.divide(ax * dx + ay * dy, length2, out=np.zeros(len(ax)), where=length2 > 0.0)
-    np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
-    dx *= share
-    dy *= share
-    ax -= dx
-    ay -= dy
-    return np.column_stack([ax, ay])
+        return deviation(self._path, self._turns, nozzle, first, at, NEAREST)

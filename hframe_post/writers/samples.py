@@ -19,9 +19,9 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.model.plant import Plant, Response
+from hframe_post.native import digits
 from hframe_post.stream.chunks import batches, stretches, with_neighbours
 from hframe_post.stream.types import Samples
-from hframe_post.writers.stream import digits
 
 # Path, command, lift and filament, prediction. s, mm, rad.
 COLUMNS = ("t", "x_d", "y_d", "x_dm", "y_dm", "z", "e", "theta", "x", "y")

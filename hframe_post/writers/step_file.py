@@ -16,8 +16,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import StepFileError
+from hframe_post.native import digits
 from hframe_post.writers.files import decompressing
-from hframe_post.writers.stream import digits
 
 MOTORS = "ABZE"
 VERSION = 1

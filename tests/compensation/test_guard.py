@@ -7,11 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.clamp import AROUND, REACH, Clamp
+from hframe_post.compensation import clamp as clamp_module
+from hframe_post.compensation import guard as guard_module
+from hframe_post.compensation.clamp import AROUND, REACH, Clamp, Clamped
 from hframe_post.compensation.guard import (
     Guard,
+    Peaks,
     check_deviation,
     check_prediction,
     max_deviation,
@@ -23,10 +28,15 @@ from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
 from tests.quantities import below
+from tests.random_paths import walk
 
 TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
 LIMITS = (TRAVEL, MOTORS, Kinematics("cartesian"))
 FAR = (TRAVEL, Motors(1e5, 1e8), Kinematics())
+thorough = settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+seeds = st.integers(0, 2**32 - 1)
 
 
 def chunk(path: Array, command: Array, first: int = 0, ends: bool = False) -> Samples:
@@ -153,7 +163,53 @@ def test_only_the_chosen_command_is_checked() -> None:
         list(Guard(*FAR).check([both], "fbs"))
 
 
+@thorough
+@given(seeds, st.sampled_from([np.nan, np.inf, 0.01, 5.0, 300.0]), st.booleans())
+def test_what_is_safe_at_a_glance_is_safe_in_detail(
+    paper: Printer, seed: int, odd: float, in_z: bool
+) -> None:
+    """Safe or not, the same is known of the command, and the same said of it."""
+    rng = np.random.default_rng(seed)
+    path = np.tile([150.0, 80.0, 0.2, 0.0], (300, 1))
+    path[:, :2] += walk(rng, 300)
+    command = path[:, :2] + rng.normal(0.0, 1e-3, (300, 2))
+    (path[:, 2:] if in_z else command)[rng.integers(0, 300), 0] += odd
+    whole = Samples(0, path, np.arange(300), (), {"racking": command})
+
+    def outcome() -> str | Peaks:
+        try:
+            limits = paper.travel, paper.motors, paper.kinematics
+            return checked(batches([whole], 77), limits).peaks
+        except HframeError as error:
+            return str(error)
+
+    at_a_glance = outcome()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(guard_module, "is_safe", lambda *_: False)
+        assert outcome() == at_a_glance
+
+
 # ---------------------------------------------------------------------- clamp
+
+
+@thorough
+@given(seeds, st.floats(3.5, 5.5))
+def test_what_needs_no_reduction_passes_as_it_is(paper: Printer, seed: int, power: float) -> None:
+    rng = np.random.default_rng(seed)
+    path = np.array([150.0, 100.0]) + 0.05 * walk(rng, 2000)
+    off = np.zeros((2000, 2))
+    off[rng.integers(0, 2000, 3)] = 10.0**power * TS**2 * rng.uniform(0.1, 1.0, (3, 2))
+    whole = chunk(path, path + off)
+
+    def limited() -> tuple[bytes, Clamped]:
+        clamp = Clamp(paper.travel, paper.motors, paper.kinematics)
+        chunks = [*clamp.limit(batches([whole], 777), "racking")]
+        return join(chunks).commands["racking"].tobytes(), clamp.clamped
+
+    at_a_glance = limited()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clamp_module, "is_safe", lambda *_: False)
+        assert limited() == at_a_glance
 
 
 def clamped(whole: Samples, limits: tuple[Travel, Motors, Kinematics]) -> tuple[Array, Clamp]:

@@ -18,9 +18,10 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
-from hframe_post.firmware.motion import Dwelling, MotionRules, whole_feeds
+from hframe_post.firmware.motion import Dwelling, MotionRules
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
+from hframe_post.native.ramps import whole_feeds
 from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer

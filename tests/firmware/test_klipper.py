@@ -16,8 +16,9 @@ from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.motion import KlipperMotion
-from hframe_post.firmware.klipper.ramps import Ramped, StreamLimits
+from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.ramps import Ramped
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
@@ -50,9 +51,9 @@ def smooth(seed: int, period: float, n: int = 200) -> tuple[Array, Array, Flags]
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 8e-3]))
 def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
     delta, T, rest = smooth(seed, period)
-    v = Ramped.from_moves(delta, rest, STREAM).speeds(T, 0.0)
+    v = Ramped.from_moves(delta, rest, STREAM.row).speeds(T, 0.0)
     np.testing.assert_allclose(
-        Ramped.from_moves(delta, rest, STREAM).durations(v, 0.0), T, rtol=1e-6
+        Ramped.from_moves(delta, rest, STREAM.row).durations(v, 0.0), T, rtol=1e-6
     )
 
 
@@ -60,7 +61,7 @@ def test_naive_speeds_would_lose_time() -> None:
     """What the inversion is for; it also shows that the test above can fail."""
     delta, T, rest = smooth(1, 1e-3)
     naive = np.linalg.norm(delta[:, :3], axis=1) / T
-    lost = Ramped.from_moves(delta, rest, STREAM).durations(naive, 0.0) - T
+    lost = Ramped.from_moves(delta, rest, STREAM.row).durations(naive, 0.0) - T
     assert lost.min() >= -1e-12
     assert lost.max() > 1e-6
 
@@ -70,9 +71,9 @@ def test_segments_of_mixed_length_get_the_time_asked() -> None:
     cuts = np.concatenate([[0], np.cumsum(np.tile([1, 2, 4, 8], 16))])
     delta = np.stack([delta[a:b].sum(axis=0) for a, b in pairwise(cuts)])
     T, rest = np.diff(cuts) * 1e-3, np.zeros(len(cuts), dtype=bool)
-    v = Ramped.from_moves(delta, rest, STREAM).speeds(T, 60.0)
+    v = Ramped.from_moves(delta, rest, STREAM.row).speeds(T, 60.0)
     np.testing.assert_allclose(
-        Ramped.from_moves(delta, rest, STREAM).durations(v, 60.0), T, rtol=1e-6
+        Ramped.from_moves(delta, rest, STREAM.row).durations(v, 60.0), T, rtol=1e-6
     )
 
 
@@ -80,7 +81,7 @@ def alone(delta: tuple[float, float, float, float], v: float) -> float:
     """Duration of one segment from rest to rest."""
     rest = np.ones(2, dtype=bool)
     return float(
-        Ramped.from_moves(np.array([delta]), rest, STREAM).durations(np.array([v]), 0.0)[0]
+        Ramped.from_moves(np.array([delta]), rest, STREAM.row).durations(np.array([v]), 0.0)[0]
     )
 
 
@@ -120,20 +121,20 @@ def test_limited_segments_get_the_time_asked() -> None:
         delta[:, 2:] = 0.0
         delta[:, column] = value * d
         before = float(d[0] / T[0])
-        v = Ramped.from_moves(delta, rest, STREAM).speeds(T, before)
+        v = Ramped.from_moves(delta, rest, STREAM.row).speeds(T, before)
         np.testing.assert_allclose(
-            Ramped.from_moves(delta, rest, STREAM).durations(v, before), T, rtol=1e-6
+            Ramped.from_moves(delta, rest, STREAM.row).durations(v, before), T, rtol=1e-6
         )
 
 
 def test_neighbour_before_the_first_segment_counts() -> None:
     delta, T = np.array([[0.1, 0.0, 0.0, 0.0]]), np.array([1e-3])
     rest = np.zeros(2, dtype=bool)
-    rolling = Ramped.from_moves(delta, rest, STREAM).durations(np.array([100.0]), 100.0)
-    slower = Ramped.from_moves(delta, rest, STREAM).durations(np.array([100.0]), 80.0)
+    rolling = Ramped.from_moves(delta, rest, STREAM.row).durations(np.array([100.0]), 100.0)
+    slower = Ramped.from_moves(delta, rest, STREAM.row).durations(np.array([100.0]), 80.0)
     assert rolling[0] == pytest.approx(1e-3)
     assert slower[0] == pytest.approx(1e-3 + 20.0**2 / (2 * STREAM.acceleration) / 100.0)
-    assert Ramped.from_moves(delta, rest, STREAM).speeds(T, 80.0)[0] > 100.0
+    assert Ramped.from_moves(delta, rest, STREAM.row).speeds(T, 80.0)[0] > 100.0
 
 
 def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:

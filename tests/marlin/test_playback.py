@@ -16,7 +16,7 @@ from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.conversion.pipeline import Commands, Options
 from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.firmware.motion import whole_feeds
+from hframe_post.native.ramps import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

@@ -64,14 +64,15 @@ def bits(n: int) -> NDArray[Any]:
 def right() -> dict[str, Arguments]:
     """Return arguments of every loop that it takes."""
     text = b"G1 X1 Y2 F600\nG1 X2 E.1 ; a comment\nG1 Y3\n"
-    n, stepper = 4, guarded([1e6, 0.0, 0.0, 1.0, 0.0, 0.0])
+    n, stepper = 4, guarded([1e6, 0.0, 0.0, 1.0, 0.0, 0.0, 120.0])
     steps, t = guarded([9.0, 20.0, 30.0, 12.0]), guarded([0.01, 0.02, 0.02, 0.01])
     couplings = zeros(2, 3), floats(2), 2, floats(2)
     stop = (
         floats(60, 2), numbers(*range(24, 30)), 6, 2, 3, floats(6), bits(6), floats(6, 2),
         floats(1, 6), numbers(0, 1), 1, floats(3, 6, 4), numbers(0, 0, 1, 2), 4, floats(8, 2), 8,
-        floats(8, 4), floats(6, 4), numbers(*[0, 4] * 8), floats(6), floats(11), floats(45_000),
-        floats(4, 2),
+        floats(8, 4), floats(6, 4), numbers(*[0, 4] * 8), floats(6), floats(11), 24, 2, 3, 10,
+        guarded([0.01, 0.05, 1.5, 10.0, 0.7, 0.4, 2.0, 5.0, 1.2, 0.2, 1e-14, 0.02]),
+        floats(45_000), floats(4, 2),
     )  # fmt: skip
     return {
         "breakpoints": [floats(6, 4), bits(6), 6, 0.1, 8.0, 1.0, 1e-6, zeros(6), floats(6, 6)],
@@ -100,8 +101,8 @@ def right() -> dict[str, Arguments]:
             floats(6, 4), 5, floats(5), bits(6), 1.0, 1.0, floats(8), floats(62), floats(5),
         ],
         "klipper_feeds": [
-            floats(6, 4), 5, floats(5), bits(6), 1.0, 1.0, floats(8), 1e-5, 60.0, floats(62),
-            zeros(5), floats(5),
+            floats(6, 4), 5, floats(5), bits(6), 1.0, 1.0, floats(8), 3, 1e-5, 0.04, 60.0,
+            floats(62), zeros(5), floats(5),
         ],
         "least_squares": [*stop],
         "limit_moves": [
@@ -109,14 +110,14 @@ def right() -> dict[str, Arguments]:
         ],
         "marlin_block_times": [n, steps, *(floats(n) for _ in range(4)), stepper, floats(n)],
         "marlin_blocks": [
-            floats(6, 4), 5, floats(8), floats(2, 2), 1.0, floats(5), floats(5), floats(5),
+            floats(6, 4), 5, floats(8), floats(2, 2), 1.0, 0.9, floats(5), floats(5), floats(5),
             floats(6),
         ],
         "marlin_feed_rates": [
-            n, steps, floats(n), floats(n), floats(n + 1), t, 0.0, 0, stepper, floats(3, n),
-            floats(n),
+            n, steps, floats(n), floats(n), floats(n + 1), t, 0.0, 0, stepper, 3,
+            guarded([3.0, 0.01, 0.05, 0.9, 1e15]), floats(3, n), floats(n),
         ],
-        "marlin_segment_ends": [zeros(8, 2), 8, 2, 2, 1, 1, zeros(54), zeros(8)],
+        "marlin_segment_ends": [zeros(8, 2), 8, 2, 2, 24, 1, 1, zeros(54), zeros(8)],
         "marlin_times": [
             n, steps, floats(n), floats(n), floats(n + 1), floats(n), floats(n), 0.0, 0, stepper,
             floats(n),
@@ -133,7 +134,8 @@ def right() -> dict[str, Arguments]:
         "moving": [floats(5, 4), 5, 0, 1, zeros(5), bits(5)],
         "path_lengths": [floats(6, 4), 4, 0, 5, 1.0, 9.0, floats(5)],
         "phases": [
-            floats(2, 7), floats(2, 7), floats(3), floats(3), 2, 0.0, 1.0, floats(84), floats(1),
+            floats(2, 7), floats(2, 7), floats(3), floats(3), 2, 0.0, 1.0, 1e-9, floats(84),
+            floats(1),
         ],
         "plain_moves": [
             text, len(text), 0, 1, 4, floats(10), floats(16), floats(4, 8), zeros(2),
@@ -149,12 +151,12 @@ def right() -> dict[str, Arguments]:
         ],
         "responses": [
             floats(4, 6, 4), 4, floats(4, 2, 4), numbers(1, 1, 1, 1), 4, zeros(2, 3), floats(2, 4),
-            2, floats(2), floats(2, 5, 2), 2, numbers(0, 1, 1), 5, 3, floats(3, 5, 2),
+            2, floats(2), floats(2, 5, 2), 2, numbers(0, 1, 1), 5, 3, 4, floats(3, 5, 2),
         ],
         "safe": [
             floats(5, 4), floats(5, 2), 5, floats(2, 2), floats(8), floats(2, 2), 1e-3, floats(4),
         ],
-        "sliding_sums": [floats(3), 3, floats(2 + 2 * 32), 2, floats(2 * 32)],
+        "sliding_sums": [floats(3), 3, floats(2 + 40), 40, floats(40)],
         "stand": [floats(7), floats(2, 4), 0, 5, 4, 1e-3, floats(5, 4)],
         "too_thick": [
             floats(9, 4), 9, numbers(3, 6, 8), 3, 0.4, 0.1, 2.4, zeros(3), floats(1), floats(2, 3),

@@ -12,7 +12,6 @@ from types import ModuleType
 import pytest
 
 import hframe_post
-from hframe_post import native
 
 SOURCES = Path(hframe_post.__file__).parent / "native"
 
@@ -33,9 +32,3 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture
-def compiled(library: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use the compiled version of every loop."""
-    monkeypatch.setattr(native, "built", lambda: library)

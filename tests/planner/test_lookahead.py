@@ -13,7 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E
-from hframe_post.planner.lookahead import BATCH, plan, reachable_speed
+from hframe_post.native.lookahead import reachable_speed
+from hframe_post.planner.lookahead import BATCH, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,

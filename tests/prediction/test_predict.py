@@ -8,8 +8,8 @@ from scipy import signal
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.model.plant import Response
-from hframe_post.model.stop_cost import NEAREST
 from hframe_post.model.strategies import Compensator
+from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.predict import contour_error, judge
 from hframe_post.stream.types import Samples
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hframe_post import native
 from hframe_post.errors import HframeError
-from hframe_post.writers.stream import digits
+from hframe_post.native import digits
+from hframe_post.writers.stream.gcode import word
 
 
 def formatted(letter: str, value: int, decimals: int) -> str:
@@ -94,9 +95,9 @@ def test_a_single_word_is_written_as_in_a_line(value: int, decimals: int) -> Non
         line = extruded([value], decimals).decode()
     except HframeError:
         with pytest.raises(HframeError):
-            digits.word("E", value, decimals)
+            word("E", value, decimals)
     else:
-        shown = digits.word("E", value, decimals)
+        shown = word("E", value, decimals)
         assert line == f"G1 X0 Y0 {shown}\n" if value else line == "G1 X0 Y0\n"
 
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper import ramps
 from hframe_post.firmware.klipper.code import labels_object, table_of
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.firmware.klipper.segments import breakpoints, fitted, sparser, thinned
+from hframe_post.firmware.klipper.segments import sparser, thinned
 from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Rejoined, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.native.decimate import breakpoints, fitted
+from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Rests
@@ -109,12 +110,12 @@ class KlipperMotion(MotionRules):
     def feeds(
         self, at: Array, T: Array, rest: Flags, before: float, after: float, per_feed: float
     ) -> tuple[Integers, Array]:
-        return ramps.feeds(at, T, rest, before, after, self.limits, per_feed)
+        return klipper_feeds(at, T, rest, before, after, self.limits.row, per_feed)
 
     def durations(
         self, at: Array, v: Array, rest: Flags, before: float, after: float = math.inf
     ) -> Array:
-        return ramps.durations(at, v, rest, before, after, self.limits)
+        return klipper_durations(at, v, rest, before, after, self.limits.row)
 
     def corners(
         self, way: Way, speed: float, planned: tuple[float, float], previous: Way | None = None

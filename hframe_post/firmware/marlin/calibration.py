@@ -16,11 +16,11 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.marlin.block_times import Timer
-from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.firmware.marlin.code import MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps
+from hframe_post.native.block_times import Timer
+from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import most_steps, motor_steps
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
@@ -111,7 +111,7 @@ def _room(printer: Printer, marlin: MarlinCode) -> tuple[float, float]:
 def _duration(part: Part, printer: Printer, marlin: MarlinCode, planner: Planner) -> float:
     belt = marlin.steps.belt
     cells = np.rint(np.column_stack([part.x, np.zeros_like(part.x)]) / belt).astype(np.int64)
-    n = most_steps(motor_steps(cells, printer.kinematics)).astype(np.float64)
+    n = most_steps(motor_steps(cells, printer.kinematics.matrix)).astype(np.float64)
     d = np.diff(cells[:, 0]) * belt
     total = 0.0
     for order in (1, -1):  # there, and back

@@ -10,9 +10,9 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, plain
-from hframe_post.firmware.marlin.block_times import Timer
 from hframe_post.firmware.marlin.planner import Planner, make_planner
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
+from hframe_post.native.block_times import Timer
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState

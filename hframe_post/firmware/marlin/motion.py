@@ -17,13 +17,13 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.errors import HframeError
-from hframe_post.firmware import ramps
-from hframe_post.firmware.marlin.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
-from hframe_post.firmware.marlin.segments import motor_steps, segment_ends
-from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Stroke, Way, whole_feeds
+from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Stroke, Way
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
+from hframe_post.native.ramps import speeds, whole_feeds
+from hframe_post.native.whole_steps import motor_steps, segment_ends
 from hframe_post.printer.settings import Printer
 
 SLOWEST_STROKE = 0.3  # of the speed that the file asks for
@@ -107,7 +107,7 @@ class MarlinMotion(MotionRules):
         n, d, a, _ = blocks = self._blocks(at)
         a = a * d / n
         T = np.maximum(wanted, d / speed)
-        v = float(ramps.speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
+        v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
         v = min(max(v, SLOWEST_STROKE * speed), speed)
         if self.planner.fixed_time:
             v = max(v, leaving)
@@ -129,7 +129,7 @@ class MarlinMotion(MotionRules):
         cells = np.rint(points[:, :Z] / self.code.steps.belt).astype(np.int64)
         apart = 1.0 / (TS * SPARED * self.lines_per_second)
         ends = segment_ends(
-            motor_steps(cells, self.kinematics), self.code.table.min_steps_per_segment,
+            motor_steps(cells, self.kinematics.matrix), self.code.table.min_steps_per_segment,
             max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
         )  # fmt: skip
         at = points[ends]
@@ -159,4 +159,4 @@ class MarlinMotion(MotionRules):
             code.filament_acceleration, code.limits.extruder_acceleration,
             math.inf if code.table.classic_jerk else JUNCTION_DEVIATION,
         )  # fmt: skip
-        return blocks_between(at, after, limits, self.kinematics)
+        return blocks_between(at, after, limits, self.kinematics.matrix)

@@ -8,11 +8,11 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
-from hframe_post.firmware.marlin.segments import most_steps, motor_steps
 from hframe_post.firmware.written_moves import Ramps, WrittenMoves
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import most_steps, motor_steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class MarlinMoves(WrittenMoves):
         return (round(v / self.step) - 0.4) * self.step
 
     def ramps(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Ramps:
-        n = most_steps(motor_steps(cells, self.kinematics)).astype(np.float64)
+        n = most_steps(motor_steps(cells, self.kinematics.matrix)).astype(np.float64)
         d = np.abs(np.diff(cells, axis=0)).sum(axis=1) * self.step
         blocks = Blocks(n, d, np.floor(acceleration * n / d))
         return Ramps(*self.code.planner.stroke(blocks, turns, v))

@@ -25,8 +25,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.packed import unpacked
+from hframe_post.native import digits
 from hframe_post.printer.settings import Sweep
-from hframe_post.writers.stream import digits
 
 MARK_HZ = (10.0, 100.0)
 SETTLED = 300  # samples more of rest after the sine, in which the response of a slow pole dies away

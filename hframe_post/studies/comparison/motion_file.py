@@ -16,7 +16,6 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Integers, Z, lengths
 from hframe_post.errors import GcodeError
-from hframe_post.firmware import ramps
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
 from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP
@@ -24,7 +23,8 @@ from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import AXES, Bed, State
-from hframe_post.model.constant_acceleration import junction_deviation, junction_speeds
+from hframe_post.native import ramps
+from hframe_post.native.corners import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
 from hframe_post.writers.stream.print_time import SUMMARY
 

@@ -18,13 +18,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 
 from hframe_post.arrays import E, Z
-from hframe_post.firmware.code import Code
+from hframe_post.errors import HframeError
+from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.motion import MotionRules
+from hframe_post.native.digits import TOO_LONG, least_too_long, motion_lines
 from hframe_post.stream.types import Position, Samples
-from hframe_post.writers.stream import digits
 from hframe_post.writers.stream.machine import Machine, Settings, StandingMove, Text
 from hframe_post.writers.stream.pace import Pace, TimedCommand, TimedMotion, TimedMove
 from hframe_post.writers.stream.print_time import DeferredLine, Output
@@ -152,7 +154,7 @@ def _motion(motion: TimedMotion, feed: int, revert: bytes, units: Units) -> Iter
 
     revert: goes before the second.
     """
-    rows, ends = digits.motion_lines(motion.at, motion.feeds, feed, units.decimals)
+    rows, ends = motion_lines(motion.at, motion.feeds, feed, units.decimals)
     between = motion.between
     if revert:
         between = sorted([(1, Text(revert)), *between], key=itemgetter(0))
@@ -171,10 +173,18 @@ def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:
     start, end, decimals = move.start, move.end, units.decimals
     words = ["G1"]
     if end[Z] != start[Z]:
-        words.append(digits.word("Z", end[Z], decimals[Z]))
+        words.append(word("Z", end[Z], decimals[Z]))
     if end[E] != start[E]:
-        words.append(digits.word("E", end[E] - start[E], decimals[E]))
+        words.append(word("E", end[E] - start[E], decimals[E]))
     if len(words) == 1:
         return b""
-    words.append(digits.word("F", feed, decimals[-1]))
+    words.append(word("F", feed, decimals[-1]))
     return " ".join(words).encode() + b"\n"
+
+
+@lru_cache(maxsize=1024)  # words of retractions and lifts recur
+def word(letter: str, units: int, decimals: int) -> str:
+    """Return one word as ``motion_lines`` writes it; for one alone, arrays take longer."""
+    if abs(units) >= least_too_long(decimals):
+        raise HframeError(TOO_LONG)
+    return letter + plain(units / 10**decimals, decimals)

@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Y
+from hframe_post.arrays import Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.native import kernel
+from hframe_post.native.segments import motion_segments
 from hframe_post.stream.types import Mark, Position
 
 SAMPLES_AT_ONCE = 1 << 14
-DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
 
 Place = tuple[int, int, int, int]  # x, y, z, e in output units
 
@@ -182,7 +181,7 @@ def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: 
     """
     forced = batch.forced
     made, places = rules.segments(batch.points, forced, batch.last)
-    at, ends, T, dwell = _moving(places, made, forced, np.array(start), still, units)
+    at, ends, T, dwell = motion_segments(places, made, forced, np.array(start), still, units.per_mm)
     left = batch.samples - int(ends[-1]) if len(ends) else still + batch.samples
     bounded = rules.lines_per_second < math.inf
     missed = _missed(batch.points, made, places) if bounded else 0.0
@@ -195,39 +194,6 @@ def _missed(points: Array, ends: Integers, places: Array) -> float:
     n = when[-1] + 1
     off = [np.interp(np.arange(n), when, vertices[:, k]) - points[:n, k] for k in (X, Y)]
     return float(np.square(off).sum())
-
-
-def _moving(
-    places: Array, ends: Integers, forced: Flags, start: Integers, still: int, units: Units
-) -> tuple[Integers, Integers, Array, Integers]:
-    """Return at, ends, T and dwell of the segments that move, as in ``Segments``."""
-    if (compiled := kernel("motion_segments")) is not None:
-        k, n, per_mm = len(ends), len(forced), units.per_mm
-        at, ended, T = np.empty((k + 1, 4), np.int64), np.empty(k, np.int64), np.empty(k)
-        dwell = np.empty(k, np.int64)
-        count = compiled(
-            places, ends, k, forced, n, per_mm, start, still, DWELL, TS, at, ended, T, dwell
-        )
-        return at[: count + 1], ended[:count], T[:count], dwell[:count]
-    at = np.vstack([start, units.rounded(places)])
-    moved = np.any(np.diff(at[:, :E], axis=0) != 0, axis=1)
-    at[1:][moved, E] = at[1:][_extruded_by(moved, ends, np.flatnonzero(forced)), E]
-    starts, ends = np.concatenate([[0], ends])[:-1][moved], ends[moved]
-    idle = starts - np.concatenate([[-still], ends])[: len(ends)]
-    dwell = np.where(idle >= DWELL, idle, 0)
-    return at[np.append(True, moved)], ends, (ends - starts + idle - dwell) * TS, dwell
-
-
-def _extruded_by(moved: Flags, ends: Integers, marks: Integers) -> Integers:
-    """Return for each segment that moves the one up to which it extrudes.
-
-    That is the last one before the next segment that moves, or the last that ends before the next
-    mark or at it. ends, marks: points of the batch.
-    """
-    moving = np.flatnonzero(moved)
-    before_next = np.append(moving[1:], len(moved)) - 1
-    at_marks = np.append(np.searchsorted(ends, marks, side="right") - 1, len(moved))
-    return np.asarray(np.minimum(before_next, at_marks[np.searchsorted(at_marks, moving)]))
 
 
 def rows_before(batch: Batch, ends: Integers) -> list[int]:

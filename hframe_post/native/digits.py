@@ -1,15 +1,14 @@
-"""Numbers as text, many at once, from tables of digits."""
+"""Numbers as text, many at once: lines of motion in C and in numpy, from tables of digits."""
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, E, Integers, Z
 from hframe_post.errors import HframeError
-from hframe_post.firmware.code import plain
 from hframe_post.native import kernel
 
 Bytes = NDArray[np.uint8]
@@ -30,20 +29,13 @@ def motion_lines(
     difference. No exponent, no negative zero, no trailing zeros. Raises HframeError for numbers
     with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
-    if (compiled := kernel("motion_lines")) is None:
-        return _motion_lines(at, feeds, feed, decimals)
     n = len(feeds)
-    text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
-    size = compiled(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
-    if size < 0:
-        raise HframeError(TOO_LONG)
-    return text[:size].tobytes(), ends
-
-
-def _motion_lines(
-    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...]
-) -> tuple[bytes, Integers]:
-    n = len(feeds)
+    if (compiled := kernel("motion_lines")) is not None:
+        text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
+        size = compiled(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
+        if size < 0:
+            raise HframeError(TOO_LONG)
+        return text[:size].tobytes(), ends
     shown = np.column_stack([np.diff(at, axis=0), np.diff(feeds, prepend=feed)]) != 0
     shown[0, :Z] |= feed == 0
     values = np.column_stack([at[1:, :E], np.diff(at[:, E]), feeds])
@@ -60,14 +52,6 @@ def _motion_lines(
     return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
 
 
-@lru_cache(maxsize=1024)  # words of retractions and lifts recur
-def word(letter: str, units: int, decimals: int) -> str:
-    """Return one word as ``motion_lines`` writes it; for one alone, arrays take longer."""
-    if abs(units) >= min(10 ** (WHOLE_DIGITS + decimals), 2**32):
-        raise HframeError(TOO_LONG)
-    return letter + plain(units / 10**decimals, decimals)
-
-
 @cache
 def _row(decimals: tuple[int, ...]) -> Integers:
     return np.array(decimals)
@@ -75,8 +59,12 @@ def _row(decimals: tuple[int, ...]) -> Integers:
 
 @cache
 def _longest(decimals: tuple[int, ...]) -> Integers:
-    """Return the least numbers that are too long to be written, (5,)."""
-    return np.array([min(10 ** (WHOLE_DIGITS + places), 2**32) for places in decimals])
+    return np.array([*map(least_too_long, decimals)])
+
+
+def least_too_long(decimals: int) -> int:
+    """Return the least number, in units of 10^−decimals, that is too long to be written."""
+    return int(min(10 ** (WHOLE_DIGITS + decimals), 2**32))
 
 
 def rows(columns: list[Bytes]) -> bytes:

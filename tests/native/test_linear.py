@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_post.model.linear import power, product, pseudo_inverse, recursion
+from hframe_post.native.linear import power, product, pseudo_inverse, recursion
 
 seeds = st.integers(0, 2**32 - 1)
 

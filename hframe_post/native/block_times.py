@@ -1,4 +1,4 @@
-"""How long Marlin takes for a block, by the generation of its planner.
+"""How long Marlin takes for a block, in C and in numpy, by the generation of its planner.
 
 Rates are steps per second of the motor that makes most steps in the block, *n* of them; *a* is
 its acceleration, steps/s². A block begins at one rate, runs at its nominal rate and ends at a
@@ -15,7 +15,8 @@ ft-motion    as asked   (exact trapezoids in time)                    √(a/2) o
 
 2.0 is 2.0.9.x, 2.1 is 2.1.1 to 2.1.2.x, 2.1-dev the development branch since October 2024, in
 which a ramp that falls after a cruise is ahead by half an interval, too. ft-motion is fixed-time
-motion of such builds, with the trapezoidal trajectory and no shaper: see ``planner``.
+motion of such builds, with the trapezoidal trajectory and no shaper; its times are in
+``firmware.marlin.planner``.
 """
 
 from __future__ import annotations
@@ -27,10 +28,16 @@ from functools import cached_property
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.firmware.marlin.blocks import Blocks
 from hframe_post.native import kernel
+from hframe_post.native.blocks import Blocks
+from hframe_post.native.ramps import ends
 
 SLOWEST = 120.0  # steps/s, before the development branch
+ROUNDS = 3  # of the rates' dependence on their neighbours'
+FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make up for its ramps
+MOST_LOST = 0.01  # share of time that rounding can lose
+ROUNDING = 0.05  # share of a block's time beyond which lateness is not due to rounding
+AT_BOUND = 0.9  # share of the fastest rate from which on a rate is not free
 FEW = 16  # blocks whose ramps take longer as arrays than one after the other
 
 
@@ -84,10 +91,10 @@ class Stepper:
 
     @cached_property
     def row(self) -> Array:
-        """Return it as the compiled loops take it, (6,)."""
+        """Return it as the compiled loops take it, (7,)."""
         t = self.timer
         own = self.ahead, self.development, self.s_curve
-        return np.array([t.hz, t.extra_tick, t.smoothing_hz, *own])
+        return np.array([t.hz, t.extra_tick, t.smoothing_hz, *own, SLOWEST])
 
     @cached_property
     def unrounded(self) -> Stepper:
@@ -96,12 +103,12 @@ class Stepper:
 
 def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
     """Return the seconds (k,) of blocks from the rates (k,) at which they begin, run and end."""
-    if (compiled := kernel("marlin_block_times")) is None:
-        times = _development_times if stepper.development else _released_times
-        return times(blocks, begin, rate, end, stepper)
-    k, taken = len(rate), np.empty(len(rate))
-    compiled(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
-    return taken
+    if (compiled := kernel("marlin_block_times")) is not None:
+        k, taken = len(rate), np.empty(len(rate))
+        compiled(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
+        return taken
+    found = _development_times if stepper.development else _released_times
+    return found(blocks, begin, rate, end, stepper)
 
 
 def _released_times(
@@ -222,3 +229,73 @@ def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Arr
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.where(way != 0.0, np.clip(a * t / np.abs(way), 0.0, 1.0), 1.0)
     return np.asarray(np.floor(start + way * (u * u * u) * (10.0 - 15.0 * u + 6.0 * u * u)))
+
+
+def joined_times(
+    blocks: Blocks, v: Array, rate: Array, before: float, free_entry: bool, stepper: Stepper
+) -> Array:
+    """Return the seconds (k,) of successive blocks at speeds v (k,) and their rates, as rounded.
+
+    before: speed of the block that precedes; free_entry: they begin at their own speed, if their
+    corners allow it. The last ends at its own speed.
+    """
+    n, d, a, corners = blocks
+    if (compiled := kernel("marlin_times")) is not None:
+        k, taken, own = len(v), np.empty(len(v)), (before, free_entry, stepper.row)
+        compiled(k, n, d, a, _at_ends(corners, k), v, rate, *own, taken)
+        return taken
+    v_s, v_e = ends(v, corners, before, least_entry(blocks, free_entry, stepper.development))
+    # releases: of the rate as it is rounded
+    per_mm = n / d if stepper.development else rate / v
+    return block_times(blocks, v_s * per_mm, rate, v_e * per_mm, stepper)
+
+
+def least_entry(blocks: Blocks, free_entry: bool, development: bool) -> Array:
+    """Return the least speeds (k,), mm/s, at which blocks begin."""
+    if development:
+        return np.sqrt(blocks.a / 2.0) * blocks.d / blocks.n
+    return np.full(len(blocks.n), math.inf if free_entry else 0.0)
+
+
+def feed_rates(
+    blocks: Blocks, T: Array, before: float, free_entry: bool, stepper: Stepper
+) -> Array:
+    """Return speeds (k,), mm/s, at which blocks take the time T (k,); see ``joined_times``."""
+    n, d, a, corners = blocks
+    if (compiled := kernel("marlin_feed_rates")) is not None:
+        k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
+        own = before, free_entry, stepper.row
+        rules = np.array([FASTEST, MOST_LOST, ROUNDING, AT_BOUND, UNROUNDED.hz])
+        compiled(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, rules, room, v)
+        return v
+    mean, lost = n / T, 0.0
+    rate, slowest, fastest = mean, mean / FASTEST, mean * FASTEST
+    for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
+        for _ in range(ROUNDS):
+            exact = stepper.unrounded
+            taken = joined_times(blocks, rate * d / n, rate, before, free_entry, exact)
+            rate = rate * (taken / (T * (1.0 - lost)))
+            rate = np.minimum(np.maximum(rate, slowest), fastest)  # ramps may be too long
+        whole = _dithered(rate, stepper.timer)
+        v = (whole - 0.5) * d / n  # Marlin rounds up
+        late = joined_times(blocks, v, whole, before, free_entry, stepper) - T
+        no_rate_fits = (np.abs(late) > ROUNDING * T) | (rate > AT_BOUND * FASTEST * n / T)
+        late[no_rate_fits] = 0.0
+        share = float(np.cumsum(late)[-1] / np.cumsum(T)[-1])  # sums in order
+        lost = min(max(lost + share, -MOST_LOST), MOST_LOST)
+    return np.asarray(v)
+
+
+def _at_ends(corners: Array | float, k: int) -> Array:
+    return np.full(k + 1, corners)
+
+
+def _dithered(rate: Array, timer: Timer) -> Array:
+    """Return whole rates (k,) of whole ticks, spread about rates (k,) so that no error adds up."""
+    golden = (5.0**0.5 - 1.0) / 2.0  # its multiples fall evenly between whole numbers
+    threshold = np.modf(golden * np.arange(1, len(rate) + 1))[0]
+    shares = timer.interrupts(rate)
+    ticks = np.floor(timer.hz / (rate * shares) - float(timer.extra_tick) + threshold)
+    slow = rate * rate * shares < timer.hz  # whole rates are finer than whole ticks
+    whole = np.where(slow, rate + threshold, timer.hz / np.maximum(ticks, 1.0) / shares)
+    return np.asarray(np.maximum(np.floor(whole), 1.0))

@@ -1,4 +1,4 @@
-"""What Marlin makes of segments: blocks in whole steps, within its limits."""
+"""What Marlin makes of segments, in C and in numpy: blocks in whole steps, within its limits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z, lengths
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.native import kernel
 
 STRAIGHT = 0.999999  # cosine of the angle between two blocks
@@ -43,24 +42,20 @@ class BlockLimits(NamedTuple):
     deviation: float
 
 
-def blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kinematics) -> Blocks:
+def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) -> Blocks:
     """Return the blocks between places at (k + 1, 4), mm.
 
-    The first may begin at any speed, the last ends at ``after`` or less.
+    The first may begin at any speed, the last ends at ``after`` or less. matrix (2, 2): from x, y
+    to the motors.
     """
-    if (compiled := kernel("marlin_blocks")) is None:
-        return _blocks_between(at, after, limits, kinematics)
-    k = len(at) - 1
-    n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
-    row = np.array(limits)
-    compiled(at, k, row, kinematics.matrix, after, n, d, a, corners)
-    return Blocks(n, d, a, corners)
-
-
-def _blocks_between(at: Array, after: float, limits: BlockLimits, kinematics: Kinematics) -> Blocks:
+    if (compiled := kernel("marlin_blocks")) is not None:
+        k, row = len(at) - 1, np.array(limits)
+        n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
+        compiled(at, k, row, matrix, after, STRAIGHT, n, d, a, corners)
+        return Blocks(n, d, a, corners)
     row = np.rint(at / (limits.belt, limits.belt, limits.z, limits.e))
     steps, moved = row[1:] - row[:-1], at[1:] - at[:-1]
-    motors = steps[:, :Z] @ kinematics.matrix.T  # whole numbers: exact in any order
+    motors = steps[:, :Z] @ matrix.T  # whole numbers: exact in any order
     xy, z, e = np.maximum(*np.abs(motors).T), np.abs(steps[:, Z]), np.abs(steps[:, E])
     n = np.maximum(np.maximum(np.maximum(xy, z), e), 1.0)
     moved[:, :Z] = steps[:, :Z] * limits.belt

@@ -1,19 +1,21 @@
-"""Where segments end, so that Marlin queues each of them and rounds nothing."""
+"""Where segments end, so that Marlin queues each of them and rounds nothing, in C and in numpy."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hframe_post.arrays import Integers
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernel
 
 IDLE = 24  # samples without a step, more of which are a standstill
 
 
-def motor_steps(cells: Integers, kinematics: Kinematics) -> Integers:
-    """Return the motors' steps (n − 1, 2) between places (n, 2) in whole steps of x and y."""
-    return np.asarray(np.diff(cells @ kinematics.matrix.astype(np.int64).T, axis=0))
+def motor_steps(cells: Integers, matrix: Array) -> Integers:
+    """Return the motors' steps (n − 1, 2) between places (n, 2) in whole steps of x and y.
+
+    matrix (2, 2): from x, y to the motors.
+    """
+    return np.asarray(np.diff(cells @ matrix.astype(np.int64).T, axis=0))
 
 
 def most_steps(steps: Integers) -> Integers:
@@ -28,17 +30,12 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     the machine stands or a motor turns before, and their leading motor makes ``least`` steps or
     none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
-    if (compiled := kernel("marlin_segment_ends")) is None:
-        return _segment_ends(steps, least, apart, stall, last)
     n = len(steps)
-    ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
-    count = compiled(steps, n, least, apart, stall, last, room, ends)
-    return ends[:count]
-
-
-def _segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool) -> Integers:
+    if (compiled := kernel("marlin_segment_ends")) is not None:
+        ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
+        count = compiled(steps, n, least, apart, IDLE, stall, last, room, ends)
+        return ends[:count]
     path = np.concatenate([[0], np.cumsum(most_steps(steps))])
-    n = len(steps)
     following = np.searchsorted(path, path + least)
     following = np.maximum(following, np.arange(n + 1) + apart)
     places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])

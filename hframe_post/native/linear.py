@@ -1,4 +1,4 @@
-"""Linear algebra that gives the same bits on every machine.
+"""Linear algebra that gives the same bits on every machine, in C and in numpy.
 
 BLAS and LAPACK add in an order that depends on the processor. Here every sum starts at zero and
 takes its terms in order, one rounding after each product and each addition.

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers, X, Y
-from hframe_post.model.stop_cost import ALONG, FAR, NEAREST, Rows
-from hframe_post.native import Kernel, kernel
+from hframe_post.native import kernel
 
+NEAREST = 24  # samples to either side in which the path's nearest point is sought; C takes no other
+ALONG = 0.01  # times the weight of a squared deviation across the path, for that along it
+FAR = 0.05  # mm off the path beyond which an extruding sample gets more weight
 SEARCHES, EMPHASES, TRIALS = 2, 3, 10  # iterations of steps 1, 3 and 2
 EMPHASIS, MOST_EMPHASIS = 1.5, 10.0  # factors of weights where the nozzle is FAR
 TARGET = 0.7  # share of its bound from which on a row of E is raised, so that it stays below
@@ -25,7 +27,7 @@ RAISED, MOST_RAISED = 2.0, 5.0  # factors of E²
 HARDEST = 0.97 / 0.8  # times its bound, an acceleration that is exceeded only if it must be
 EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the squared deviations
 SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
-ROOM = 45_000  # numbers that the compiled loop keeps meanwhile
+ROOM = 45_000  # numbers that the compiled loop needs to work in; C takes no fewer
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 
 
@@ -64,14 +66,20 @@ class Splines:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """A stop's least squares.
+    """A stop's least squares at r judged samples, the rows.
 
-    known (r, 2): the nozzle without p; levers (couplings, r); axes (couplings, 2): where these
-    answer, and their command; command (q, 2): without p; effort (2,); belts (2, 2): from x, y;
-    full_limit: of theirs, where nothing lowers it; bed (2, 2): least and greatest command.
+    path (n, 2): of a stretch; index (r,): the rows' places in it; held: which are in the hold,
+    where the path stands; weight (r,); extruding (r,): which count as printed. known (r, 2): the
+    nozzle without p; levers (couplings, r); axes (couplings, 2): where these answer, and their
+    command; command (q, 2): without p; effort (2,); belts (2, 2): from x, y; full_limit: of theirs,
+    where nothing lowers it; bed (2, 2): least and greatest command.
     """
 
-    rows: Rows
+    path: Array
+    index: Integers
+    held: slice
+    weight: Array
+    extruding: Flags
     known: Array
     levers: Array
     axes: Integers
@@ -81,27 +89,6 @@ class Problem:
     belts: Array
     full_limit: float
     bed: Array
-    room: Array
-
-    def solution(self) -> Array:
-        """Return p (k, 2)."""
-        if not len(self.splines.first):
-            return np.zeros((0, 2))
-        compiled = kernel("least_squares")
-        return _solution(self) if compiled is None else self._by(compiled)
-
-    def _by(self, compiled: Kernel) -> Array:
-        rows, splines, p = self.rows, self.splines, np.empty((len(self.splines.first), 2))
-        bed = self.bed.T.ravel()
-        bounds = np.concatenate([self.effort, self.belts.ravel(), bed, [self.full_limit]])
-        fits = compiled(
-            rows.path, rows.index, len(rows.index), rows.held.start, rows.held.stop, rows.weight,
-            rows.extruding, self.known, self.levers, self.axes, len(self.axes), splines.by_p,
-            splines.first, len(p), self.command, len(self.command), splines.N, splines.D,
-            splines.bands, splines.limit, bounds, self.room, p,
-        )  # fmt: skip
-        assert fits
-        return p
 
     def nozzle(self, p: Array) -> Array:
         """Return the nozzle at the rows, (r, 2)."""
@@ -112,9 +99,31 @@ class Problem:
         return np.asarray(self.known + moved)
 
 
+def least_squares(problem: Problem) -> Array:
+    """Return p (k, 2)."""
+    if not (k := len(problem.splines.first)):
+        return np.zeros((0, 2))
+    if (compiled := kernel("least_squares")) is None:
+        return _solution(problem)
+    q, splines, p = problem, problem.splines, np.empty((k, 2))
+    bounds = np.concatenate([q.effort, q.belts.ravel(), q.bed.T.ravel(), [q.full_limit]])
+    rules = np.array([
+        ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
+        EXCESS_COST, SHORT2, CLEARANCE,
+    ])  # fmt: skip
+    fits = compiled(
+        q.path, q.index, len(q.index), q.held.start, q.held.stop, q.weight, q.extruding, q.known,
+        q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
+        splines.N, splines.D, splines.bands, splines.limit, bounds, NEAREST, SEARCHES,
+        EMPHASES, TRIALS, rules, np.empty(ROOM), p,
+    )  # fmt: skip
+    assert fits
+    return p
+
+
 def _solution(problem: Problem) -> Array:
-    path = _Path.from_rows(problem.rows)
-    weight, bounds = problem.rows.weight, _BoundWeights.initial(problem)
+    path = _Path.from_problem(problem)
+    weight, bounds = problem.weight, _BoundWeights.initial(problem)
     p = best = np.zeros((len(problem.splines.first), 2))
     least = np.inf
     for search in range(SEARCHES + EMPHASES):
@@ -125,7 +134,7 @@ def _solution(problem: Problem) -> Array:
             continue
         nozzle = problem.nozzle(p)
         off = nozzle - path.nearest(nozzle)[0]
-        distance = np.where(problem.rows.extruding, _length(off), 0.0)
+        distance = np.where(problem.extruding, _length(off), 0.0)
         if (peak := float(distance.max(initial=0.0))) < least:
             best, least = p, peak
         if least <= FAR:
@@ -148,8 +157,9 @@ class _Path:
     short: Flags
 
     @classmethod
-    def from_rows(cls, rows: Rows) -> _Path:
-        around = rows.candidates()
+    def from_problem(cls, problem: Problem) -> _Path:
+        around = problem.path[problem.index[:, None] + np.arange(-NEAREST, NEAREST + 1)]
+        around[problem.held] = around[problem.held, NEAREST, None]
         start, step = around[:, :-1], np.diff(around, axis=1)
         length2 = np.square(step[..., X]) + np.square(step[..., Y])
         direction = _unit(step[:, NEAREST], np.array([1.0, 0.0]))
@@ -175,7 +185,7 @@ def _squares(problem: Problem, weight: Array, place: Array, foot: Array, t: Arra
     (x, y, *outputs), k = problem.splines.by_p, len(problem.splines.first)
     normal = np.sqrt(weight)
     along = np.full(len(weight), np.sqrt(ALONG))
-    along[problem.rows.held] = 1.0
+    along[problem.held] = 1.0
     along *= normal
     J = np.empty((len(weight), 2, 2 * k + 1))  # and the residual
     for row, to, n_x, n_y in (

@@ -1,0 +1,157 @@
+"""Times and speeds of segments with ramps inside, as firmware plans them, in numpy; Klipper's in C.
+
+A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
+acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
+more than their corner allows; but no less, in some firmware, than a speed at which a segment
+begins at least.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
+from hframe_post.native import kernel
+from hframe_post.native.corners import junction_speeds
+
+ROUNDS = 3  # of the speeds' dependence on their neighbours'
+LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
+MADE_UP = 0.04  # share of its time that a segment makes up for
+
+
+def speeds(
+    d: Array, T: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
+) -> Array:
+    """Return the cruise speeds (k,) with which segments d (k,) take the time T (k,).
+
+    a (k,): acceleration; caps (k + 1,), or one: greatest speeds at the ends; before:
+    cruise speed of the segment that precedes; least (k,): speeds of entry that neither lowers.
+    Solves d = v·T − [(v − v_s)² + (v − v_e)²]/2a. Where nothing does, the ramps are too
+    long and the segment takes more than T; not much more, if it is asked for at least d/T.
+    """
+    v = d / T
+    for _ in range(ROUNDS):
+        v_s, v_e = ends(v, caps, before, least)
+        S = a * T + v_s + v_e
+        c = 4.0 * ((v_s * v_s + v_e * v_e) / 2.0 + a * d)
+        v = np.maximum((S - np.sqrt(np.maximum(S * S - c, 0.0))) / 2.0, d / T)
+    return np.asarray(v)
+
+
+def durations(
+    d: Array, v: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
+) -> Array:
+    """Return the time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
+    v_s, v_e = ends(v, caps, before, least)
+    ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
+    return np.asarray((d + ramps) / v)
+
+
+def ends(
+    v: Array, caps: Array | float, before: float, least: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return the speeds (k,) at the start and at the end of each segment.
+
+    Where ``least`` makes the next one begin faster than this one runs, it ends that fast.
+    """
+    neighbours = np.concatenate([[before], v, v[-1:]])
+    joint = np.minimum(np.minimum(neighbours[:-1], neighbours[1:]), caps)
+    joint[:-1] = np.maximum(joint[:-1], np.minimum(least, v))
+    return joint[:-1], joint[1:]
+
+
+def klipper_feeds(
+    at: Array, T: Array, rest: Flags, before: float, after: float, limits: Array, per_feed: float
+) -> tuple[Integers, Array]:
+    """Return F (k,) by which Klipper takes the time T (k,) for segments, and what it takes.
+
+    at (k + 1, 4): x, y, z, e at their ends; rest (k + 1,): whether it stands there; before: cruise
+    speed of the segment that precedes; after: greatest speed at the last end. limits (8,): velocity
+    and acceleration, those in z, those of filament; corner velocity of filament, junction
+    deviation. F is whole, in units of which a mm/s has ``per_feed``.
+    """
+    if (compiled := kernel("klipper_feeds")) is not None:
+        k = len(T)
+        F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
+        constants = ROUNDS, LATE, MADE_UP, per_feed
+        compiled(at, k, T, rest, before, after, limits, *constants, room, F, taken)
+        return F, taken
+    ramped = Ramped.from_moves(np.diff(at, axis=0), rest, limits, after)
+    v = ramped.speeds(T, before)
+    late = ramped.durations(v, before) - T
+    if late.max() > LATE:
+        v = ramped.speeds(_made_up(T, np.where(late > LATE, late, 0.0)), before)
+    F = whole_feeds(v, per_feed)
+    return F, ramped.durations(F / per_feed, before)
+
+
+def klipper_durations(
+    at: Array, v: Array, rest: Flags, before: float, after: float, limits: Array
+) -> Array:
+    """Return the seconds (k,) that segments take at speeds v (k,); see ``klipper_feeds``."""
+    if (compiled := kernel("klipper_durations")) is not None:
+        k, taken = len(v), np.empty(len(v))
+        compiled(at, k, v, rest, before, after, limits, np.empty(12 * k + 2), taken)
+        return taken
+    return Ramped.from_moves(np.diff(at, axis=0), rest, limits, after).durations(v, before)
+
+
+@dataclass(frozen=True, slots=True)
+class Ramped:
+    """Segments with Klipper's ramps: length, acceleration and greatest speed of each (k,).
+
+    caps (k + 1,): greatest speeds at their ends.
+    """
+
+    d: Array
+    a: Array
+    top: Array
+    caps: Array
+
+    @classmethod
+    def from_moves(
+        cls, delta: Array, rest: Flags, limits: Array, after: float = math.inf
+    ) -> Ramped:
+        """Return the segments of moves delta (k, 4) in x, y, z, e.
+
+        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper stands at
+        each end; limits (8,): see ``klipper_feeds``; after: greatest speed at the last.
+        """
+        velocity, acceleration, z_velocity, z_acceleration, *of_e = limits.tolist()
+        e_velocity, e_acceleration, e_corner, deviation = of_e
+        d = lengths(delta[:, :E])
+        with np.errstate(divide="ignore"):
+            per_z = d / np.abs(delta[:, Z])
+            per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
+        a = np.minimum(per_z * z_acceleration, per_e * e_acceleration)
+        top = np.minimum(per_z * z_velocity, per_e * e_velocity)
+        a, top = np.minimum(a, acceleration), np.minimum(top, velocity)
+        inner = junction_speeds(delta, d, a, deviation, e_corner)
+        corners = np.concatenate([[math.inf], inner, [after]])
+        return cls(d, a, top, np.where(rest, 0.0, corners))
+
+    def speeds(self, T: Array, before: float) -> Array:
+        """Return the cruise speeds (k,) for the times T (k,); before: of the segment before."""
+        return speeds(self.d, T, self.a, self.caps, before)
+
+    def durations(self, v: Array, before: float) -> Array:
+        return durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
+
+
+def _made_up(T: Array, late: Array) -> Array:
+    """Return T (k,), shortened after segments that are late by (k,) s at any feed rate.
+
+    Lateness waits in a queue, from which each segment in time takes a share of its T.
+    """
+    taken = np.where(late > 0.0, 0.0, MADE_UP * T)
+    total = np.cumsum(late - taken)
+    waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
+    return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
+
+
+def whole_feeds(v: Array, per_feed: float) -> Integers:
+    """Return speeds (k,), mm/s, as F is written, in units of which a mm/s has ``per_feed``."""
+    return np.asarray(np.maximum(np.rint(v * per_feed), 1.0).astype(np.int64))

@@ -1,0 +1,30 @@
+"""Reading of many plain moves at once, in C; without it ``gcode.reader`` reads line by line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.native import kernel
+
+
+def plain_moves(
+    text: bytes, offset: int, first_line: int, state: Array, rules: Array, rows: Array
+) -> tuple[int, int, int]:
+    """Read moves from an offset in a text on; return how many, and the lines and bytes read.
+
+    It stops before the first line that is not a plain G0 or G1 in which x or y changes, or that
+    needs a closer look; without C that is the first. The text ends with a line feed. state (10,):
+    x, y, z, e, mm, the offset of each from what the file calls it, feed rate, speed, mm/s; it
+    changes. rules (16,): mm per unit of the file, factor on the speed, least feed rate, greatest
+    coordinate, greatest filament of a move, least x, y, z, greatest x, y, z, whether E is relative,
+    acceleration, corner velocity, greatest filament per mm of path, least path. rows (most, 8):
+    become source line, x, y, z, e at the end, speed, acceleration and corner velocity of each move.
+    """
+    if (compiled := kernel("plain_moves")) is None:
+        return 0, 0, 0
+    taken = np.empty(2, np.int64)
+    most = len(rows)
+    count = compiled(text, len(text), offset, first_line, most, state, rules, rows, taken)
+    lines, size = taken.tolist()
+    return count, lines, size
