@@ -313,7 +313,7 @@ def _without_its_frame(found: Estimated, whole: FrequencyResponse, modes: Modes)
     """Return the fit of a response, without a frame that rocks. whole: with the sensor's gain."""
     G, rocking = found.G, largest(modes)
     if rocking is not None:
-        G = without_frame(G, replace(modes, delay=modes.delay - found.delay))
+        G = without_frame(G, replace(modes, delay=modes.delay - found.delay), found.modes)
     left = share_left(found.response(whole.hz), whole, whole.power)
     return Fit(
         G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]), rocking

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, Flags
+from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.identification.estimation.known_start import AFTER
 from hframe_post.identification.estimation.modes import Modes
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -21,6 +23,7 @@ BELOW = 1.0 / 3.0  # of the strongest mode's frequency
 LIGHT = 0.2  # of the motion at rest, and a greater damping ratio than frames on feet have
 SHARED = 0.4  # of the response, that the bed has at least if the whole printer rocks
 VISIBLE = 0.15  # of the response, from which a peak is reported
+SAME = 0.05  # relative distance of two frequencies of one mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +83,37 @@ def largest(modes: Modes) -> Rocking | None:
     return Rocking(float(modes.hz[k]), float(modes.zeta[k]), float(share[k]))
 
 
-def without_frame(G: ImpulseResponse, modes: Modes) -> ImpulseResponse:
-    """Return G without the modes of the frame, and 1 at rest again."""
+def without_frame(G: ImpulseResponse, modes: Modes, rings_in: Sequence[Mode]) -> ImpulseResponse:
+    """Return G without the modes of the frame, and 1 at rest again.
+
+    modes: that describe it. rings_in: those that it is made of where it has decayed otherwise, of
+    which nothing must stay: a description by modes is 1 to 5 % off at their peaks.
+    """
     frame = modes.only(rocking_flags(modes))
+    own = [bool((np.abs(mode.omega / frame.omega - 1.0) < SAME).any()) for mode in rings_in]
+    if sum(own) == len(frame.omega):
+        frame = _at_the_end(G, rings_in).only(np.array(own))
     kept = 1.0 - float(frame.c.sum())
-    late = modes.delay / TS
+    late = frame.delay / TS
     k = np.arange(len(G.deviation), dtype=float) - G.lead
     whole = np.arange(len(k), dtype=float)
     gone = np.interp(k - late, whole, frame.deviation(len(k)), 0.0, 0.0)
     lag = frame.lag + late * frame.c.sum()
     return replace(G, deviation=(G.deviation - gone) / kept, lag=float(G.lag - lag) / kept)
+
+
+def _at_the_end(G: ImpulseResponse, rings_in: Sequence[Mode]) -> Modes:
+    """Return the modes in which G rings after what decays has ended, as seen from its start."""
+    omega, zeta = np.transpose([(mode.omega, mode.zeta) for mode in rings_in])
+    poles = np.array([mode.pole for mode in rings_in])
+    k = np.arange(AFTER, len(G.deviation) - G.lead)
+    turning = np.exp(np.outer(k, poles))
+    columns = np.hstack([turning.real, -turning.imag])
+    parts = np.linalg.lstsq(columns, G.deviation[k + G.lead], rcond=1e-12)[0].reshape(2, -1)
+    # q = Re(A e^{pk}) is that of (c + d p/ω) ω²/(i ω' p²) e^{pk}, see ``Modes.deviation``
+    shares = (parts[0] + 1j * parts[1]) * 1j * poles.imag * poles**2 / omega**2
+    d = shares.imag * omega / poles.imag
+    return Modes(omega, zeta, shares.real - d * poles.real / omega, d, 1.0, 0.0)
 
 
 def left_below(
