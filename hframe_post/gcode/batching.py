@@ -45,7 +45,7 @@ class PlainMoves:
         self._source, self._state = source, state
         self._edges = (*bed.smallest, *bed.largest)
         self._values, self._rules = np.empty(10), np.empty(16)
-        self._rows = np.empty((MOVES_PER_ITEM, 8))
+        self._rows, self._taken = np.empty((MOVES_PER_ITEM, 8)), np.empty(2, dtype=np.int64)
 
     def take(self, most: int) -> Array | None:
         """Read moves and change the state; return a row for each of at most ``most`` moves (k, 8).
@@ -65,9 +65,11 @@ class PlainMoves:
             not state.absolute_e, state.acceleration, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
             MIN_PATH,
         )  # fmt: skip
-        count, lines, size = plain_moves(
-            text, offset, source.number + 1, self._values, self._rules, self._rows[:most]
-        )
+        count = plain_moves(
+            text, offset, source.number + 1, most,
+            self._values, self._rules, self._rows, self._taken,
+        )  # fmt: skip
+        lines, size = self._taken.tolist()
         source.skip(lines, size)
         x, y, z, e, *_, state.feed, _ = self._values.tolist()
         if count:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernel
 
 
 def plain_moves(
-    text: bytes, offset: int, first_line: int, state: Array, rules: Array, rows: Array
-) -> tuple[int, int, int]:
-    """Read moves from an offset in a text on; return how many, and the lines and bytes read.
+    text: bytes, offset: int, first_line: int, most: int, state: Array, rules: Array, rows: Array,
+    taken: Integers,
+) -> int:  # fmt: skip
+    """Read at most ``most`` moves from an offset in a text on; return how many.
 
     It stops before the first line that is not a plain G0 or G1 in which x or y changes, or that
     needs a closer look; without C that is the first. The text ends with a line feed. state (10,):
@@ -19,12 +18,10 @@ def plain_moves(
     changes. rules (16,): mm per unit of the file, factor on the speed, least feed rate, greatest
     coordinate, greatest filament of a move, least x, y, z, greatest x, y, z, whether E is relative,
     acceleration, corner velocity, greatest filament per mm of path, least path. rows (most, 8):
-    become source line, x, y, z, e at the end, speed, acceleration and corner velocity of each move.
+    become source line, x, y, z, e at the end, speed, acceleration and corner velocity of each move;
+    taken (2,): the lines and bytes read.
     """
     if (compiled := kernel("plain_moves")) is None:
-        return 0, 0, 0
-    taken = np.empty(2, np.int64)
-    most = len(rows)
-    count = compiled(text, len(text), offset, first_line, most, state, rules, rows, taken)
-    lines, size = taken.tolist()
-    return count, lines, size
+        taken[:] = 0
+        return 0
+    return compiled(text, len(text), offset, first_line, most, state, rules, rows, taken)

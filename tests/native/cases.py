@@ -162,15 +162,16 @@ def pieces(rng: Rng) -> Iterator[Call]:
 
 
 def commands(rng: Rng) -> Iterator[Call]:
-    """Some have a sample far off, or that is no number, or leave the bed in z."""
-    n, odd = 300, rng.choice([np.nan, np.inf, 0.0, 0.01, 5.0, 300.0])
+    """Some have a sample far off, or that is no number, or leave the bed in z; some are safe."""
+    n, odd = size(rng, 300), rng.choice([np.nan, np.inf, 0.0, 0.01, 5.0, 300.0])
     path = np.tile([150.0, 80.0, 0.2, 0.0], (n, 1))
-    path[:, :2] += walk(rng, n)
+    path[:, :2] += walk(rng, n) * rng.choice([1e-3, 1.0])
     command = path[:, :2] + rng.normal(0.0, rng.choice([1e-6, 1e-3]), (n, 2))
     where = path[:, 2:] if rng.random() < 0.5 else command
     where[rng.integers(0, n), 0] += odd
     limits = Guard(paper().travel, paper().motors, paper().kinematics)._limits
-    matrix, before, peaks = paper().kinematics.matrix, command[:1].repeat(2, axis=0), np.zeros(4)
+    matrix, before = paper().kinematics.matrix, command[:1].repeat(2, axis=0)
+    peaks = rng.uniform(0.0, [100.0, 1e4, 1e4, 1e4])
     yield guard.is_safe, path, command, before, limits, matrix, peaks
     yield guard.farthest, path, command
 
