@@ -45,9 +45,10 @@ class ChildProcess:
     def __init__(self, command: Sequence[str]) -> None:
         reading_end, self._writing_end = os.pipe()
         try:
+            # restored, SIGPIPE would end a child before its Python ignores it, as this one does
             self._process = subprocess.Popen(  # nosec B603  no shell, a list
                 command, stdin=reading_end, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                env={**os.environ, CHILD: "1"},
+                env={**os.environ, CHILD: "1"}, restore_signals=False,
             )  # fmt: skip
         finally:
             os.close(reading_end)
