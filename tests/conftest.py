@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands, prepared
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

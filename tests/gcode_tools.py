@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine

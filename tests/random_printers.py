@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hframe_post.arrays import Array, Z
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.identification.identify import Identified, Run, Settings, identify
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.recordings.sweep import positions

@@ -9,8 +9,7 @@ from typing import cast
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.options import Kind
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Kind, Options
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.model.kinematics import Kinematics

@@ -23,7 +23,7 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
-from hframe_post.conversion.options import Options as Options  # for callers of the stages
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import cos, sin, tau
 from typing import Any
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant

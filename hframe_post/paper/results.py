@@ -13,7 +13,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, X, Z
 from hframe_post.compensation.compensate import compensate
-from hframe_post.conversion.pipeline import Options, planned, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import planned, sampled
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.strategies import Compensator
 from hframe_post.paper.commands import WholeTrajectory, windowed

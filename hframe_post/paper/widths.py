@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, X, Y, Z
-from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands, prepared
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions

@@ -18,7 +18,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.edit import with_plant

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples

@@ -14,7 +14,8 @@ from scipy import linalg
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Commands, Options, prepared
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands, prepared
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Lpfbs

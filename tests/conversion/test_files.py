@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.options import Kind
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Kind, Options
 from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
 from hframe_post.gcode import batching

@@ -13,7 +13,7 @@ import pytest
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.meters import InputMeter
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode import batching

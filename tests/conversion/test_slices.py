@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.prediction.statistics import BEFORE
 from hframe_post.printer.settings import Printer
 from tests.conversion.slice_tools import (

@@ -13,7 +13,8 @@ import pytest
 
 from hframe_post.conversion import conversions, spans
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.conversion.spans import Beginning, Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read

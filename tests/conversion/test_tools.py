@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import parse
 from hframe_post.writers.stream.print_time import DeferredLine
 

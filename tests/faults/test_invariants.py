@@ -13,7 +13,8 @@ import pytest
 from hframe_post.arrays import Z
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.files import Target, convert
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.code import MarlinCode
 from hframe_post.firmware.marlin.motion import MarlinMotion

@@ -18,7 +18,8 @@ import numpy as np
 
 from hframe_post.arrays import Z
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.state import Extrusion
 from hframe_post.identification.recordings import accelerometer, excitation

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read

@@ -8,7 +8,7 @@ from subprocess import run
 
 import pytest
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from tests.conftest import ROOT
 from tests.fuzz.cases import KINDS
 from tests.fuzz.klipper import play_both

@@ -17,7 +17,8 @@ import numpy as np
 from scipy import linalg, signal
 
 from hframe_post.arrays import TS, Array, Complex, X, Y, Z
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.identification.recordings import strokes
 from hframe_post.identification.recordings.sweep import runs as sweeps
 from hframe_post.model.impulse_response import ImpulseResponse

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.checking.run import runs as check_runs

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction

@@ -12,7 +12,8 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.gcode.state import LimitSource

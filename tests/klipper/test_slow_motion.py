@@ -10,7 +10,8 @@ import pytest
 import hframe_post as hp
 from hframe_post.arrays import Array
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options, Stages, parsed, prepared
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Stages, parsed, prepared
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile

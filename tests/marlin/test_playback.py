@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Integers, Z
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.native.ramps import whole_feeds

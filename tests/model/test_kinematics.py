@@ -10,7 +10,8 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.ramps import StreamLimits

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hframe_post import native
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES

@@ -10,7 +10,8 @@ import pytest
 
 from hframe_post import native
 from hframe_post.arrays import Array, X, Y
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant, nozzle

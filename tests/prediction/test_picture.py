@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.conversion import spans
 from hframe_post.conversion.files import convert
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.prediction import picture as picture_module
 from hframe_post.prediction.picture import Picture
 from hframe_post.printer.settings import Printer

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_post.compensation.shape import shape
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES

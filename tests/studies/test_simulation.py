@@ -9,7 +9,7 @@ from statistics import median
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES

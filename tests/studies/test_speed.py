@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import batching
 from hframe_post.model.lpfbs import Window

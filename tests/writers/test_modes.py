@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import load
 from tests.gcode_tools import follow
 

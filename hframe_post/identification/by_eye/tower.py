@@ -18,7 +18,7 @@ from math import dist, pi
 import numpy as np
 
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.registry import firmware

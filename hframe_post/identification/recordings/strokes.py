@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, X, Y
-from hframe_post.conversion.pipeline import Options, planned, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import planned, sampled
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.folder import STROKES
 from hframe_post.identification.recordings.sweep import (

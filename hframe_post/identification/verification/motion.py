@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.identification.recordings.excitation import alignment_mark
 from hframe_post.identification.recordings.sweep import (

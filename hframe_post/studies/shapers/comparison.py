@@ -15,7 +15,8 @@ from typing import Any
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.meters import ErrorMeter
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping

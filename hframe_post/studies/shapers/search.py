@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
-from hframe_post.conversion.pipeline import Options, parsed, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import parsed, sampled
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER

@@ -17,7 +17,8 @@ from hframe_post.arrays import Integers
 from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
-from hframe_post.conversion.pipeline import Commands, Options
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
 from hframe_post.conversion.report import Report, range_as_text
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant

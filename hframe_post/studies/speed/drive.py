@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from hframe_post.arrays import Z
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import Clock
-from hframe_post.conversion.pipeline import Options, Stages, continued, parsed, prepared, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Stages, continued, parsed, prepared, sampled
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant

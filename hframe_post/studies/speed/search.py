@@ -20,7 +20,7 @@ from typing import cast
 
 import numpy as np
 
-from hframe_post.conversion.pipeline import Options
+from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES

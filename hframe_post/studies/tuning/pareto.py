@@ -16,7 +16,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 
-from hframe_post.conversion.pipeline import Options, parsed, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import parsed, sampled
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan

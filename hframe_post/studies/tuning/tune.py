@@ -16,7 +16,8 @@ import numpy as np
 from hframe_post.arrays import TS, Z
 from hframe_post.compensation.guard import check_model, max_deviation
 from hframe_post.conversion.meters import Clock, ErrorMeter
-from hframe_post.conversion.pipeline import Options, Stages, planned, sampled
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Stages, planned, sampled
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
