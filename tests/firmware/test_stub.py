@@ -47,23 +47,28 @@ def command(folder: Path, line: str) -> subprocess.CompletedProcess[bytes]:
     )  # fmt: skip
 
 
+FAST = [
+    "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
+    "tune {print} --shaper",
+    "sweep -o {folder}/sweep.gcode",
+    "doctor",
+    "setup {folder}/stub.txt -o {folder}/new --bed 220,200",
+]
+SLOW = [
+    "batch {folder}/prints -d {folder}/batch",
+    "simulate {print}",
+    "simulate {print} --shapers",
+    "tune {print} --knots 10 --effort 10 --draws 0",
+    "calibrate-print -o {folder}/tower.gcode",
+    "calibrate-print --compare 6% -o {folder}/squares.gcode",
+    "convert {print} -o {folder}/fast.gcode --max-error 100um",
+    "octoprint-plugin --folder {folder}",
+]
+
+
 @pytest.mark.parametrize(
     "line",
-    [
-        "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
-        "batch {folder}/prints -d {folder}/batch",
-        "simulate {print}",
-        "simulate {print} --shapers",
-        "tune {print} --knots 10 --effort 10 --draws 0",
-        "tune {print} --shaper",
-        "calibrate-print -o {folder}/tower.gcode",
-        "calibrate-print --compare 6% -o {folder}/squares.gcode",
-        "sweep -o {folder}/sweep.gcode",
-        "convert {print} -o {folder}/fast.gcode --max-error 100um",
-        "doctor",
-        "setup {folder}/stub.txt -o {folder}/new --bed 220,200",
-        "octoprint-plugin --folder {folder}",
-    ],
+    [*FAST, *(pytest.param(line, marks=pytest.mark.slow) for line in SLOW)],
     ids=lambda line: " ".join(word for word in line.split() if "{" not in word),
 )
 def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
