@@ -24,7 +24,7 @@ from hframe_post.identification.responses.measured import (
 from hframe_post.model.impulse_response import ImpulseResponse
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
-NOISE = 3.0  # times the noise, up to which there is no racking
+NOISE = 3.0  # times the noise, below which racking is not detected
 APART = 20.0  # mm, at least, of the outer positions
 
 

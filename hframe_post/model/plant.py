@@ -312,8 +312,8 @@ def _output(f: StreamFilter, u: Array, x: Array) -> Array:
 class Filters:
     """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
 
-    couplings: the last filters'. If all are transfer functions and none is late they are ``fused``,
-    in one block of memory.
+    couplings: the last filters'. If all are transfer functions without delay they are ``fused``, in
+    one block of memory.
     """
 
     def __init__(self, direct: Sequence[Linear], couplings: Sequence[Coupling], late: int) -> None:

@@ -19,7 +19,7 @@ def joined_pieces(
     """Return where pieces end after neighbours were joined pair by pair.
 
     shape: x, y; from row ``alike`` on numbers, the bits of int32, that must be equal; in the row
-    before ``ways`` whether a piece begins anew; then ways off the path. Pieces are joined up to a
+    before ``ways`` whether a piece starts again; then ways off the path. Pieces are joined up to a
     length, if x and y stay ``near`` their line, and the ways are off theirs by less than ``off``.
     """
     kept = np.arange(shape.shape[1])

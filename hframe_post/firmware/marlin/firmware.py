@@ -30,7 +30,7 @@ def _accelerations(words: Words, before: Accelerations) -> Accelerations:
 
 
 def _dwell(words: Words) -> float:
-    """Return S, or P, which is in ms, if there is no S."""
+    """Return the seconds of S, or those of P, which is in ms, where S is missing."""
     return words["S"] if "S" in words else words.get("P", 0.0) / 1000.0
 
 
