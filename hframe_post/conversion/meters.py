@@ -15,8 +15,9 @@ from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import joined
@@ -211,6 +212,7 @@ class MotionSummary:
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
+    width: dict[str, ErrorStatistics] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     picture: Picture | None = None
 
@@ -232,6 +234,8 @@ class MotionSummary:
         self.clamped = self.clamped.joined(later.clamped)
         for name, errors in later.contour.items():
             self.contour.setdefault(name, ContourErrors()).join(errors)
+        for name, shares in later.width.items():
+            self.width.setdefault(name, ErrorStatistics()).join(shares)
         self.seconds = joined(self.seconds, later.seconds)
         if self.picture is None:
             self.picture = later.picture
@@ -288,7 +292,7 @@ class FilamentMeter:
 
 
 class ErrorMeter:
-    """Predicts how far the nozzle is off the path at some samples: ``contour``, by strategy.
+    """Predicts the errors of the nozzle's path and line, by strategy: ``contour`` and ``width``.
 
     doubts: what is not known of the plant. picture: also collects them, if given.
     """
@@ -298,8 +302,9 @@ class ErrorMeter:
         picture: Picture | None = None,
     ) -> None:  # fmt: skip
         self._plant, self._every, self._doubts = plant, every, doubts
-        self.picture = picture
+        self.picture, self._lines = picture, Lines()
         self.contour: dict[str, ContourErrors] = {}
+        self.width: dict[str, ErrorStatistics] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         for judgement in judge(chunks, self._plant, self._every, self._doubts):
@@ -309,6 +314,8 @@ class ErrorMeter:
                 if name in judgement.products:
                     extruding = judgement.extruding[judgement.doubtful]
                     contour.doubt(judgement.products[name], extruding)
+            for name, (_, shares) in self._lines.pieces(judgement).items():
+                self.width.setdefault(name, ErrorStatistics()).add(shares)
             if self.picture is not None:
                 self.picture.add(judgement)
             yield judgement.chunk

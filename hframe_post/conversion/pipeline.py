@@ -147,7 +147,8 @@ class Stages:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
             self._clock.end, self._clock.resting, self._clock.fed, self._guard.peaks,
-            self._clamp.clamped, self._errors.contour, self.times.seconds, self._errors.picture,
+            self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
+            self._errors.picture,
         )  # fmt: skip
 
 
@@ -190,7 +191,7 @@ class Source:
             check_prediction(motion.contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary, motion.time,
-            motion.peaks, motion.clamped, motion.contour,
+            motion.peaks, motion.clamped, motion.contour, motion.width,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,

@@ -19,7 +19,8 @@ from hframe_post.conversion.meters import (
     Uncompensated,
 )  # fmt: skip
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.statistics import DECIMALS, ContourErrors
+from hframe_post.prediction.line_width import PIECE
+from hframe_post.prediction.statistics import DECIMALS, ContourErrors, ErrorStatistics
 from hframe_post.writers.stream.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
@@ -75,6 +76,7 @@ class Report:
     peaks: Peaks
     clamped: Clamped
     contour: dict[str, ContourErrors]
+    width: dict[str, ErrorStatistics]
     lines_written: int | None = None
     filament_after: float | None = None
     busiest_second: int = 0
@@ -130,6 +132,7 @@ class Report:
             },
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.contour)},
+            "line_width_error_percent": {n: self.width[n].percents() for n in sorted(self.width)},
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
@@ -166,6 +169,7 @@ class Report:
                 f"predicted        {STRATEGIES[name].label}: contour error "
                 f"{_predicted(self.contour[name], self.lines_error(name))}"
             )
+        lines += self._width_as_text()
         lines.append(
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"
@@ -189,6 +193,14 @@ class Report:
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
         return "\n".join([*self.warning_lines(), *head, *lines, *self.speed_text.splitlines()])
+
+    def _width_as_text(self) -> list[str]:
+        """Return how far the printed line's width is off, if anything is extruded."""
+        found = [name for name in STRATEGIES if name in self.width and self.width[name].count]
+        shares = ", ".join(
+            f"{STRATEGIES[name].label} {100.0 * self.width[name].rms:.1f} %" for name in found
+        )
+        return [f"line width       off by {shares} RMS, on {PIECE:g} mm of line"] if found else []
 
     def warning_lines(self) -> list[str]:
         """Return the warnings as lines of the text."""

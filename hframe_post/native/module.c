@@ -25,6 +25,7 @@
     EACH(klipper_feeds)                                                                       \
     EACH(least_squares)                                                                       \
     EACH(limit_moves)                                                                         \
+    EACH(line_pieces)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \
     EACH(marlin_feed_rates)                                                                   \

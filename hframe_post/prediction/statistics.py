@@ -138,6 +138,11 @@ class ErrorStatistics:
         end = np.int64((k + 1 + _FIRST) << BIN_BITS).view(np.float64)
         return min(float(end), self.peak)
 
+    def percents(self) -> dict[str, float]:
+        """Return RMS and percentile of errors that are shares."""
+        values = {"rms": self.rms, "p95": self.percentile(0.95)}
+        return {name: round(100.0 * share, 2) for name, share in values.items()}
+
     def micrometres(self) -> dict[str, float]:
         values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
         if (found := self.range) is not None:
@@ -194,11 +199,13 @@ class ContourErrors:
 class Figures:
     """Results of one strategy in one part of the print.
 
-    tracking: sums of squared deviations in x and y from the desired place at the same time, mm².
+    width: shares by which the line's width is off. tracking: sums of squared deviations in x and y
+    from the desired place at the same time, mm².
     velocity, acceleration: greatest of any belt, mm/s, mm/s².
     """
 
     contour: ContourErrors = field(default_factory=ContourErrors)
+    width: ErrorStatistics = field(default_factory=ErrorStatistics)
     tracking: Array = field(default_factory=lambda: np.zeros(2))
     velocity: float = 0.0
     acceleration: float = 0.0
@@ -222,6 +229,7 @@ class Figures:
         x, y = (self.tracking_rms() * 1e3).tolist()
         return {
             "contour_error_um": self.contour.micrometres(),
+            "line_width_error_percent": self.width.percents(),
             "tracking_error_um": {"x": round(x, DECIMALS), "y": round(y, DECIMALS)},
             "peak_belt_speed": round(self.velocity, 3),
             "peak_belt_acceleration": round(self.acceleration, 1),

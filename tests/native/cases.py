@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from hframe_post.native import (
     decimate,
     digits,
     guard,
+    line_width,
     lookahead,
     picture,
     plant,
@@ -149,6 +151,18 @@ def nozzles(rng: Rng) -> Iterator[Call]:
     turns, first = contour.count_turns(path), int(at[0])
     yield contour.deviation, path, turns, nozzle[first:], first, at, reach
     yield contour.moving, np.column_stack([path, path]), 1, every
+
+
+def drawn_lines(rng: Rng) -> Iterator[Call]:
+    """Lines with travel, standstill and retractions between them, cut into chunks."""
+    n, begun = size(rng, 600), np.zeros(4)
+    path = np.column_stack([walk(rng, n), np.zeros(n), np.cumsum(rng.normal(0.01, 0.01, n))])
+    nozzle = path[:, :Z] + rng.normal(0.0, 10.0 ** rng.uniform(-5.0, -1.0), (n, 2))
+    cuts = [0, *sorted(rng.integers(0, n, 2).tolist()), n - 1]
+    for low, high in pairwise(cuts):
+        call = path[low : high + 1], nozzle[low : high + 1], 0.4, begun
+        yield line_width.line_pieces, *call
+        begun = line_width.line_pieces(*call)[2]
 
 
 def pieces(rng: Rng) -> Iterator[Call]:
@@ -384,6 +398,7 @@ CASES: dict[Case, tuple[str, ...]] = {
     samples: ("path_lengths", "follow"),
     standing_moves: ("stand",),
     nozzles: ("count_turns", "deviation", "moving"),
+    drawn_lines: ("line_pieces",),
     pieces: ("joined_pieces",),
     commands: ("safe", "farthest"),
     responses: ("filtered", "response", "coupled"),

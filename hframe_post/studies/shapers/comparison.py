@@ -21,7 +21,7 @@ from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.search import calibrated_with, paths, search
@@ -34,12 +34,14 @@ CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's
 class ShaperComparison:
     """Predicted print with a strategy or a shaper. shaping: None for a strategy.
 
-    seconds: duration; for a shaper, including the time by which it delays the last motion.
+    width: shares by which the line's width is off. seconds: duration; for a shaper, including the
+    time by which it delays the last motion.
     """
 
     name: str
     shaping: Shaping | None
     contour: ContourErrors
+    width: ErrorStatistics
     seconds: float
 
 
@@ -66,7 +68,7 @@ def compare_shapers(
         for name, s in shapings.items()
     }
     compared = (
-        ShaperComparison(name, shapings.get(name), contour, durations[name])
+        ShaperComparison(name, shapings.get(name), contour, meter.width[name], durations[name])
         for name, contour in meter.contour.items()
     )
     return sorted(compared, key=lambda one: one.contour.rms)
@@ -78,6 +80,7 @@ def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
         {
             "name": compared.name,
             "contour_error_um": compared.contour.micrometres(),
+            "line_width_error_percent": compared.width.percents(),
             "print_time_s": round(compared.seconds, 3),
             **({} if compared.shaping is None else compared.shaping.as_json()),
         }
@@ -89,13 +92,13 @@ def comparison_as_text(found: list[ShaperComparison]) -> str:
     lines = [
         "",
         f"{'comparison':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
-        f"{'µm RMS':>9s}{'95 %':>8s}{'peak':>7s}{'time':>13s}",
+        f"{'µm RMS':>9s}{'95 %':>8s}{'peak':>7s}{'line, %':>9s}{'time':>13s}",
     ]
     for compared in found:
         um = compared.contour.micrometres()
         axes = ("", "") if compared.shaping is None else compared.shaping.as_text()
         lines.append(
             f"{compared.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
-            f"{um['peak']:7.0f}{duration(compared.seconds):>13s}"
+            f"{um['peak']:7.0f}{100.0 * compared.width.rms:9.1f}{duration(compared.seconds):>13s}"
         )
     return "\n".join(lines)

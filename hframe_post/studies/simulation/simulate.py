@@ -24,6 +24,7 @@ from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
@@ -118,9 +119,9 @@ class SimulationReport(Report):
             f"{self.read.moves} moves, {duration(self.time.after)}, "
             f"simulated on {self.plant}{stepped}",
             "",
-            f"{'':21s}{title:>24s}{'all':>8s}{'tracking RMS, µm':>19s}"
+            f"{'':21s}{title:>24s}{'all':>8s}{'line':>8s}{'tracking RMS, µm':>19s}"
             f"{'belts, at most':>19s}{'time':>13s}",
-            f"{'':21s}{'RMS':>8s}{'95 %':>8s}{'peak':>8s}{'RMS':>8s}{'x':>10s}{'y':>9s}"
+            f"{'':21s}{'RMS':>8s}{'95 %':>8s}{'peak':>8s}{'RMS':>8s}{'%':>8s}{'x':>10s}{'y':>9s}"
             f"{'mm/s':>9s}{'mm/s²':>10s}",
             *(
                 _row(STRATEGIES[name].label, self.parts.whole[name])
@@ -212,7 +213,8 @@ def _row(name: str, figures: Figures) -> str:
     um, (x, y) = figures.contour.micrometres(), figures.tracking_rms() * 1e3
     return (
         f"{name:21s}{um['rms']:8.1f}{um['p95']:8.1f}{um['peak']:8.0f}{um['all']['rms']:8.1f}"
-        f"{x:10.1f}{y:9.1f}{figures.velocity:9.0f}{figures.acceleration:10.0f}"
+        f"{100.0 * figures.width.rms:8.1f}{x:10.1f}{y:9.1f}"
+        f"{figures.velocity:9.0f}{figures.acceleration:10.0f}"
     )
 
 
@@ -260,7 +262,7 @@ def simulate(
         meters = [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
         uncertainties.append(Uncertainty(share, [meter.contour for meter in meters]))
         drawn += [meter.samples(next(streams)) for meter in meters]
-    labels = Labels()
+    labels, drawing = Labels(), Lines()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
         layer, feature = labels.number(judgement.chunk)
         for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
@@ -274,12 +276,16 @@ def simulate(
                     some = inside[judgement.doubtful]
                     extruding = judgement.extruding[judgement.doubtful[some]]
                     figures.contour.doubt(judgement.products[name][some], extruding)
+        for name, (at, shares) in drawing.pieces(judgement).items():
+            for group, which in _groups(layer[at], feature[at], labels, parts):
+                group.setdefault(name, Figures()).width.add(shares[which])
         if picture is not None:
             picture.add(judgement)
     contour = {name: figures.contour for name, figures in parts.whole.items()}
     if "none" in contour:
         check_prediction(contour["none"].rms)
-    report = replace(source.report(), contour=contour, picture=picture)
+    width = {name: figures.width for name, figures in parts.whole.items()}
+    report = replace(source.report(), contour=contour, width=width, picture=picture)
     return SimulationReport(
         **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),

@@ -1,0 +1,97 @@
+"""The width of the printed line, from the nozzle's way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import Array, E, X, Y, Z
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Commands
+from hframe_post.native.line_width import line_pieces
+from hframe_post.prediction.line_width import PIECE
+from hframe_post.printer.settings import Printer
+from hframe_post.studies.inputs import rectangle
+
+
+def drawn(path: Array, nozzle: Array) -> Array:
+    """Return |w − 1| of a line's pieces that are complete."""
+    return line_pieces(path, nozzle, PIECE, np.zeros(4))[1]
+
+
+def straight(n: int = 500, step: float = 0.05, flow: float = 0.03) -> Array:
+    """Return a line along x, (n, 4)."""
+    path = np.zeros((n, 4))
+    path[:, X] = step * np.arange(n)
+    path[:, E] = flow * path[:, X]
+    return path
+
+
+def test_a_nozzle_on_the_path_draws_the_line_that_was_sliced() -> None:
+    path = straight()
+    path[200:, Y] = 0.05 * np.arange(300)  # a bend
+    path[:, E] = np.cumsum(np.hypot(*np.diff(path[:, :Z], axis=0, prepend=path[:1, :Z]).T) * 0.03)
+    assert len(drawn(path, path[:, :Z])) > 60
+    assert drawn(path, path[:, :Z]).max() < 1e-9
+    np.testing.assert_array_less(drawn(path, path[:, :Z] + [5.0, 7.0]), 1e-9)  # wherever it is
+
+
+def test_more_way_makes_a_thinner_line() -> None:
+    path = straight()
+    np.testing.assert_allclose(drawn(path, 1.25 * path[:, :Z]), 0.2)  # 1/1.25 − 1
+    np.testing.assert_allclose(drawn(path, 0.8 * path[:, :Z]), 0.25)
+
+
+@pytest.mark.parametrize("flow", [0.001, 0.3])
+def test_the_flow_does_not_matter(flow: float) -> None:
+    path = straight(flow=flow)
+    np.testing.assert_allclose(drawn(path, 1.25 * path[:, :Z]), 0.2)
+
+
+def test_ringing_along_the_line() -> None:
+    """A nozzle at x + A sin ωx: dx/ds = 1/(1 + Aω cos ωx), between 1/1.1 and 1/0.9."""
+    path = straight(20000, 0.002)
+    nozzle = path[:, :Z].copy()
+    A, omega = 0.05, 2.0
+    nozzle[:, X] += A * np.sin(omega * nozzle[:, X])
+    errors = drawn(path, nozzle)
+    assert 0.11 > errors.max() > 0.10
+    assert np.sqrt((errors**2).mean()) == pytest.approx(A * omega / np.sqrt(2.0), rel=0.05)
+
+
+def test_only_lines_count() -> None:
+    """Travel, retractions and standstill end a line; a rest of less than half a piece is left."""
+    path = straight(100)
+    path[40:60, E] = path[40, E]  # travel
+    path[60:, E] -= path[60, E] - path[40, E]
+    path[80:, E] -= 0.5  # a retraction in motion
+    nozzle = path[:, :Z].copy()
+    nozzle[40:60, X] += np.linspace(0.0, 3.0, 20)  # wherever the nozzle is in travel
+    nozzle[60:, X] += 3.0
+    errors = drawn(path, nozzle)
+    assert len(errors) == 5 + 2 + 2  # of 1.95, 0.95 and 0.95 mm; the last piece is still open
+    assert errors.max() < 1e-9
+
+
+def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
+    rng = np.random.default_rng(0)
+    path = straight(3000)
+    path[:, E] += np.cumsum(rng.normal(0.0, 0.002, 3000))  # sometimes back
+    nozzle = path[:, :Z] + np.cumsum(rng.normal(0.0, 0.01, (3000, 2)), axis=0)
+    whole = drawn(path, nozzle)
+    begun, found = np.zeros(4), []
+    for low in range(0, 2999, 7):
+        part = slice(low, min(low + 7, 2999) + 1)
+        _, errors, begun = line_pieces(path[part], nozzle[part], PIECE, begun)
+        found.append(errors)
+    np.testing.assert_allclose(np.concatenate(found), whole, rtol=1e-9)
+
+
+@pytest.mark.paper
+def test_compensation_keeps_the_line_even(paper: Printer) -> None:
+    """The rectangle on an exact model, without pressure: 22 % without compensation."""
+    commands = Commands(rectangle(paper), paper, Options("racking", ("none", "racking")))
+    assert len(list(commands))
+    width = commands.report().width
+    assert 0.20 < width["none"].rms < 0.24
+    assert width["racking"].rms < 0.15 * width["none"].rms
