@@ -102,7 +102,7 @@ DONE = {
     "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),
     "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
     "octoprint-plugin --folder {folder}": Done(
-        "Restart OctoPrint.", "there/plugins/hframe_post.py"
+        "Restart OctoPrint.", "there/plugins/hframe_post/__init__.py"
     ),
     "paper": Done(""),
     "paper --prism {print}": Done(""),
