@@ -118,9 +118,9 @@ def summary(path: str) -> dict[str, str] | None:
         return {"line": f"NOT compensated: {first[len(REFUSED) :]}", "all": first[1:]}
     if not first.startswith(CONVERTED):
         return None
-    said = [line[len(COMMENT) :] for line in lines if line.startswith(COMMENT)]
+    said = [line[len(COMMENT) :].rstrip() for line in lines if line.startswith(COMMENT)]
     predicted = [line for line in said if line.startswith("predicted")] or ["predicted"]
-    words = predicted[-1].partition("predicted")[2].split()
+    words = predicted[-1].partition("predicted")[2].partition(",")[0].split()
     warnings = sum(line.startswith("WARNING") for line in said)
     counted = f"; {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
     return {"line": " ".join(["Compensated:" if words else "Compensated", *words]) + counted,
