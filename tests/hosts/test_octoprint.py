@@ -12,6 +12,7 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -125,6 +126,8 @@ def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Pa
         assert stored.partition(b"\n")[2] == PART + b"G1 X9000 F6000\n"
         lines = "[...document.querySelectorAll('.hframe-post')].map(each => each.textContent)"
         until(lambda: any("NOT compensated: line" in each for each in browser.value(lines)))
+        browser.value("void $('.modal').modal('hide')")
+        time.sleep(1.0)  # dialogs fade
         browser.shot(shots / "octoprint-files.png")
         assert not [each for each in browser.complaints if "hframe" in each]
     settings(octoprint, enabled=False)
