@@ -96,7 +96,9 @@ def test_every_import_is_a_dependency_or_an_extra() -> None:
     ]
     nodes = [node for tree in trees for node in tree]
     modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-    modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+    modules += [
+        node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level
+    ]
     imported = {module.partition(".")[0] for module in modules}
     imported -= {*sys.stdlib_module_names, "hframe_post"}
     project = PROJECT["project"]

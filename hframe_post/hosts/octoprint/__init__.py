@@ -37,6 +37,9 @@ class HframePost(
     def get_template_configs(self) -> list[dict[str, Any]]:
         return [{"type": "settings", "name": __plugin_name__, "custom_bindings": False}]
 
+    def is_template_autoescaped(self) -> bool:
+        return True
+
     def get_assets(self) -> dict[str, list[str]]:
         return {"js": ["hframe_post.js"]}
 
