@@ -103,7 +103,7 @@ DONE = {
     "slicer-line": Done(".*hframe.post"),
     "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
     "octoprint-plugin --folder {folder}": Done(
-        "Restart OctoPrint.", "there/plugins/hframe_post/__init__.py"
+        "Restart OctoPrint.", r"(there/plugins/hframe_post/\S+ ?){4}"
     ),
     "paper": Done(""),
     "paper --prism {print}": Done(""),

@@ -115,7 +115,8 @@ def summary(path: str) -> dict[str, str] | None:
     with open(path, "rb") as file:
         first, *lines = file.read(HEAD).decode("utf-8", "replace").splitlines() or [""]
     if first.startswith(REFUSED):
-        return {"line": f"NOT compensated: {first[len(REFUSED) :]}", "all": first[1:]}
+        reason = first[len(REFUSED) :].partition("; ")[0]
+        return {"line": f"NOT compensated: {reason}", "all": first[1:]}
     if not first.startswith(CONVERTED):
         return None
     said = [line[len(COMMENT) :].rstrip() for line in lines if line.startswith(COMMENT)]
