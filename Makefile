@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test slow hosts programs debian bench fuzz guided random-printers audit
+.PHONY: check lint test slow hosts programs debian docs bench fuzz guided random-printers audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -57,6 +57,11 @@ $(MAINLINE)/ready:
 $(HOSTS)/%/ready:
 	$(PYTHON) -m venv --clear $(@D) && $(@D)/bin/pip install -qq --no-compile $(subst -,==,$*)
 	touch $@
+
+# The documentation as a site, in the folder site. A warning or a broken link is an error.
+docs:
+	@$(PYTHON) -c 'import mkdocstrings' 2>/dev/null || { echo "pip install -e '.[docs]' first"; exit 1; }
+	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

@@ -80,7 +80,7 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends this process through its tests
     for module in pkgutil.walk_packages(hframe_post.__path__, "hframe_post."):
-        if not module.name.rpartition(".")[2].startswith("_"):
+        if not module.name.startswith(("hframe_post.hosts.", "hframe_post.__main__")):
             import_module(module.name)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     serve(socket.socket(fileno=int(sys.argv[1])))

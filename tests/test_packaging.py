@@ -11,6 +11,7 @@ import sys
 import tomllib
 import venv
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 def wheel(tmp_path: Path) -> Path:
     """Build the wheel from the source distribution, which must be complete for that."""
     build = [sys.executable, "-W", "error", "-m", "build", "-q", "--outdir", str(tmp_path)]
-    subprocess.run([*build, str(ROOT)], check=True)
+    same = {**os.environ, "SETUPTOOLS_SCM_PRETEND_VERSION": hframe_post.__version__}
+    subprocess.run([*build, str(ROOT)], check=True, env=same)
     assert len(list(tmp_path.glob("*.tar.gz"))) == 1
     (found,) = tmp_path.glob("*.whl")
     return found
@@ -94,7 +96,9 @@ def test_every_import_is_a_dependency_or_an_extra() -> None:
     ]
     nodes = [node for tree in trees for node in tree]
     modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-    modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+    modules += [
+        node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level
+    ]
     imported = {module.partition(".")[0] for module in modules}
     imported -= {*sys.stdlib_module_names, "hframe_post"}
     project = PROJECT["project"]
@@ -109,9 +113,14 @@ def test_every_import_is_a_dependency_or_an_extra() -> None:
     assert imported <= needed | extras
 
 
-def test_version_is_that_of_the_package() -> None:
-    assert re.fullmatch(r"\d+\.\d+\.\d+", hframe_post.__version__)
-    assert PROJECT["tool"]["setuptools"]["dynamic"]["version"]["attr"].startswith("hframe_post.")
+def test_octoprint_finds_the_plugin_in_the_package() -> None:
+    (found,) = {each.value for each in metadata.entry_points(group="octoprint.plugin")}
+    place = ROOT / found.replace(".", "/")
+    assert "__plugin_implementation__" in (place / "__init__.py").read_text("utf-8")
+
+
+def test_version_is_that_of_the_installation() -> None:
+    assert metadata.version("hframe-post") == hframe_post.__version__
 
 
 @pytest.mark.parametrize(

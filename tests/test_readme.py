@@ -48,9 +48,8 @@ def update(request: pytest.FixtureRequest) -> bool:
 
 
 def test_sample_command_converts(tmp_path: Path, update: bool) -> None:
-    """The command after the part that sets up a virtual environment."""
-    last = command("sample").split(" && ")[-1].split()
-    assert last[0] == ".venv/bin/hframe-post"
+    last = command("sample").split()
+    assert last[0] == "hframe-post"
     last[-1] = str(tmp_path / "out.gcode")
     printed = run(*last[1:]).stderr
     assert printed == shown(TUTORIAL, "print time", printed, update)

@@ -149,7 +149,7 @@ def script(program: str, printer: str) -> str:
 
 # ---------------------------------------------------------------------- OctoPrint
 
-PLUGIN = "hframe_post.py"
+PLUGIN = "hframe_post"  # its folder, and the file of an earlier version
 
 
 @click.command("octoprint-plugin")
@@ -161,10 +161,10 @@ PLUGIN = "hframe_post.py"
 def octoprint_plugin(printer: str, folder: Path | None) -> None:
     """Install a plugin into OctoPrint on this computer, which converts each uploaded file.
 
-    An upload that cannot be converted fails, and OctoPrint answers with the reason. Summaries and
-    warnings are in its terminal tab and in octoprint.log. OctoPrint prints over a serial line, so
-    a profile for Marlin needs baud. Run this command again after moving hframe-post or the profile.
-    To remove the plugin, delete its file.
+    Its page in OctoPrint's settings has the profile, what to do with files that are refused, and a
+    switch. Summaries and warnings are in the terminal tab, in octoprint.log and in the list of
+    files. OctoPrint prints over a serial line, so a profile for Marlin needs baud. Run this command
+    again after moving hframe-post. To remove the plugin, delete its folder.
 
     \b
     Example:
@@ -176,10 +176,28 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
-    text = (resources.files("hframe_post.hosts") / "octoprint.py").read_text("utf-8")
-    command = [*program_words(), "-p", anywhere(printer)]
-    (home / "plugins").mkdir(exist_ok=True)
+    plugins = home / "plugins"
+    (plugins / f"{PLUGIN}.py").unlink(missing_ok=True)
     with Outputs() as outputs:
-        plugin = text.replace('COMMAND = ["hframe-post"]', f"COMMAND = {command!r}")
-        outputs.open(home / "plugins" / PLUGIN).write(plugin.encode())
-    click.echo(f"{home / 'plugins' / PLUGIN}\nRestart OctoPrint.")
+        for name, text in plugin_files(program_words(), anywhere(printer)).items():
+            (plugins / PLUGIN / name).parent.mkdir(parents=True, exist_ok=True)
+            outputs.open(plugins / PLUGIN / name).write(text.encode())
+    click.echo(f"{plugins / PLUGIN}\nRestart OctoPrint.")
+
+
+def plugin_files(command: list[str], profile: str) -> dict[str, str]:
+    """Return the plugin's files by name, for this command and profile."""
+    folder = Path(str(resources.files("hframe_post.hosts") / "octoprint"))
+    files = {
+        str(path.relative_to(folder)): path.read_text("utf-8")
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    if "__init__.py" not in files:
+        raise HframeError("the single-file program has no plugin: install with pipx")
+    own = {"COMMAND": repr(command), "PROFILE": repr(profile)}
+    files["__init__.py"] = re.sub(
+        r"^(COMMAND|PROFILE) = .*$", lambda found: f"{found[1]} = {own[found[1]]}",
+        files["__init__.py"], flags=re.MULTILINE,
+    )  # fmt: skip
+    return files

@@ -37,6 +37,7 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "verify": ("verify.verify", "Measure whether a profile helps on the printer."),
     "klipper-macros": ("integrations.klipper_macros", "Print macros for Klipper's printer.cfg."),
     "calibrate-marlin": ("integrations.calibrate_marlin", "Find out a Marlin board's planner."),
+    "slicer-line": ("slicer_line.slicer_line", "Print the line to paste into a slicer."),
     "cura-script": ("integrations.cura_script", "Install a post-processing script into Cura."),
     "octoprint-plugin": (
         "integrations.octoprint_plugin",

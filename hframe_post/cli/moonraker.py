@@ -20,7 +20,7 @@ PLACES = ("moonraker/moonraker", "moonraker-env/lib/python3*/site-packages/moonr
 UPDATES = f"update_manager {moonraker.NAME}"
 # a header and the lines below it, as far as the next empty line
 SECTIONS = re.compile(
-    r"\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?", re.MULTILINE
+    r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
 )
 RESTART = "Restart Moonraker: sudo systemctl restart moonraker"
 
@@ -50,7 +50,9 @@ class Moonraker:
             raise HframeError("this Moonraker is older than February 2025: update it first")
         text, done = self._text(), [f"{self._link(create=True)}: linked"]
         command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
-        for name, lines in ((moonraker.NAME, f"command: {command}\n"), (UPDATES, update_lines())):
+        installed = metadata.distribution("hframe-post")
+        sections = ((moonraker.NAME, f"command: {command}\n"), (UPDATES, update_lines(installed)))
+        for name, lines in sections:
             if lines and not re.search(rf"^\[{name}\]", text, re.MULTILINE):
                 text = f"{text.rstrip()}\n\n[{name}]\n{lines}"
                 done.append(f"{self.config}: section [{name}] added")
@@ -86,10 +88,11 @@ class Moonraker:
         return link
 
 
-def update_lines() -> str:
-    """Return what lets Moonraker update this installation; empty unless it is one from Git."""
-    origin = metadata.distribution("hframe-post").read_text("direct_url.json") or "{}"
-    if "vcs_info" not in json.loads(origin):
+def update_lines(installed: metadata.Distribution) -> str:
+    """Return what lets Moonraker update this installation, if pip took it from an index or Git."""
+    origin = installed.read_text("direct_url.json")  # without one it is from an index
+    updatable = origin is None or "vcs_info" in json.loads(origin)
+    if not (updatable and installed.read_text("INSTALLER")):
         return ""
     return f"""\
 type: python

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib.metadata import PathDistribution
 from pathlib import Path
 
 import pytest
 
 from hframe_post.cli.integrations import program
+from hframe_post.cli.moonraker import SECTIONS, update_lines
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
@@ -477,6 +479,26 @@ def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (components / "file_manager/file_manager.py").write_text("def register_gcode_processor(): 0\n")
     config.with_name("printer.toml").write_text((ROOT / "tests/measured.toml").read_text())
     return components
+
+
+@pytest.mark.parametrize(
+    ("files", "updates"),
+    [
+        ({"INSTALLER": "pip"}, True),  # from an index
+        ({"INSTALLER": "pip", "direct_url.json": '{"vcs_info": {"vcs": "git"}}'}, True),
+        ({"INSTALLER": "pip", "direct_url.json": '{"dir_info": {}}'}, False),
+        ({}, False),  # a folder from which it runs
+    ],
+)
+def test_moonraker_updates_what_pip_took_from_an_index_or_from_git(
+    files: dict[str, str], updates: bool, tmp_path: Path
+) -> None:
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    lines = update_lines(PathDistribution(tmp_path))
+    assert bool(lines) == lines.startswith("type: python\n") == updates
+    sections = f"\n\n[hframe_post]\ncommand: x\n\n[update_manager hframe_post]\n{lines}"
+    assert SECTIONS.sub("\n", f"[server]\nport: 1{sections}") == "[server]\nport: 1\n"
 
 
 def test_moonraker_is_connected_and_disconnected_without_a_trace(

@@ -5,16 +5,21 @@ OCTOPRINT_PYTHON names a Python in which OctoPrint is installed, as ``make hosts
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import re
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from tests.chromium import PROGRAM, Browser
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import Server, free_port, processes, until, waiting_for
@@ -30,14 +35,17 @@ api: {{key: {KEY}}}
 accessControl: {{salt: abc}}
 plugins: {{_disabled: [tracking, softwareupdate, announcements, discovery, pluginmanager]}}
 """
-USER = "me: {active: true, apikey: null, groups: [admins], password: x, permissions: [], roles: []}"
+SECRET = hashlib.sha512(b"me" + b"abc").hexdigest()  # the user's password and the salt
+USER = f"""\
+me: {{active: true, apikey: null, groups: [admins], password: {SECRET}, permissions: [], roles: []}}
+"""
 
 
 def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     done = run("octoprint-plugin", "-p", PROFILE, "--folder", tmp_path)
-    plugin = (tmp_path / "plugins/hframe_post.py").read_text()
-    assert done.stdout.decode().startswith(f"{tmp_path}/plugins/hframe_post.py\n")
-    assert f", '-p', '{PROFILE}']\n" in plugin
+    plugin = (tmp_path / "plugins/hframe_post/__init__.py").read_text()
+    assert done.stdout.decode().startswith(f"{tmp_path}/plugins/hframe_post\n")
+    assert f"PROFILE = '{PROFILE}'\n" in plugin
     refused = run("octoprint-plugin", "-p", "paper", "--folder", tmp_path)
     assert refused.returncode == 1
     assert b"not measured" in refused.stderr
@@ -49,7 +57,7 @@ def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     assert b"marlin: firmware.marlin.baud: OctoPrint prints over a serial line" in for_sd.stderr
     missing = run("octoprint-plugin", "-p", PROFILE, HOME=str(tmp_path))
     assert b".octoprint does not exist" in missing.stderr
-    assert (tmp_path / "plugins/hframe_post.py").read_text() == plugin
+    assert (tmp_path / "plugins/hframe_post/__init__.py").read_text() == plugin
     marlin.write_text(f"{text}115200\n")
     assert run("octoprint-plugin", "-p", marlin, "--folder", tmp_path).returncode == 0
 
@@ -60,7 +68,7 @@ def octoprint(tmp_path: Path) -> Iterator[Server]:
     (tmp_path / "users.yaml").write_text(USER)
     shutil.copy(PROFILE, tmp_path / "printer.toml")
     run("octoprint-plugin", "-p", tmp_path / "printer.toml", "--folder", tmp_path)
-    plugin = tmp_path / "plugins/hframe_post.py"
+    plugin = tmp_path / "plugins/hframe_post/__init__.py"
     waits = ", ".join(map(repr, waiting_for(tmp_path / "gate")))
     plugin.write_text(plugin.read_text().replace("COMMAND = [", f"COMMAND = [{waits}, ", 1))
     server = Server(free_port(), {"X-Api-Key": KEY})
@@ -78,6 +86,53 @@ def octoprint(tmp_path: Path) -> Iterator[Server]:
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def settings(octoprint: Server, **values: object) -> None:
+    text = json.dumps({"plugins": {"hframe_post": values}})
+    octoprint.request("POST", "/api/settings", text.encode(), "application/json")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
+@pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
+def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Path) -> None:
+    """Settings are made in the browser; the list tells what became of each file."""
+    uploads, shots = tmp_path / "uploads", Path(os.environ.get("ARTEFACTS", tmp_path)).absolute()
+    octoprint.upload("part.gcode", PART, "/api/files/local")
+    with Browser(tmp_path / "browser") as browser:
+        browser.screen(1400, 1000)
+        browser("Page.navigate", url=f"http://127.0.0.1:{octoprint.port}/")
+        until(lambda: browser.value("!!document.querySelector('#login-button')"))
+        browser.value("void $('#login-user, #login-password').val('me').change().keyup()")
+        browser.value("void $('#login-button').click()")
+        until(lambda: browser.value("document.querySelectorAll('.hframe-post').length == 1"))
+        line = browser.value("document.querySelector('.hframe-post').textContent")
+        assert re.match(r"Compensated: ringing.*: contour error [\d.]+ µm RMS; 1 warning$", line)
+        browser.value("void $('#navbar_show_settings').click()")
+        until(lambda: browser.value("$('#settings_dialog').is(':visible')"))
+        browser.value("void $('#settings_plugin_hframe_post_link a').click()")
+        page = "$('#settings_plugin_hframe_post')"
+        until(lambda: browser.value(f"{page}.is(':visible')"))
+        assert browser.value("$('#hframe_post_profile').val()") == str(tmp_path / "printer.toml")
+        browser.value("void $('#hframe_post_refused').val('keep').change()")
+        browser.value("void $('#hframe_post_nice').val('3').change()")
+        browser.shot(shots / "octoprint-settings.png")
+        browser.value("void $('#settings_dialog .btn-primary:visible').click()")
+        until(lambda: "refused: keep" in (tmp_path / "config.yaml").read_text())
+        octoprint.upload("far.gcode", PART + b"G1 X9000 F6000\n", "/api/files/local")
+        stored = (uploads / "far.gcode").read_bytes()
+        assert re.match(rb";NOT COMPENSATED: hframe-post failed: line .* 9000", stored)
+        assert stored.partition(b"\n")[2] == PART + b"G1 X9000 F6000\n"
+        lines = "[...document.querySelectorAll('.hframe-post')].map(each => each.textContent)"
+        until(lambda: any("NOT compensated: line" in each for each in browser.value(lines)))
+        browser.value("void $('.modal').modal('hide')")
+        time.sleep(1.0)  # dialogs fade
+        browser.shot(shots / "octoprint-files.png")
+        assert not [each for each in browser.complaints if "hframe" in each]
+    settings(octoprint, enabled=False)
+    octoprint.upload("part.gcode", PART, "/api/files/local")
+    assert (uploads / "part.gcode").read_bytes() == PART
 
 
 @pytest.mark.slow

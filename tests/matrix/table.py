@@ -100,9 +100,10 @@ DONE = {
     "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
     "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),
+    "slicer-line": Done(".*hframe.post"),
     "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
     "octoprint-plugin --folder {folder}": Done(
-        "Restart OctoPrint.", "there/plugins/hframe_post.py"
+        "Restart OctoPrint.", r"(there/plugins/hframe_post/\S+ ?){4}"
     ),
     "paper": Done(""),
     "paper --prism {print}": Done(""),

@@ -150,7 +150,7 @@ def _turn(run: Crossed, resonance_hz: float) -> float:
     columns = weight[:, None] * np.column_stack([np.ones(len(r)), r * r, 1j * r])
     wanted = weight * run.across.H[low] / run.along.H[low]
     A = np.concatenate([columns.real, columns.imag])
-    return float(np.linalg.lstsq(A, np.concatenate([wanted.real, wanted.imag]))[0][0])
+    return float(np.linalg.lstsq(A, np.concatenate([wanted.real, wanted.imag]), rcond=None)[0][0])
 
 
 def _design(away: Array, axes: Axes) -> Array:

@@ -134,7 +134,7 @@ def heading(command: Array, acceleration: Array, axis: int) -> float:
     f = hz[edges] / HEADING_HZ[1]
     columns = np.column_stack([along, 1j * f * along] if axis == 0 else [along])
     stacked = np.concatenate([columns.real, columns.imag])
-    tangent = np.linalg.lstsq(stacked, np.concatenate([across.real, across.imag]))[0][0]
+    tangent = np.linalg.lstsq(stacked, np.concatenate([across.real, across.imag]), rcond=None)[0][0]
     forwards = np.sign(along.sum().real)
     angle = float(np.arctan2((-1.0 if axis == 0 else 1.0) * tangent * forwards, forwards))
     if abs(angle) > np.radians(45.0):

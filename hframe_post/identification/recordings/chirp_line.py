@@ -112,7 +112,9 @@ def _fitted(line: Line, t: Array, hz: Array, power: Array, contrast: Array) -> L
     columns = np.column_stack([fit[:, 0], np.ones(len(fit))])
     slope, offset = line.slope, -line.slope * line.origin
     for _ in range(20):
-        slope, offset = np.linalg.lstsq(columns * weight[:, None], fit[:, 1] * weight)[0]
+        slope, offset = np.linalg.lstsq(columns * weight[:, None], fit[:, 1] * weight, rcond=None)[
+            0
+        ]
         miss = fit[:, 1] - columns @ (slope, offset)
         weight = 1.0 / np.hypot(1.0, miss / (1.5 * np.median(np.abs(miss)) + 1e-9))
     if not SLOPES[0] < slope < SLOPES[1]:

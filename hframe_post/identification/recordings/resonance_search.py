@@ -183,7 +183,7 @@ def _low_band(hz: Array, level: Array) -> tuple[float, float]:
     columns = np.column_stack([np.ones(int(low.sum())), -np.square(hz[low])])
     wanted, weight = 1.0 / level[low], np.ones(int(low.sum()))
     for _ in range(20):
-        fit = np.linalg.lstsq(columns * weight[:, None], wanted * weight)[0]
+        fit = np.linalg.lstsq(columns * weight[:, None], wanted * weight, rcond=None)[0]
         miss = np.abs(wanted - columns @ fit)
         weight = 1.0 / np.sqrt(miss + 0.01 * np.median(miss) + 1e-12)
     return (1.0 / float(fit[0]) if fit.min() > 0.0 else base), min(edge, max(LOW_HZ, hz[0] + 8.0))
@@ -267,7 +267,7 @@ def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start
     transposed = columns.transpose(0, 2, 1)
     solved = np.linalg.solve(transposed @ columns, transposed @ wanted)
     left = np.square(wanted - columns @ solved).sum(axis=(1, 2))
-    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted)[0]
+    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted, rcond=None)[0]
     like = 1.0 - left / float(np.square(wanted - offset).sum())
     k = int(np.argmax(like))
     late, top = float(k - REACH), float(like[k])

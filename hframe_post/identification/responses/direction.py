@@ -121,4 +121,4 @@ def _at_rest(response: Complex, hz: Array, weight: Array) -> Array:
     stacked = np.concatenate([columns.real, columns.imag])
     response = response * weight
     wanted = np.concatenate([response.T.real, response.T.imag])
-    return np.asarray(np.linalg.lstsq(stacked, wanted)[0][0])
+    return np.asarray(np.linalg.lstsq(stacked, wanted, rcond=None)[0][0])

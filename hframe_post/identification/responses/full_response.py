@@ -118,7 +118,7 @@ def _columns(directions: Array, away: Array) -> tuple[list[tuple[int, int | None
     for j in moved:
         for c in (0, 1):
             column = directions[:, j] * away[:, c]
-            free = column - A @ np.linalg.lstsq(A, column)[0]
+            free = column - A @ np.linalg.lstsq(A, column, rcond=None)[0]
             if np.linalg.norm(free) >= LEAST_SPREAD:
                 A = np.column_stack([A, column])
                 names.append((j, c))

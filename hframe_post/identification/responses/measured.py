@@ -283,7 +283,9 @@ def centre(line: Line, Gxx: Complex) -> tuple[float, float]:
     columns = np.column_stack([line.slope.H, Gxx]) * weight[:, None]
     target = line.at_middle * weight
     stacked = np.concatenate([columns.real, columns.imag])
-    (arm, psi), *_ = np.linalg.lstsq(stacked, np.concatenate([target.real, target.imag]))
+    (arm, psi), *_ = np.linalg.lstsq(
+        stacked, np.concatenate([target.real, target.imag]), rcond=None
+    )
     return line.middle - float(arm), float(psi)
 
 

@@ -137,7 +137,9 @@ def _axes(one: _Located, located: Sequence[_Located]) -> Array:
         turned = np.array([[-one.commanded[Y], one.commanded[X]]])
         commanded = np.concatenate([commanded, turned])
         seen = np.concatenate([seen, np.cross(one.aligned.up, one.seen.axis)[None]])
-    axes = np.linalg.lstsq(commanded, seen)[0]  # x and y as the sensor sees them, (2, 3)
+    axes = np.linalg.lstsq(commanded, seen, rcond=None)[
+        0
+    ]  # x and y as the sensor sees them, (2, 3)
     return np.asarray(np.linalg.pinv(axes.T))
 
 

@@ -224,7 +224,7 @@ def _couplings(runs: Sequence[Measured], inside: Flags) -> Iterator[tuple[float,
     known = [each[:, moved].ravel() for each in (racking, cross) if each.any()]
     wanted = missed[:, moved].ravel()
     A = np.column_stack(known) if known else np.zeros((len(wanted), 0))
-    excess = np.linalg.lstsq(A, wanted)[0]
+    excess = np.linalg.lstsq(A, wanted, rcond=None)[0]
     residual = wanted - A @ excess
     independent = 2.0 * (RACKING_HZ[1] - RACKING_HZ[0]) * TS  # share of a sample
     variance = float(residual @ residual) / max(independent * len(wanted), 1.0)
