@@ -139,8 +139,8 @@ def identify(
     )
     from hframe_post.identification.pages import identification_page
     from hframe_post.identification.recordings import accelerometer
-    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.recordings.folder import files_in
+    from hframe_post.identification.recordings.names import recorded_on
     from hframe_post.identification.report import conclude
 
     _check_usage([*recordings, *nozzle], band)
@@ -161,7 +161,7 @@ def identify(
             if recordings:
                 gathered += from_folders(recordings, config, profile.travel, columns)
             for command, path in nozzle:
-                gathered += from_pair(command, path, profile.travel, columns, None)
+                gathered += from_pair(command, path, profile.travel, columns)
             gathered = along_printer(gathered, axes)
             settings = _settings(profile, config if text else None, band, offset)
             if readings:

@@ -272,14 +272,12 @@ def _chip(config: KlipperConfig, axis: str) -> str:
 # ---------------------------------------------------------------------- files that the user pairs
 
 
-def from_pair(
-    command: Path, path: Path, travel: Travel, columns: Sequence[str] | None, unit: str | None
-) -> Gathered:
+def from_pair(command: Path, path: Path, travel: Travel, columns: Sequence[str] | None) -> Gathered:
     """Return the run of a command and its recording, which is in the sensor's axes.
 
     travel: of the printer. Raises OSError and IdentificationError.
     """
-    recording = accelerometer.read(path, columns, unit)
+    recording = accelerometer.read(path, columns)
     one = Measurement(
         path.name, path, recording, parsed(path.name), digest_of(path), Command.read(command)
     )
