@@ -50,13 +50,14 @@ class Recording:
         return float(np.median(np.diff(self.t)))
 
 
-def read(path: Path, columns: Sequence[str] | None = None) -> Recording:
+def read(path: str | Path, columns: Sequence[str] | None = None) -> Recording:
     """Return the recording in a file of any known format, which must hold one only.
 
     columns: names of time (s) and the three accelerations, needed if the file's own do not say
     what they are; with them even a Klipper file is not taken to begin with the command. Raises
     OSError and IdentificationError, which names file, line and cause.
     """
+    path = Path(path)
     if columns is not None and len(set(columns)) != 4:
         raise IdentificationError(
             f"{','.join(columns)!r} does not name four columns: time, x, y and z"
