@@ -107,6 +107,19 @@ class Gathered:
         }  # fmt: skip
 
 
+def gather(
+    paths: Sequence[Path], pairs: Sequence[tuple[Path, Path]], config: KlipperConfig | None,
+    travel: Travel, columns: Sequence[str] | None,
+) -> Gathered:  # fmt: skip
+    """Return the runs of ``from_folders``, and those of ``from_pair``."""
+    gathered = Gathered([], [], [])
+    if paths:
+        gathered += from_folders(paths, config, travel, columns)
+    for command, path in pairs:
+        gathered += from_pair(command, path, travel, columns)
+    return gathered
+
+
 # ---------------------------------------------------------------------- folders
 
 

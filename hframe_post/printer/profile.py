@@ -136,16 +136,19 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+def _check_tables(document: dict[str, Any]) -> None:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
     optional = ("kinematics", "steps", "sweep", "speed", "retraction", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
-    description = document.get("description", "")
-    if not isinstance(description, str):
+    if not isinstance(document.get("description", ""), str):
         raise PrinterError("must be text", "description")
+
+
+def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+    _check_tables(document)
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
     limits = checked(Limits, document["limits"], "limits")
     plant = replace(
@@ -165,7 +168,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
     printer = Printer(
         name,
-        description,
+        document.get("description", ""),
         checked(Travel, document["travel"], "travel"),
         limits,
         kinematics,
