@@ -25,7 +25,7 @@ from hframe_post.model.impulse_response import (
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.decoding import decoded
+from hframe_post.printer.decoding import file_text
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
 from hframe_post.printer.schema import checked, checked_value, known_keys, numbers, roots
 from hframe_post.printer.settings import (
@@ -81,13 +81,9 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise PrinterError(f"a profile is not larger than {LARGEST_FILE} bytes", source=path)
+        return file_text(Path(path), LARGEST_FILE, "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
-    return decoded(content, path)
 
 
 def parse(text: str, name: str, source: str = "") -> Printer:
