@@ -133,11 +133,9 @@ class Preset:
     profile: str
 
 
-def presets(folders: list[Path] | None = None) -> Iterator[Preset]:
-    """Yield the presets that run hframe-post or name its profile. folders: of the slicers."""
-    if folders is None:
-        folders = [user_config_path(name, appauthor=False, roaming=True) for name in PROGRAMS]
-    for folder in folders:
+def presets() -> Iterator[Preset]:
+    """Yield the presets of slicers that run hframe-post or name its profile."""
+    for folder in (user_config_path(name, appauthor=False, roaming=True) for name in PROGRAMS):
         for path in sorted(path for pattern in PRESETS for path in folder.glob(pattern)):
             yield from _in_file(path)
 
