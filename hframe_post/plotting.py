@@ -1,9 +1,7 @@
-"""Canvas and style of every figure, PNG and SVG: the one door to matplotlib."""
+"""Canvas and style of figures, PNG and SVG: the one door to matplotlib."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,19 +27,6 @@ def save(figure: Figure, file: IO[bytes], kind: str) -> None:
     """Write a ``png`` or ``svg`` without metadata that changes from run to run."""
     volatile = ("Date", "Creator") if kind == "svg" else ("Software",)
     figure.savefig(file, format=kind, dpi=DPI, metadata=dict.fromkeys(volatile))
-
-
-def ready(folder: Path) -> None:
-    """Create the folder. Raises HframeError if matplotlib is missing."""
-    canvas(1, 1, (1.0, 1.0))
-    folder.mkdir(parents=True, exist_ok=True)
-
-
-def save_all(drawings: Mapping[str, Figure], opened: Callable[[str], IO[bytes]]) -> None:
-    """Write each figure as PNG and SVG; ``opened`` returns the open file for a name."""
-    for name, drawing in drawings.items():
-        for kind in ("png", "svg"):
-            save(drawing, opened(f"{name}.{kind}"), kind)
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:

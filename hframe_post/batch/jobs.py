@@ -10,9 +10,8 @@ import json
 import signal
 import time
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from threading import Event
 from typing import Any, Literal, Protocol
@@ -20,7 +19,7 @@ from typing import Any, Literal, Protocol
 from hframe_post.conversion.options import Options
 from hframe_post.process import ChildProcess, own_command, processor_count
 
-State = Literal["waiting", "running", "done", "skipped", "failed", "stopped"]
+State = Literal["waiting", "done", "skipped", "failed", "stopped"]
 INTERRUPTS = ("SIGINT", "SIGHUP", "SIGQUIT")  # that a terminal sends to all processes of a job
 
 
@@ -43,7 +42,7 @@ class Job:
 
     @property
     def finished(self) -> bool:
-        return self.state not in ("waiting", "running")
+        return self.state != "waiting"
 
     def as_json(self) -> dict[str, Any]:
         entries = {
@@ -180,30 +179,28 @@ def run(jobs: list[Job], converter: Converter, stop: Event) -> Iterator[Job]:
 
     Once ``stop`` is set no other begins; those that wait become ``stopped`` and are not yielded.
     """
-    waiting = iter([k for k, job in enumerate(jobs) if job.state == "waiting"])
-    running: dict[Future[Job], int] = {}
     with ThreadPoolExecutor(converter.files) as pool:
+        places = {
+            pool.submit(_converted, job, converter, stop): k
+            for k, job in enumerate(jobs)
+            if job.state == "waiting"
+        }
         try:
-            while True:
-                free = 0 if stop.is_set() else converter.files - len(running)
-                for k in islice(waiting, free):
-                    jobs[k] = replace(jobs[k], state="running")
-                    running[pool.submit(_converted, jobs[k], converter)] = k
-                if not running:
-                    break
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    k = running.pop(future)
-                    jobs[k] = future.result()
-                    yield jobs[k]
+            for future in as_completed(places):
+                k, ended = places[future], future.result()
+                jobs[k] = ended or replace(jobs[k], state="stopped")
+                if ended is not None:
+                    yield ended
         except BaseException:  # the caller gave up, too
+            stop.set()
             converter.stop()
             raise
-    for k in waiting:
-        jobs[k] = replace(jobs[k], state="stopped")
 
 
-def _converted(job: Job, converter: Converter) -> Job:
+def _converted(job: Job, converter: Converter, stop: Event) -> Job | None:
+    """Return the job as it ended; None if it did not begin."""
+    if stop.is_set():
+        return None
     try:
         job.target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

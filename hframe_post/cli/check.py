@@ -92,8 +92,8 @@ def _update(
 ) -> None:  # fmt: skip
     from hframe_post.identification.checking.drift import drifts
     from hframe_post.identification.checking.report import CheckReport
-    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.recordings.folder import files_in
+    from hframe_post.identification.recordings.names import recorded_on
 
     files = files_in(recordings)
     sources = [*files_read(printer), *files]

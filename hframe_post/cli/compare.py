@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import files_read, number
+from hframe_post.cli.options import files_read, number, typed
+from hframe_post.conversion.options import known_firmware
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Tolerance
@@ -49,8 +50,9 @@ def quantity(text: str, units: dict[str, float]) -> float:
     "position is reached (us, ms, s).",
 )  # fmt: skip
 @click.option(
-    "--firmware", type=click.Choice(tuple(FIRMWARES)), default="klipper", show_default=True,
-    help="Firmware that reads the files. G90 and G91 affect E in Marlin, but not in Klipper.",
+    "--firmware", type=typed(known_firmware), default="klipper", show_default=True, metavar="NAME",
+    help="Firmware that reads the files: klipper, marlin, or one that a package adds. G90 and G91 "
+    "affect E in Marlin, but not in Klipper.",
 )  # fmt: skip
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing; see the exit status.")

@@ -77,15 +77,9 @@ def convert(
       hframe-post in.gcode -o out.gcode -p my.toml
       hframe-post in.gcode --report report.html
     """
-    if more:
-        raise click.UsageError(
-            f"one file at a time: for another output use -o {more[0]}, for many files "
-            "'hframe-post batch'"
-        )
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file is not None and report_file.suffix == ".html"
-    if [to_stdout, str(json_file) == "-", str(report_file) == "-"].count(True) > 1:
-        raise click.UsageError("only one of output, JSON and report can go to standard output")
+    _check_usage(more, [to_stdout, str(json_file) == "-", str(report_file) == "-"])
     profile, choice = library.load_printer(printer), chosen_printer()
     name_in_slicer = os.environ.get(OUTPUT_NAME)
     head = [choice.as_text(), *verification_as_text(profile)]
@@ -116,10 +110,7 @@ def convert(
             progress=advance,
         )
         log(f"{report.read.lines} lines are converted")
-        total = sum(report.seconds.values())
-        for stage, spent in report.seconds.items():
-            share = 100.0 * spent / total
-            log(f"  {stage:12s}{spent:8.3f} s of the processor{share:6.1f} %")
+        _log_times(report.seconds)
         write_json({**choice.as_json(), **report.as_json()})
         text = report.summary(head)
         if text_file is not None:
@@ -127,6 +118,22 @@ def convert(
     log("all files are written")
     if not quiet:
         say(text)
+
+
+def _check_usage(more: tuple[str, ...], to_stdout: list[bool]) -> None:
+    if more:
+        raise click.UsageError(
+            f"one file at a time: for another output use -o {more[0]}, for many files "
+            "'hframe-post batch'"
+        )
+    if to_stdout.count(True) > 1:
+        raise click.UsageError("only one of output, JSON and report can go to standard output")
+
+
+def _log_times(seconds: Mapping[str, float]) -> None:
+    total = sum(seconds.values())
+    for stage, spent in seconds.items():
+        log(f"  {stage:12s}{spent:8.3f} s of the processor{100.0 * spent / total:6.1f} %")
 
 
 @contextmanager

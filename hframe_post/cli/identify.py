@@ -130,17 +130,10 @@ def identify(
     Example:
       hframe-post identify recordings/ --printer-cfg printer.cfg -o mine.toml
     """
-    from hframe_post.identification.gather import (
-        SAME_AXES,
-        Gathered,
-        along_printer,
-        from_folders,
-        from_pair,
-    )
+    from hframe_post.identification.gather import along_printer, gather
     from hframe_post.identification.pages import identification_page
-    from hframe_post.identification.recordings import accelerometer
-    from hframe_post.identification.recordings.dates import recorded_on
     from hframe_post.identification.recordings.folder import files_in
+    from hframe_post.identification.recordings.names import recorded_on
     from hframe_post.identification.report import conclude
 
     _check_usage([*recordings, *nozzle], band)
@@ -157,17 +150,11 @@ def identify(
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
-            gathered = Gathered([], [], [])
-            if recordings:
-                gathered += from_folders(recordings, config, profile.travel, columns)
-            for command, path in nozzle:
-                gathered += from_pair(command, path, profile.travel, columns, None)
+            gathered = gather(recordings, nozzle, config, profile.travel, columns)
             gathered = along_printer(gathered, axes)
             settings = _settings(profile, config if text else None, band, offset)
             if readings:
-                gains = accelerometer.gains_at_rest(np.array(readings))
-                along = accelerometer.gains_along_printer(gains, axes or SAME_AXES)
-                settings = replace(settings, sensor=along)
+                settings = replace(settings, sensor=_sensor(readings, axes))
             report = conclude(gathered, profile, settings)
             write_json(report.as_json())
             if html is not None:
@@ -214,6 +201,16 @@ def _settings(
     bed_moves = profile.kinematics.bed_moves
     settings = Settings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
+
+
+def _sensor(
+    readings: Sequence[tuple[float, float, float]], axes: str | None
+) -> tuple[float, float]:
+    from hframe_post.identification.gather import SAME_AXES
+    from hframe_post.identification.recordings import accelerometer
+
+    gains = accelerometer.gains_at_rest(np.array(readings))
+    return accelerometer.gains_along_printer(gains, axes or SAME_AXES)
 
 
 def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:

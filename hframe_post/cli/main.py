@@ -29,7 +29,7 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "use": ("printers.use", "Set or show the default profile."),
     "printers": ("printers.printers", "List and show printer profiles."),
     "doctor": ("doctor.doctor", "Check the installation, a profile and printer.cfg."),
-    "measure": ("measure.measure", "Write the G-code that measures a printer."),
+    "measure": ("sweep.measure", "Write the G-code that measures a printer."),
     "sweep": ("sweep.sweep", "Write a sweep, which also measures a printer with Marlin."),
     "identify": ("identify.identify", "Compute a profile from the measurement."),
     "calibrate-print": ("calibrate_print.calibrate_print", "Measure a printer without a sensor."),

@@ -84,13 +84,15 @@ def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
     elif shown.default is False:
         settings = {"is_flag": True}
     elif shown.read is not None:
-        settings = {"type": _reader(shown.read)}
+        settings = {"type": typed(shown.read)}
     elif shown.least is not None:
         settings = {"type": click.IntRange(shown.least), "default": shown.unset}
     return click.option(*shown.flags, name, help=shown.help, metavar=shown.metavar, **settings)
 
 
-def _reader(read: Callable[[str], Any]) -> Callable[[str], Any]:
+def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return a type of options: ``read`` whose ArgumentError is wrong usage."""
+
     def convert(text: str) -> Any:
         try:
             return read(text)

@@ -1,4 +1,4 @@
-"""``hframe-post sweep``, and what identify, check and verify share with it.
+"""``hframe-post sweep`` and ``measure``, and what identify, check and verify share with them.
 
 SciPy takes a second to import, so these commands import `identification` when they run: their
 help is there at once.
@@ -48,6 +48,11 @@ chips_option = click.option(
     "--chip", "chips", type=_chip, multiple=True, metavar="NAME",
     help="Accelerometer to record, by its name in Klipper; may be repeated. Default: sweep.chip_x "
     "and chip_y of the profile, which setup finds in printer.cfg, or else adxl345.",
+)  # fmt: skip
+places_option = click.option(
+    "--position", "places", type=position, multiple=True, metavar="X,Y",
+    help="Where to measure (mm); may be repeated. Default: the middle of the travel and, for a "
+    "printer that can rack, 60 mm to either side of it in x.",
 )  # fmt: skip
 
 
@@ -131,11 +136,7 @@ def next_steps(
     "--axis", type=click.Choice(["x", "y"]),
     help="Sweep this axis only. Default: both, one after the other.",
 )  # fmt: skip
-@click.option(
-    "--position", "places", type=position, multiple=True, metavar="X,Y",
-    help="Where to measure (mm); may be repeated. Default: the middle of the travel and, for x of "
-    "a printer that can rack, 60 mm to either side of it.",
-)  # fmt: skip
+@places_option
 @chips_option
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def sweep(
@@ -171,3 +172,45 @@ def sweep(
         text = written_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
     if not quiet:
         say(text)
+
+
+@click.command()
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
+    metavar="MEASURE.GCODE", help="G-code file; each run's command is written next to it, as CSV.",
+)  # fmt: skip
+@printer_option
+@places_option
+@chips_option
+@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+def measure(
+    output: Path, printer: str, places: tuple[tuple[float, float], ...], chips: tuple[str, ...],
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Write G-code of strokes as in prints, which Klipper records with its accelerometers.
+
+    Each position takes a minute: strokes, short infill and corners in random order, at the speeds
+    and accelerations of the profile's [limits]. identify needs the exact command of a run, too,
+    which is written next to the G-code as MEASURE.RUN.csv. Where the bed moves and one sensor
+    records both axes, there are two files, and the sensor is moved in between. Home the printer
+    first.
+
+    \b
+    Example:
+      hframe-post measure -p my.toml -o measure.gcode
+    """
+    from hframe_post.identification.recordings.folder import STROKES
+    from hframe_post.identification.recordings.strokes import runs, summary
+    from hframe_post.identification.recordings.sweep import moves_sensor
+
+    profile = load(printer)
+    planned = runs(profile, places)
+    jobs: dict[Path, list[Run]] = {}
+    if moves_sensor(profile, planned, chips):
+        for run in planned:
+            file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")
+            jobs.setdefault(file, []).append(run)
+    write_motion(output, printer, profile, planned, chips, jobs)
+    if not quiet:
+        say(summary(profile, planned))
+        say(next_steps("identify", output, printer, planned, list(jobs), recorded=STROKES))

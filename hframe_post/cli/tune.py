@@ -22,6 +22,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
+from hframe_post.model.plant import Plant
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
@@ -119,10 +120,7 @@ def tune(
         with opened(source, profile, quiet=False) as lines, Outputs(reads) as outputs:
             _recommend_shaper(lines, profile, options, open_json(outputs, json_file), json_file)
         return
-    if figure is not None:
-        if figure.suffix not in (".png", ".svg"):
-            raise click.UsageError("--figure must end in .png or .svg")
-        plotting.canvas(1, 1, (1.0, 1.0))  # raises before any work if it cannot be drawn
+    _check_figure(figure)
     # The profile is written last: only if there is a recommendation, and after the findings.
     with Outputs(reads) as recommendation:
         file = recommendation.open(output, Path(printer)) if output is not None else None
@@ -135,13 +133,9 @@ def tune(
                     model_error=model_error, draws=draws, seed=seed,
                 )  # fmt: skip
             best, pace = tuned.best, None
-            limited = keep_limits or str(source) == "-"  # which cannot be read again
-            if best is not None and not limited:
-                printed = Input(source or rectangle(profile)).again()
-                if kept := pareto.pieces(printed, profile):
-                    grid = pareto.windows(tuned.trials, best, profile.motors)
-                    plants = random_plants(profile.plant, model_error, draws, seed)
-                    pace = pareto.pareto(kept, profile, grid, plants)
+            if not (keep_limits or str(source) == "-"):  # which cannot be read again
+                plants = random_plants(profile.plant, model_error, draws, seed)
+                pace = _pace(source or rectangle(profile), profile, tuned, plants)
             found = summary(tuned.trials, best, model_error, draws, tuned.stops)
             failure = None
             if best is None:
@@ -153,16 +147,38 @@ def tune(
             if figure is not None and drawing is not None:
                 drawn = trade_off(tuned.trials, best, profile.motors, pace)
                 plotting.save(drawn, drawing, figure.suffix.removeprefix("."))
-        paced = pace_table(pace) if pace else ""
-        advice = "best with the profile's limits" if paced else "recommended"
-        table = trials_table(tuned.trials, best, advice) + paced
-        if tuned.stops:
-            table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
-        click.echo(table, err=str(json_file) == "-")
+        click.echo(_tables(profile, tuned, pace), err=str(json_file) == "-")
         if failure is not None:
             raise failure
         if file is not None and best is not None:
             file.write(_recommended_profile(printer, best, pace).encode())
+
+
+def _check_figure(figure: Path | None) -> None:
+    """Raise, before any work, if the figure cannot be drawn."""
+    if figure is not None:
+        if figure.suffix not in (".png", ".svg"):
+            raise click.UsageError("--figure must end in .png or .svg")
+        plotting.canvas(1, 1, (1.0, 1.0))
+
+
+def _pace(
+    source: Path | Iterable[bytes], profile: Printer, tuned: library.Tuning, plants: list[Plant]
+) -> pareto.Pareto | None:
+    """Return the search for limits of the path; None without a window or a motion to try them."""
+    if tuned.best is None or not (kept := pareto.pieces(Input(source).again(), profile)):
+        return None
+    grid = pareto.windows(tuned.trials, tuned.best, profile.motors)
+    return pareto.pareto(kept, profile, grid, plants)
+
+
+def _tables(profile: Printer, tuned: library.Tuning, pace: pareto.Pareto | None) -> str:
+    paced = pace_table(pace) if pace else ""
+    advice = "best with the profile's limits" if paced else "recommended"
+    table = trials_table(tuned.trials, tuned.best, advice) + paced
+    if tuned.stops:
+        table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
+    return table
 
 
 def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:

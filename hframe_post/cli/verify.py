@@ -112,7 +112,7 @@ def _judge(
     axes: str | None, report_file: Path | None, json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     from hframe_post.identification.pages import verification_page
-    from hframe_post.identification.recordings.dates import recorded_on
+    from hframe_post.identification.recordings.names import recorded_on
     from hframe_post.identification.verification.drifted import as_text, drifted
     from hframe_post.identification.verification.pairing import along_printer, sorted_out
     from hframe_post.identification.verification.verdict import judge

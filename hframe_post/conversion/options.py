@@ -51,6 +51,13 @@ def error_bounds(text: str) -> dict[str, float]:
     return found
 
 
+def known_firmware(text: str) -> str:
+    """Return the name of a firmware."""
+    if text not in TABLES:
+        raise ArgumentError(f"{text!r} is not one of {', '.join(TABLES)}")
+    return text
+
+
 def speed_factor(text: str) -> float:
     """Read a number from 1, or ``max``."""
     try:
@@ -156,8 +163,9 @@ class Options:
         "output: .csv steps, .npz samples, .bgcode binary, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
-        None, "--firmware", choices=named(TABLES),
-        help="Firmware that plays the G-code. Default: firmware.dialect of the profile.",
+        None, "--firmware", metavar="NAME", read=known_firmware,
+        help="Firmware that plays the G-code: klipper, marlin, or one that a package adds. "
+        "Default: firmware.dialect of the profile.",
     )  # fmt: skip
     force: bool = option(
         False, "--force",

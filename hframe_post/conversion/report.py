@@ -110,17 +110,6 @@ class Report:
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
         }
-        path = self.path
-        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
-        limited = {
-            name: {
-                "path_percent": round(100.0 * limit.path / path.path, 2),
-                "least": round(limit.least, 3),
-                "greatest": round(limit.greatest, 3),
-            }
-            for name, limit in limits.items()
-            if limit.path
-        }
         return {
             "warnings": self.warnings(),
             "compensation": self.strategy,
@@ -138,10 +127,23 @@ class Report:
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             "firmware_retractions": self.read.firmware_retractions,
             "uncompensated": self._uncompensated_as_json(),
-            "limited_by": limited,
+            "limited_by": self._limits_as_json(),
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
             **{name: value for name, value in written.items() if value is not None},
+        }
+
+    def _limits_as_json(self) -> dict[str, Any]:
+        path = self.path
+        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
+        return {
+            name: {
+                "path_percent": round(100.0 * limit.path / path.path, 2),
+                "least": round(limit.least, 3),
+                "greatest": round(limit.greatest, 3),
+            }
+            for name, limit in limits.items()
+            if limit.path
         }
 
     def _errors_as_json(self, name: str) -> dict[str, Any]:

@@ -14,20 +14,22 @@ from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.shapers import Shaping
+from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.settings import Printer
 
 
 class Firmware(ABC):
     """A firmware, for any printer.
 
-    name: in profiles and on the command line. dialect: what it reads. decimates: its segments
-    depend on the tolerance. shapers: names of the input shapers that every version has;
-    newer_versions: those that have the shapers with parameters, too, if any do. configuration: a
-    file that `setup` reads. compared: the one that `doctor` compares with a profile, if any;
-    unchecked: what `doctor` notes where it compares none.
+    name: in profiles and on the command line. table: its table in profiles. dialect: what it reads.
+    decimates: its segments depend on the tolerance. shapers: names of the input shapers that every
+    version has; newer_versions: those that have the shapers with parameters, too, if any do.
+    configuration: a file that `setup` reads. compared: the one that `doctor` compares with a
+    profile, if any; unchecked: what `doctor` notes where it compares none.
     """
 
     name: ClassVar[str]
+    table: ClassVar[type[FirmwareTable]]
     dialect: ClassVar[Dialect]
     decimates: ClassVar[bool] = False
     shapers: ClassVar[tuple[str, ...]] = ("zv",)

@@ -12,8 +12,12 @@ from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
+from hframe_post.registry import Registry
 
-FIRMWARES: dict[str, Firmware] = {each.name: each for each in (Klipper(), Marlin())}
+FIRMWARES: Registry[Firmware] = Registry(
+    "firmwares", {each.name: each for each in (Klipper(), Marlin())},
+    lambda found: found if isinstance(found, Firmware) else None,
+)  # fmt: skip
 
 
 def firmware(printer: Printer) -> Firmware:
@@ -34,5 +38,5 @@ def source_of(files: Sequence[Path]) -> Source:
 
     Klipper is asked last: it takes all files, and says what is wrong with those of no firmware.
     """
-    sources = (each.source(files) for each in reversed(FIRMWARES.values()))
+    sources = (FIRMWARES[name].source(files) for name in reversed([*FIRMWARES]))
     return next(source for source in sources if source is not None)

@@ -107,6 +107,19 @@ class Gathered:
         }  # fmt: skip
 
 
+def gather(
+    paths: Sequence[Path], pairs: Sequence[tuple[Path, Path]], config: KlipperConfig | None,
+    travel: Travel, columns: Sequence[str] | None,
+) -> Gathered:  # fmt: skip
+    """Return the runs of ``from_folders``, and those of ``from_pair``."""
+    gathered = Gathered([], [], [])
+    if paths:
+        gathered += from_folders(paths, config, travel, columns)
+    for command, path in pairs:
+        gathered += from_pair(command, path, travel, columns)
+    return gathered
+
+
 # ---------------------------------------------------------------------- folders
 
 
@@ -272,14 +285,12 @@ def _chip(config: KlipperConfig, axis: str) -> str:
 # ---------------------------------------------------------------------- files that the user pairs
 
 
-def from_pair(
-    command: Path, path: Path, travel: Travel, columns: Sequence[str] | None, unit: str | None
-) -> Gathered:
+def from_pair(command: Path, path: Path, travel: Travel, columns: Sequence[str] | None) -> Gathered:
     """Return the run of a command and its recording, which is in the sensor's axes.
 
     travel: of the printer. Raises OSError and IdentificationError.
     """
-    recording = accelerometer.read(path, columns, unit)
+    recording = accelerometer.read(path, columns)
     one = Measurement(
         path.name, path, recording, parsed(path.name), digest_of(path), Command.read(command)
     )

@@ -22,42 +22,62 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hframe_post.arrays import TS, Array
+from hframe_post.registry import Registry
 
-ROWS = {
-    "hbot": ((1.0, 1.0), (1.0, -1.0)),
-    "corexy": ((1.0, 1.0), (1.0, -1.0)),
-    "hybrid-corexy": ((1.0, -1.0), (0.0, 1.0)),
-    "corexz": ((1.0, 0.0), (0.0, 1.0)),
-    "cartesian": ((1.0, 0.0), (0.0, 1.0)),
-}
+
+@dataclass(frozen=True, slots=True)
+class Belts:
+    """What a type of kinematics is: rows of motors A and B, mm of belt per mm in x and y.
+
+    racks: whether a force in x can twist the gantry. bed_moves: in y, with what is printed on it.
+    z_is_separate: whether the motors of z move nothing in x.
+    """
+
+    rows: tuple[tuple[float, float], tuple[float, float]]
+    racks: bool = False
+    bed_moves: bool = False
+    z_is_separate: bool = True
+
+
+TYPES: Registry[Belts] = Registry(
+    "kinematics",
+    {
+        "hbot": Belts(((1.0, 1.0), (1.0, -1.0)), racks=True),
+        "corexy": Belts(((1.0, 1.0), (1.0, -1.0))),
+        "hybrid-corexy": Belts(((1.0, -1.0), (0.0, 1.0))),
+        "corexz": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True, z_is_separate=False),
+        "cartesian": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True),
+    },
+    lambda found: found if isinstance(found, Belts) else None,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Kinematics:
     """Relation of belts and nozzle; mm of belt per mm of nozzle."""
 
-    type: str = field(default="hbot", metadata={"choices": tuple(ROWS)})
+    type: str = field(default="hbot", metadata={"choices": TYPES})
     swap: bool = False
     signs: tuple[float, float] = field(default=(1.0, 1.0), metadata={"choices": (-1.0, 1.0)})
 
     @property
     def racks(self) -> bool:
         """Return whether a force in x can twist the gantry."""
-        return self.type == "hbot"
+        return TYPES[self.type].racks
 
     @property
     def bed_moves(self) -> bool:
         """Return whether the bed moves in y, with what is printed on it."""
-        return self.type in ("cartesian", "corexz")
+        return TYPES[self.type].bed_moves
 
     @property
     def z_is_separate(self) -> bool:
-        return self.type != "corexz"
+        return TYPES[self.type].z_is_separate
 
     @property
     def matrix(self) -> Array:
         """Return the matrix (2, 2) from x, y to the belts: rows A and B."""
-        rows = ROWS[self.type][::-1] if self.swap else ROWS[self.type]
+        rows = TYPES[self.type].rows[:: -1 if self.swap else 1]
         return np.array(
             [[sign * x, sign * y] for sign, (x, y) in zip(self.signs, rows, strict=True)]
         )

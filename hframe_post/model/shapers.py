@@ -36,6 +36,7 @@ from numpy.polynomial.polynomial import polyval, polyval2d
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
+from hframe_post.registry import Registry
 
 TOLERATED = 0.05  # V of the ei family: remaining share of the ringing without a shaper
 
@@ -134,7 +135,8 @@ Impulses = tuple[Any, Any]  # amplitudes, and times in periods 1/f
 class Kind:
     """Impulses of a shaper for a damping ratio, and the largest one that Klipper takes.
 
-    parameters: numbers that its name may give in parentheses, with their types.
+    impulses: takes the damping ratio, and parameters by name. parameters: numbers that its name may
+    give in parentheses, with their types.
     """
 
     impulses: Callable[..., Impulses]
@@ -221,26 +223,34 @@ def _smoother(_: float, name: str) -> Impulses:
     return np.maximum(np.polyval(weights, T), 0.0), length * T
 
 
-KINDS: dict[str, Kind] = {
-    "zv": Kind(partial(_zv, more=0)),
-    "mzv": Kind(_mzv, parameters=(("n", int), ("t", float))),
-    "ei": Kind(_ei, 0.4, (("v_tol", float),)),
-    "2hump_ei": Kind(partial(_humps, table=TWO_HUMPS), 0.3),
-    "3hump_ei": Kind(partial(_humps, table=THREE_HUMPS), 0.2),
-    **{f"zv{'d' * more}": Kind(partial(_zv, more=more)) for more in (1, 2, 3)},
-    **{name: Kind(partial(_smoother, name=name)) for name in SMOOTHERS},
-}
+KINDS: Registry[Kind] = Registry(
+    "shapers",
+    {
+        "zv": Kind(partial(_zv, more=0)),
+        "mzv": Kind(_mzv, parameters=(("n", int), ("t", float))),
+        "ei": Kind(_ei, 0.4, (("v_tol", float),)),
+        "2hump_ei": Kind(partial(_humps, table=TWO_HUMPS), 0.3),
+        "3hump_ei": Kind(partial(_humps, table=THREE_HUMPS), 0.2),
+        **{f"zv{'d' * more}": Kind(partial(_zv, more=more)) for more in (1, 2, 3)},
+        **{name: Kind(partial(_smoother, name=name)) for name in SMOOTHERS},
+    },
+    lambda found: found if isinstance(found, Kind) else None,
+)
 WITH_PARAMETERS = ("mzv(n=4,t=0.9)", "mzv(n=5,t=1.1)")  # those that Klipper's manual names
-SHAPERS = (*KINDS, *WITH_PARAMETERS)  # those that are compared
 NAME = re.compile(r"(\w+)(?:\s*\((.*)\))?")
+
+
+def compared() -> tuple[str, ...]:
+    """Return the names of the shapers that a comparison tries."""
+    return (*KINDS, *WITH_PARAMETERS)
 
 
 def _parsed(name: str) -> tuple[Kind, dict[str, float]]:
     """Return the kind of a shaper and its parameters. Raises HframeError."""
     match = NAME.fullmatch(name)
-    kind = KINDS.get(match[1]) if match else None
-    if match is None or kind is None:
+    if match is None or match[1] not in KINDS:
         raise HframeError(f"unknown shaper {name!r}: choose one of {', '.join(KINDS)}")
+    kind = KINDS[match[1]]
     types, found = dict(kind.parameters), dict[str, float]()
     for part in filter(None, (match[2] or "").split(",")):
         key, _, value = (text.strip() for text in part.partition("="))

@@ -53,11 +53,11 @@ class WholeTrajectory:
     xy (E + 1, 2), mm. Each command is (E + 1, 2) too. Raises ValueError as ``basis`` does.
     """
 
-    def __init__(self, plant: Plant, xy: Array, n: int, m: int = DEGREE) -> None:
+    def __init__(self, plant: Plant, xy: Array, n: int) -> None:
         E = len(xy) - 1
         self._origin = xy[0]
         self._x_d, self._y_d = (xy - xy[0]).T
-        self._N = N = basis(n, E, m)
+        self._N = N = basis(n, E)
         Gxx, Gyy = (transfer_function(G).lifted(E + 1)[0] for G in (plant.Gxx, plant.Gyy))
         self._N_xx, self._N_yy = Gxx @ N, Gyy @ N
         Gxtheta = plant.Gxtheta and transfer_function(plant.Gxtheta)

@@ -8,8 +8,10 @@ import numpy as np
 
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Plant
-from hframe_post.paper.results import Approximation, Preview, TimeResponse
-from hframe_post.paper.widths import Widths
+from hframe_post.paper import results
+from hframe_post.paper.results import Approximation, Preview, TimeResponse, Widths
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.running import one_blas_thread
 
 Row = tuple[str, ...]
 COMPARED = ("", "paper", "ours", "calibrated")  # columns
@@ -27,6 +29,23 @@ PRINTED = {
         "1 -4.813 9.386 -9.344 4.845 -1.14 0.06512",
     ),
 }
+
+
+@one_blas_thread()
+def computed(printer: Printer, prism: Sequence[bytes] | None) -> str:
+    """Return all tables of a printer that racks. prism: lines of the slice for Fig. 11, if any."""
+    xy = results.path(printer)
+    texts = [
+        coefficients(coefficients_off(printer.plant)),
+        approximation(results.approximations(printer.plant, xy)),
+        time_response(results.time_responses(printer.plant, xy)),
+        previews(results.previews(printer, xy)),
+    ]
+    if prism is not None:
+        texts.append(
+            width_errors([results.widths(printer, prism, printed) for printed in (False, True)])
+        )
+    return "\n".join(texts)
 
 
 def markdown(title: str, head: Row, rows: Sequence[Row]) -> str:

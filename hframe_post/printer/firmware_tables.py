@@ -1,6 +1,6 @@
 """The tables ``[firmware.…]`` of a profile: a firmware's own settings, and how it was built.
 
-A table has its firmware's name. ``TABLES`` lists them all. What else a firmware is, is in the
+A table has its firmware's name. ``TABLES`` has them all. What else a firmware is, is in the
 package ``firmware``; a table's class says only what a profile must know.
 """
 
@@ -13,6 +13,7 @@ from typing import Any, ClassVar, TypeVar
 
 from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive, within
+from hframe_post.registry import Registry
 
 FASTEST, HARDEST = 1e4, 1e7  # largest mm/s and mm/s² of a setting
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
@@ -164,7 +165,15 @@ class FirmwareSettings:
         return self.table(MarlinTable)
 
 
-TABLES: dict[str, type[FirmwareTable]] = {"klipper": KlipperTable, "marlin": MarlinTable}
+def _table_of(firmware: Any) -> type[FirmwareTable] | None:
+    """Return the class of a firmware's table, of which nothing else is known here."""
+    table = getattr(firmware, "table", None)
+    return table if isinstance(table, type) and issubclass(table, FirmwareTable) else None
+
+
+TABLES: Registry[type[FirmwareTable]] = Registry(
+    "firmwares", {"klipper": KlipperTable, "marlin": MarlinTable}, _table_of
+)
 NAMES = ("harmless", "returns", "other_tools")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
@@ -177,19 +186,17 @@ def named(dialect: str, key: str = "", source: str = "") -> None:
 
 def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
     """Return ``[firmware]`` with its tables. Raises PrinterError."""
-    known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
+    given = [name for name in table if name not in ("dialect", *NAMES)]
+    if not all(name in TABLES for name in given):
+        known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
     dialect = table.get("dialect", "klipper")
     if not isinstance(dialect, str):
         raise PrinterError(f"must be text, not {dialect!r}", "firmware.dialect")
     named(dialect, "firmware.dialect")
-    for name in TABLES.keys() & table.keys():
+    for name in given:
         if not isinstance(table[name], dict):
             raise PrinterError("the table is missing", f"firmware.{name}")
-    tables = tuple(
-        checked(kind, table[name], f"firmware.{name}")
-        for name, kind in TABLES.items()
-        if name in table
-    )
+    tables = tuple(checked(TABLES[name], table[name], f"firmware.{name}") for name in given)
     names = {key: _names(table[key], f"firmware.{key}") for key in NAMES if key in table}
     return FirmwareSettings(dialect, **names, tables=tables)
 

@@ -25,7 +25,7 @@ from hframe_post.model.impulse_response import (
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.decoding import decoded
+from hframe_post.printer.decoding import file_text
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
 from hframe_post.printer.schema import checked, checked_value, known_keys, numbers, roots
 from hframe_post.printer.settings import (
@@ -81,13 +81,9 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise PrinterError(f"a profile is not larger than {LARGEST_FILE} bytes", source=path)
+        return file_text(Path(path), LARGEST_FILE, "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
-    return decoded(content, path)
 
 
 def parse(text: str, name: str, source: str = "") -> Printer:
@@ -136,16 +132,19 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+def _check_tables(document: dict[str, Any]) -> None:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
     optional = ("kinematics", "steps", "sweep", "speed", "retraction", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
-    description = document.get("description", "")
-    if not isinstance(description, str):
+    if not isinstance(document.get("description", ""), str):
         raise PrinterError("must be text", "description")
+
+
+def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+    _check_tables(document)
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
     limits = checked(Limits, document["limits"], "limits")
     plant = replace(
@@ -165,7 +164,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
     printer = Printer(
         name,
-        description,
+        document.get("description", ""),
         checked(Travel, document["travel"], "travel"),
         limits,
         kinematics,

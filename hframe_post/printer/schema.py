@@ -94,7 +94,7 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     elif hint is str and not value.isprintable():
         raise PrinterError("must be one line of printable text", key)
     choices = rules.get("choices")
-    if choices and value not in choices:
+    if choices is not None and value not in choices:
         shown = (choice if isinstance(choice, str) else f"{choice:g}" for choice in choices)
         raise PrinterError(f"must be one of {', '.join(shown)}", key)
     return value

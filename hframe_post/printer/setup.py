@@ -108,12 +108,13 @@ TITLES = {
     "sweep": "the motion that measures the printer",
     "speed": "of --max-error: largest acceleration of the path",
 }
+FIRMWARE = "firmware."  # how the name of a firmware's table begins
 COLUMN = 32
 
 
 def profile_text(tables: Tables, description: str) -> str:
     """Return a new profile as TOML. It has no plant yet: the nozzle follows the motors exactly."""
-    (dialect,) = (name for name in TABLES if f"firmware.{name}" in tables)
+    (dialect,) = (name[len(FIRMWARE) :] for name in tables if name.startswith(FIRMWARE))
     others = dict(tables)
     firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
@@ -148,8 +149,9 @@ Gyy = {{gain = 1.0, zeros = [], poles = []}}
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
     if not table:
         return
-    of_firmware = TABLES.get(name.removeprefix("firmware."))
-    yield f"{f'[{name}]':24s}# {of_firmware.title if of_firmware else TITLES[name]}"
+    own = name.startswith(FIRMWARE)
+    title = TABLES[name[len(FIRMWARE) :]].title if own else TITLES[name]
+    yield f"{f'[{name}]':24s}# {title}"
     for key, known in table.items():
         yield _line(key, known)
     yield ""

@@ -353,25 +353,6 @@ def test_paper_prints_its_tables() -> None:
         assert title.startswith(start)
 
 
-@pytest.mark.paper
-@pytest.mark.slow
-def test_paper_draws_its_figures(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "folder"
-    done = run("paper", "-o", folder)
-    names = {f"fig{n}.{kind}" for n in ("04", "05", "08", "09") for kind in ("png", "svg")}
-    names |= {"corner.png", "corner.svg"}
-    assert {path.name for path in folder.iterdir()} == names | {"tables.md"}
-    assert (folder / "tables.md").read_bytes() == done.stdout
-    for name in names:
-        head = b"\x89PNG" if name.endswith("png") else b"<?xml"
-        assert (folder / name).read_bytes().startswith(head)
-
-
 def test_paper_tells_at_once_what_it_lacks(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    missing = run("paper", "--prism", tmp_path / "no.gcode", "-o", out)
-    refused(missing, 1, "no.gcode: No such file")
-    refused(run("paper", "-p", "example-cartesian", "-o", out), 1, "does not rack")
-    (tmp_path / "file").write_bytes(b"")
-    refused(run("paper", "-o", tmp_path / "file" / "below"), 1, "Not a directory")
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    refused(run("paper", "--prism", tmp_path / "no.gcode"), 1, "no.gcode: No such file")
+    refused(run("paper", "-p", "example-cartesian"), 1, "does not rack")

@@ -1,6 +1,6 @@
 """A third firmware, made by the recipe of docs/architecture.md: it turns corners without braking.
 
-To import this module adds it to those that the package knows.
+``installed`` adds it as a package would that pip has installed.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.firmware.motion import Dwelling, MotionRules
-from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.ramps import whole_feeds
-from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
+from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, Tables, gentle, motors
@@ -90,7 +89,7 @@ def _dwell(words: Words) -> float:
 
 
 class Stub(Firmware):
-    name = "stub"
+    name, table = "stub", StubTable
     dialect = Dialect(frozenset({"M204"}), _accelerations, _dwell)
     configuration = "stub.txt"
     unchecked = "the stub's settings are not checked"
@@ -138,5 +137,12 @@ class StubSource(Source):
         return f"Measure {quoted(target)}."
 
 
-TABLES[Stub.name] = StubTable
-FIRMWARES[Stub.name] = Stub()
+STUB = Stub()
+
+
+def installed(folder: Path) -> None:
+    """Make a folder, if it is on PYTHONPATH, hold a distribution that adds the stub."""
+    info = folder / "stub_firmware-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stub-firmware\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[hframe_post.firmwares]\nstub = {__name__}:STUB\n")

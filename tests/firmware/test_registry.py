@@ -6,8 +6,8 @@ from dataclasses import fields, replace
 
 import pytest
 
-from hframe_post.cli.convert import convert
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.conversion.options import known_firmware
+from hframe_post.errors import ArgumentError, HframeError, PrinterError
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.motion import MotionRules
@@ -21,11 +21,14 @@ def test_every_firmware_has_a_table_in_profiles() -> None:
     assert tuple(FIRMWARES) == tuple(TABLES)
     assert {type(table) for table in load("paper-marlin").firmware.tables} == {*TABLES.values()}
     assert all(name == each.name for name, each in FIRMWARES.items())
+    assert all(TABLES[name] is each.table for name, each in FIRMWARES.items())
 
 
-def test_command_line_offers_what_is_registered() -> None:
-    (option,) = (p for p in convert.params if p.name == "firmware")
-    assert tuple(option.type.choices) == tuple(FIRMWARES)  # type: ignore[attr-defined]
+def test_command_line_takes_what_is_registered() -> None:
+    for name in FIRMWARES:
+        assert known_firmware(name) == name
+    with pytest.raises(ArgumentError, match="'reprap' is not one of klipper, marlin"):
+        known_firmware("reprap")
 
 
 def motion(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> MotionRules:

@@ -11,6 +11,7 @@ import pytest
 from hframe_post.identification.recordings.excitation import read_command
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
+from tests.firmware.stub import installed
 
 PROFILE = """\
 extends = "paper"
@@ -31,8 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "stub.txt").write_text("3000")
     (made / "prints").mkdir()
     (made / "prints" / "rectangle.gcode").write_bytes(RECTANGLE.read_bytes())
-    # each process that Python starts imports it, also those that work for a batch
-    (made / "sitecustomize.py").write_text("import tests.firmware.stub\n")
+    installed(made)
     done = command(made, "convert {print} -o {folder}/out.gcode --report {folder}/page.html")
     assert done.returncode == 0, done.stderr
     return made
@@ -42,7 +42,7 @@ def command(folder: Path, line: str) -> subprocess.CompletedProcess[bytes]:
     places = {"print": RECTANGLE, "folder": folder}
     words = [word.format(**places) for word in line.split()]
     return run(
-        *words, PYTHONPATH=os.pathsep.join([str(folder), str(ROOT)]),
+        *words, PYTHONPATH=os.pathsep.join([str(folder), str(ROOT)]),  # as installed
         HFRAME_PRINTER=str(folder / "own.toml"), XDG_CONFIG_HOME=str(folder / "config"),
     )  # fmt: skip
 

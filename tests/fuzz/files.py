@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 from collections.abc import Callable
 from functools import cache
@@ -11,7 +12,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hframe_post.arrays import Array
 from hframe_post.firmware.klipper.check import check
 from hframe_post.firmware.klipper.macro_check import check_macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
@@ -29,7 +29,6 @@ from tests.printers import M503, profile_of
 from tests.slices import SLICES
 from tests.step_tools import write_steps
 
-COLUMNS = ("t", "x", "y", "z")
 RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
 Reader = Callable[[Path], object]
 
@@ -92,7 +91,7 @@ def _answered(path: Path) -> object:
 
 
 def _recorded(path: Path) -> object:
-    return accelerometer.oriented(accelerometer.read(path, COLUMNS, "g"))
+    return accelerometer.oriented(accelerometer.read(path))
 
 
 def _binary(path: Path) -> object:
@@ -101,27 +100,26 @@ def _binary(path: Path) -> object:
 
 
 READERS: dict[str, Reader] = {
-    "bgcode": _binary, "npz": _recorded, "cfg": _configured,
+    "bgcode": _binary, "recording": _recorded, "cfg": _configured,
     "m503": _answered,
     "steps": lambda path: [len(block.tick) for block in step_file.read(path)],
     "compare": _compared,
 }  # fmt: skip
-SUFFIXES = {"steps": "csv", "compare": "gcode"}
+SUFFIXES = {"steps": "csv", "compare": "gcode", "recording": "csv.gz"}
 
 
 @cache
 def originals() -> dict[str, bytes]:
     """Return files as the tool and other programs write them."""
     rng = np.random.default_rng(0)
-    arrays: dict[str, Array] = {name: rng.normal(size=3000) for name in COLUMNS[1:]}
-    arrays["t"] = np.arange(0.0, 3.0, 1e-3)
-    npz, binary = io.BytesIO(), io.BytesIO()
-    np.savez_compressed(npz, **arrays)  # type: ignore[arg-type]
+    samples = np.column_stack([np.arange(0.0, 3.0, 1e-3), rng.normal(size=(3000, 3))])
+    recording, binary = io.BytesIO(), io.BytesIO()
+    np.savetxt(recording, samples, "%.6f", ",", header="time,accel_x,accel_y,accel_z")
     with as_binary(binary) as file:
         file.writelines(SLICES["prusaslicer"].lines)
     config = ROOT / "tests" / "klipper" / "printer.cfg"
     return {
-        "bgcode": binary.getvalue(), "npz": npz.getvalue(),
+        "bgcode": binary.getvalue(), "recording": gzip.compress(recording.getvalue(), mtime=0),
         "cfg": config.read_bytes(), "m503": M503.read_bytes(), "steps": _steps(),
         "compare": RECTANGLE,
     }  # fmt: skip

@@ -85,9 +85,9 @@ def test_klipper_file_by_its_columns_begins_anywhere(tmp_path: Path, rows: Array
 
 @pytest.mark.parametrize("end", [b"\n", b"\r\n"])
 @pytest.mark.parametrize("delimiter", [b",", b";", b"\t"])
-@pytest.mark.parametrize(("unit", "scale"), [("mm/s2", 1.0), ("m/s2", 1e3), ("g", GRAVITY)])
+@pytest.mark.parametrize("scale", [1.0, 1e3, GRAVITY], ids=["mm/s2", "m/s2", "g"])
 def test_table_with_named_columns(
-    tmp_path: Path, rows: Array, delimiter: bytes, end: bytes, unit: str, scale: float
+    tmp_path: Path, rows: Array, delimiter: bytes, end: bytes, scale: float
 ) -> None:
     head = b'\xef\xbb\xbf"az";note;t;ax; ay '.replace(b";", delimiter) + end
     body = [
@@ -97,37 +97,8 @@ def test_table_with_named_columns(
     text = head + end.join(line.replace(b";", delimiter) for line in body) + end + end
     recording = read(file(tmp_path, text, "logged.txt"), COLUMNS)
     assert not recording.started
-    np.testing.assert_array_equal(recording.a, read(tmp_path / "logged.txt", COLUMNS, unit).a)
     np.testing.assert_allclose(recording.a, rows[:, 1:], rtol=1e-12)
     np.testing.assert_allclose(recording.t, rows[:, 0], rtol=1e-12)
-
-
-def test_arrays_by_name(tmp_path: Path, rows: Array) -> None:
-    path = tmp_path / "measured.npz"
-    arrays = dict(zip(COLUMNS, rows.T / GRAVITY, strict=True)) | {"t": rows[:, 0]}
-    np.savez(path, **arrays)
-    recording = read(path, COLUMNS, "g")
-    assert not recording.started
-    np.testing.assert_allclose(recording.a, rows[:, 1:], rtol=1e-12)
-    refused(path, "name the arrays .* the file has: t, ax, ay, az")
-    refused(path, "there is no column b; the file has: t, ax", ("t", "ax", "ay", "b"))
-
-
-def test_files_of_arrays_that_are_broken(tmp_path: Path, rows: Array) -> None:
-    refused(file(tmp_path, b"", "empty.npz"), "cannot be read", COLUMNS)
-    refused(file(tmp_path, bytes(range(256)) * 9, "junk.npz"), "cannot be read", COLUMNS)
-    path = tmp_path / "odd.npz"
-    good = dict(zip(COLUMNS, rows.T, strict=True))
-    for wrong, words in (
-        (rows[:-1, 3], "differ in length"),
-        (rows, "not a list"),
-        (rows[:, 3] * 1j, "not a list"),
-        (np.array(["word"] * len(rows)), "not a list"),
-    ):
-        np.savez(path, **good | {"az": wrong})
-        refused(path, words, COLUMNS)
-    np.savez(path, **good | {"az": np.array([None, {}])})
-    refused(path, "cannot be read", COLUMNS)
 
 
 @pytest.mark.parametrize(
@@ -211,10 +182,8 @@ def test_wrong_columns(tmp_path: Path, columns: tuple[str, ...], words: str) -> 
     refused(file(tmp_path, b"t,x,y,z,y\n1,2,3,4,5\n"), words, columns)
 
 
-def test_units_and_columns_are_checked(tmp_path: Path, rows: Array) -> None:
+def test_columns_are_checked(tmp_path: Path, rows: Array) -> None:
     path = file(tmp_path, klipper(rows))
-    with pytest.raises(IdentificationError, match="unknown unit"):
-        read(path, None, "furlong")
     for columns in (("t", "x", "y"), ("t", "x", "x", "z")):
         with pytest.raises(IdentificationError, match="name four columns"):
             read(path, columns)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from hframe_post.identification.recordings.dates import recorded_on
+from hframe_post.identification.recordings.names import recorded_on
 
 COPIED = date(2026, 2, 3)
 HEAD = "#time,accel_x,accel_y,accel_z\n"

@@ -1,13 +1,11 @@
-"""Files of accelerometers as Klipper, Shake&Tune, RepRapFirmware and other programs write them."""
+"""Files of accelerometers as Klipper, Shake&Tune and other programs write them."""
 
 from __future__ import annotations
 
 import gzip
-import io
 import json
 import lzma
 import tracemalloc
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,11 +41,6 @@ def stdata(*measurements: tuple[str, Array]) -> bytes:
         for name, values in measurements
     ]
     return zstandard.ZstdCompressor().compress("".join(lines).encode())
-
-
-def m956(rows: Array, end: bytes = b"Rate 1600, overflows 0\n") -> bytes:
-    lines = [b"%d,%.4f,%.4f,%.4f\n" % (k, *row) for k, row in enumerate(rows[:, 1:] / GRAVITY)]
-    return b"Sample,X,Y,Z\n" + b"".join(lines) + end
 
 
 @pytest.mark.parametrize(
@@ -103,24 +96,6 @@ def test_broken_shaketune_files_are_refused(tmp_path: Path, text: bytes, words: 
         read(path)
 
 
-def test_m956_files_of_reprapfirmware_are_read(tmp_path: Path, rows: Array) -> None:
-    path = tmp_path / "0_2026-03-01_10.15.00.csv"
-    path.write_bytes(m956(rows))
-    found = read(path)
-    np.testing.assert_allclose(found.t, rows[:, 0] - rows[0, 0], atol=1e-9)
-    np.testing.assert_allclose(found.a, rows[:, 1:], atol=0.5)
-    assert not found.started
-    for text, words in (
-        (m956(rows, b""), "the last line is not 'Rate"),
-        (m956(rows, b"Failed to collect data from accelerometer\n"), "accelerometer failed"),
-        (m956(rows, b"Rate 1600, overflows 3\n"), "3 overflows"),
-        (m956(rows).replace(b"Sample,X,Y,Z", b"Sample,X"), "has only X.*all three axes"),
-    ):
-        path.write_bytes(text)
-        with pytest.raises(IdentificationError, match=words):
-            read(path)
-
-
 @pytest.mark.parametrize(
     ("head", "scale"),
     [
@@ -146,17 +121,6 @@ def test_columns_that_say_what_they_are_need_no_option(
 
 ZEROS = bytes(1 << 24)  # 16 MB
 TIMES = 17  # 272 MB, more than MAX_SIZE
-COLUMNS = ("t", "ax", "ay", "az")
-
-
-def npz() -> bytes:
-    array = io.BytesIO()
-    np.lib.format.write_array(array, np.frombuffer(ZEROS), version=(1, 0))
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name in (*COLUMNS, *range(TIMES - len(COLUMNS))):
-            archive.writestr(f"{name}.npy", array.getvalue())
-    return packed.getvalue()
 
 
 def stdata_of_rows() -> bytes:
@@ -171,7 +135,6 @@ def stdata_of_rows() -> bytes:
         ("x.csv.gz", lambda: TIMES * gzip.compress(ZEROS, 1), "too large"),
         ("x.csv.xz", lambda: TIMES * lzma.compress(ZEROS, preset=0), "too large"),
         ("x.csv.zst", lambda: TIMES * zstandard.ZstdCompressor().compress(ZEROS), "too large"),
-        ("x.npz", npz, "too large"),
         ("x.stdata", stdata_of_rows, "too many"),
     ],
 )
@@ -184,18 +147,8 @@ def test_no_file_unpacks_to_more_than_the_limit(
     tracemalloc.start()
     try:
         with pytest.raises(IdentificationError, match=rf"x\..*{words}"):
-            read(path, COLUMNS if name == "x.npz" else None)
+            read(path)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     assert peak < 1.2 * MAX_SIZE, f"{peak >> 20} MB of memory"
-
-
-def test_arrays_in_archives_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_BZIP2) as archive:
-        archive.writestr("t.npy", b"few")
-    path = tmp_path / "x.npz"
-    path.write_bytes(packed.getvalue())
-    with pytest.raises(IdentificationError, match="not compressed as NumPy does"):
-        read(path, COLUMNS)

@@ -28,12 +28,11 @@ def test_other_files_in_other_units_are_read(taken: Recorded, tmp_path: Path) ->
         rows = np.loadtxt(path, delimiter=",")
         late = np.concatenate([np.repeat(rows[:1], 800, axis=0), rows])
         late[:800, 0] = rows[0, 0] - np.arange(800, 0, -1) * 3.125e-4
-        columns = (late / [1.0, 9806.65, 9806.65, 9806.65]).T
-        names = dict(zip(("time", "ax", "ay", "az"), columns, strict=True))
-        np.savez(tmp_path / f"{k}.npz", **names)
-        arguments += ["--nozzle", played.command, tmp_path / f"{k}.npz"]
+        in_g = late / [1.0, 9806.65, 9806.65, 9806.65]
+        np.savetxt(tmp_path / f"{k}.txt", in_g, "%.7f", ",", header="s,1,2,3", comments="")
+        arguments += ["--nozzle", played.command, tmp_path / f"{k}.txt"]
     mine = tmp_path / "mine.toml"
-    more = ("--columns", "time,ax,ay,az", "-o", mine)
+    more = ("--columns", "s,1,2,3", "-o", mine)
     done = invoked(*MAP, *arguments, *more)
     assert done.exit_code == 0, done.output
     assert profiles.load(str(mine)).plant.Gxtheta is not None

@@ -164,7 +164,7 @@ def test_a_pair_that_the_owner_names_is_the_same_run(tmp_path: Path) -> None:
     name = folder.add(run, FAST.record(MACHINE, run.command, 1))
     (one,) = folder.gathered().runs
     command = tmp_path / f"m.{run.name}.csv"
-    (other,) = from_pair(command, tmp_path / name, PRINTER.travel, None, None).runs
+    (other,) = from_pair(command, tmp_path / name, PRINTER.travel, None).runs
     assert other.start == one.start
     assert np.array_equal(other.on_command_clock(), one.on_command_clock())
 
@@ -247,8 +247,7 @@ def test_a_recording_that_does_not_tell_its_start_is_left_aside(tmp_path: Path) 
 
 def test_a_print_time_is_no_date(tmp_path: Path) -> None:
     """2025111512 µs are 34 minutes of print time."""
-    from hframe_post.identification.recordings.dates import recorded_on
-    from hframe_post.identification.recordings.names import parsed, stem
+    from hframe_post.identification.recordings.names import parsed, recorded_on, stem
 
     path = tmp_path / "adxl345-measure-at-140-t2025111512.csv"
     path.write_text("")

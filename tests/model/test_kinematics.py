@@ -15,7 +15,7 @@ from hframe_post.conversion.pipeline import Commands
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.model.kinematics import ROWS, Differences, Kinematics
+from hframe_post.model.kinematics import TYPES, Differences, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
 from hframe_post.stream.chunks import join
@@ -23,7 +23,7 @@ from tests.conftest import SAMPLES
 
 ALL = [
     Kinematics(kind, swap, (a, b))
-    for kind, swap, a, b in itertools.product(ROWS, (False, True), (1.0, -1.0), (1.0, -1.0))
+    for kind, swap, a, b in itertools.product(TYPES, (False, True), (1.0, -1.0), (1.0, -1.0))
 ]
 X, Y = np.array([3.0, -1.0, 0.0]), np.array([4.0, 0.5, 2.0])
 

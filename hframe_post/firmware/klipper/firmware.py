@@ -11,6 +11,7 @@ from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.firmware.klipper.code import KlipperCode, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
+from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 
 SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
@@ -32,7 +33,7 @@ def _dwell(words: Words) -> float:
 class Klipper(Firmware):
     """Klipper."""
 
-    name = "klipper"
+    name, table = "klipper", KlipperTable
     dialect = Dialect(
         frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations, _dwell,
         retraction_settings=frozenset({"SET_RETRACTION"}), g92_resets=True,

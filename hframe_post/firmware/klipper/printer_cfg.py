@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.decoding import decoded
+from hframe_post.printer.decoding import file_text
 from hframe_post.printer.firmware_tables import MACROS
 
 SAVED = "#*#"  # starts each line that SAVE_CONFIG wrote
@@ -28,7 +28,7 @@ VOID = (
     "with '#*# <--- SAVE_CONFIG'"
 )
 MAX_FILES = 500
-MAX_SIZE = 1 << 22  # bytes
+LARGEST = (1 << 22, "is it a printer.cfg?")  # bytes
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
 SECTION = re.compile(r"\[([^]]+)\]")
 OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")
@@ -59,7 +59,7 @@ class KlipperConfig:
         self.missing: list[str] = []
         self._lines: dict[tuple[str, str], list[Line]] = {}  # of each section and option
         self._files = 0
-        text = _text(path)
+        text = file_text(path, *LARGEST)
         regular, saved, void = _divided(_lines(path, text))
         self.unsaved = VOID.format(void.place) if void is not None else ""
         self._parser = _parser()
@@ -99,7 +99,7 @@ class KlipperConfig:
         for each in files:
             if os.path.abspath(each) in inside:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
-            self._read(_lines(each, _text(each)), inside)
+            self._read(_lines(each, file_text(each, *LARGEST)), inside)
 
     def _parse(self, lines: Sequence[Line], parser: configparser.RawConfigParser) -> None:
         if not lines:
@@ -228,14 +228,6 @@ def _divided(lines: list[Line]) -> tuple[list[Line], list[Line], Line | None]:
     rows = [Line(line.path, line.number, line.text[len(SAVED) + 1 :]) for line in saved]
     first = next((k for k, line in enumerate(rows) if SECTION.match(line.text)), len(rows))
     return lines[:head], rows[first:], None
-
-
-def _text(path: Path) -> str:
-    with path.open("rb") as file:
-        content = file.read(MAX_SIZE + 1)
-    if len(content) > MAX_SIZE:
-        raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: is it a printer.cfg?")
-    return decoded(content, str(path))
 
 
 def _advice(path: Path, text: str) -> str:

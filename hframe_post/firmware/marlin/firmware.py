@@ -14,6 +14,7 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def _dwell(words: Words) -> float:
 class Marlin(Firmware):
     """Marlin."""
 
-    name = "marlin"
+    name, table = "marlin", MarlinTable
     dialect = Dialect(
         frozenset({"M201", "M203", "M204", "M205"}), _accelerations, _dwell,
         retraction_settings=frozenset({"M207", "M208"}), g90_sets_e=True, saves_factor=True,

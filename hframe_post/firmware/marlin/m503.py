@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.decoding import decoded
+from hframe_post.printer.decoding import file_text
 from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
 
 MAX_SIZE = 1 << 22  # bytes of a file
@@ -47,11 +47,7 @@ HARMFUL = {  # options of a build, and what they do
 
 def text_in(path: Path) -> str:
     """Return a file's text. Raises HframeError if it is too large or not text."""
-    with path.open("rb") as file:
-        content = file.read(MAX_SIZE + 1)
-    if len(content) > MAX_SIZE:
-        raise HframeError(f"{path} is larger than {MAX_SIZE} bytes: it has no printer's settings")
-    return decoded(content, str(path))
+    return file_text(path, MAX_SIZE, "it has no printer's settings")
 
 
 def is_of_marlin(text: str) -> bool:

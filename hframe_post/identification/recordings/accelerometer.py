@@ -21,7 +21,7 @@ from hframe_post.identification.recordings.packed import unpacked
 from hframe_post.identification.recordings.timestamps import GAP, repaired
 
 GRAVITY = 9806.65  # mm/s²
-UNITS = {"mm/s2": 1.0, "m/s2": 1000.0, "g": GRAVITY}
+UNITS = (1.0, 1000.0, GRAVITY)  # of other programs: mm/s², m/s², g
 AXES = "xyz"
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
@@ -50,19 +50,14 @@ class Recording:
         return float(np.median(np.diff(self.t)))
 
 
-def read(
-    path: str | Path, columns: Sequence[str] | None = None, unit: str | None = None
-) -> Recording:
+def read(path: str | Path, columns: Sequence[str] | None = None) -> Recording:
     """Return the recording in a file of any known format, which must hold one only.
 
     columns: names of time (s) and the three accelerations, needed if the file's own do not say
-    what they are; with them even a Klipper file is not taken to begin with the command. unit: one
-    of UNITS; by default the one in which the mean acceleration is gravity. Raises OSError and
-    IdentificationError, which names file, line and cause.
+    what they are; with them even a Klipper file is not taken to begin with the command. Raises
+    OSError and IdentificationError, which names file, line and cause.
     """
     path = Path(path)
-    if unit not in (None, *UNITS):
-        raise IdentificationError(f"unknown unit {unit!r}; use one of {', '.join(UNITS)}")
     if columns is not None and len(set(columns)) != 4:
         raise IdentificationError(
             f"{','.join(columns)!r} does not name four columns: time, x, y and z"
@@ -71,27 +66,27 @@ def read(
     if len(tables) != 1:
         names = ", ".join(table.name for table in tables[:5]) or "none"
         raise IdentificationError(f"{path} does not hold one recording, but {len(tables)}: {names}")
-    return from_table(path, tables[0], unit)
+    return from_table(path, tables[0])
 
 
-def from_table(path: Path, table: Table, unit: str | None = None) -> Recording:
-    """Return the recording in a table of a file, its time stamps repaired.
+def from_table(path: Path, table: Table) -> Recording:
+    """Return the recording in a table of a file, in mm/s², its time stamps repaired.
 
     Raises IdentificationError, which names file, line and cause.
     """
     _check_samples(path, table)
     a = table.values[:, 1:]
-    a = a * UNITS[table.unit or unit or _unit_by_gravity(a)]
+    a = a * (1.0 if table.in_mm else _unit_by_gravity(a))
     _check_clipping(path, table, a)
     t, a, notes = repaired(table.values[:, 0].copy(), a)
     return Recording(t, a, table.starts_with_command, notes)
 
 
-def _unit_by_gravity(a: Array) -> str:
-    """Return the unit in which the mean of a (n, 3) is gravity; mm/s² if it is in none."""
+def _unit_by_gravity(a: Array) -> float:
+    """Return the unit, in mm/s², in which the mean of a (n, 3) is gravity; 1 if it is in none."""
     strength = float(np.linalg.norm(a.mean(axis=0)))
-    fitting = (u for u, scale in UNITS.items() if PLAUSIBLE[0] <= strength * scale <= PLAUSIBLE[1])
-    return next(fitting, "mm/s2")
+    fitting = (unit for unit in UNITS if PLAUSIBLE[0] <= strength * unit <= PLAUSIBLE[1])
+    return next(fitting, 1.0)
 
 
 # ---------------------------------------------------------------------- checks of samples

@@ -26,7 +26,6 @@ from hframe_post.identification.recordings.names import ENDINGS, RecordingName, 
 from hframe_post.identification.recordings.packed import unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
-ARRAYS = ".npz"  # which are recordings only if the user names their columns
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
 STROKES = "measure"  # how the names of its runs begin
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
@@ -152,7 +151,7 @@ def read_files(
 
     Raises as ``contents``.
     """
-    files = files_in(paths, columns is not None)
+    files = files_in(paths)
     if not files:
         raise IdentificationError(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
@@ -168,13 +167,12 @@ def read_files(
     )
 
 
-def files_in(paths: Sequence[Path], arrays: bool = False) -> dict[Path, str]:
+def files_in(paths: Sequence[Path]) -> dict[Path, str]:
     """Return the files given, and those in the folders given that may be recordings.
 
-    Each has a label: its name, or its path within the folder. arrays: whether to look for files
-    of arrays, too. Raises OSError if a folder cannot be read, and IdentificationError.
+    Each has a label: its name, or its path within the folder. Raises OSError if a folder cannot be
+    read, and IdentificationError.
     """
-    suffixes = (*SUFFIXES, ARRAYS) if arrays else SUFFIXES
     files: dict[Path, str] = {}
     for path in paths:
         if not path.is_dir():
@@ -183,7 +181,7 @@ def files_in(paths: Sequence[Path], arrays: bool = False) -> dict[Path, str]:
         for folder, inner, names in os.walk(path, onerror=_raise):
             deep = len(Path(folder).relative_to(path).parts) >= DEPTH
             inner[:] = [] if deep else sorted(name for name in inner if not name.startswith("."))
-            chosen = [n for n in names if n.lower().endswith(suffixes) and not n.startswith(".")]
+            chosen = [n for n in names if n.lower().endswith(SUFFIXES) and not n.startswith(".")]
             inside = [Path(folder) / name for name in sorted(chosen)]
             files |= {file: str(file.relative_to(path)) for file in inside}
     if len(files) > MOST_FILES:
@@ -264,29 +262,28 @@ def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | 
     A command in the same folder goes before others. None if there is none.
     """
     own, axis = stem(one.path.name), one.name.direction
-    meant = [c for c in commands if own.endswith(c.run)]
-    fitting = [c for c in commands if c.lasts_as_long_as(one.recording)]
-    if meant and not fitting:
-        lasts, needed = float(np.ptp(one.recording.t)), TS * len(meant[0].motion)
-        cause = f"it lasts {lasts:.1f} s, but its motion, {meant[0].path.name}, {needed:.1f} s"
-        return Aside(one.label, f"{cause}: it was cut off, or is of another run")
-
-    def suits(command: Command) -> tuple[int, bool]:
-        named = len(command.run) if own.endswith(command.run) else 0
-        return named, command.path.parent == one.path.parent
-
-    possible = [c for c in fitting if own.endswith(c.run) or (axis and c.direction == axis)]
-    best = [c for c in possible if suits(c) == max(map(suits, possible))]
-    if not best:
-        return None
+    named = [command for command in commands if own.endswith(command.run)]
+    possible = named or [command for command in commands if axis and command.direction == axis]
+    fitting = [command for command in possible if command.lasts_as_long_as(one.recording)]
+    if not fitting:
+        return _cut_off(one, named[0]) if named else None
+    longest = max(len(command.run) for command in fitting)
+    best = [command for command in fitting if len(command.run) == longest or not named]
+    best = [c for c in best if c.path.parent == one.path.parent] or best
     if not all(np.array_equal(c.motion, best[0].motion) for c in best):
         which = ", ".join(c.path.name for c in best[:4])
         return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")
     if best[0].direction is None and not best[0].of_strokes:
         return Aside(one.label, "a motion of both axes; 'hframe-post verify' judges it")
-    words = own.removesuffix(best[0].run).rstrip("-_.") if own.endswith(best[0].run) else ""
+    words = own.removesuffix(best[0].run).rstrip("-_.") if named else ""
     chip = words.replace("-", "_") or one.name.chip
     return replace(one, command=best[0], name=replace(one.name, chip=chip))
+
+
+def _cut_off(one: Measurement, command: Command) -> Aside:
+    lasts, needed = float(np.ptp(one.recording.t)), TS * len(command.motion)
+    cause = f"it lasts {lasts:.1f} s, but its motion, {command.path.name}, {needed:.1f} s"
+    return Aside(one.label, f"{cause}: it was cut off, or is of another run")
 
 
 # ---------------------------------------------------------------------- copies and sessions

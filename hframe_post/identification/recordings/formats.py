@@ -1,6 +1,8 @@
 """Formats of accelerometer files.
 
-To support another format, write a function that returns a Table, and call it in ``read_tables``.
+Each is a function that takes a file's path and content and the names in its first line, and returns
+the recordings in it, or None if it is of another format. To support one more, add it to
+``FORMATS``.
 """
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,19 +18,16 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.packed import check_zip
 
-COMMAND = ("t", "x", "y")  # as sweep and verify write it
-KLIPPER = ("#time", "accel_x", "accel_y", "accel_z")
-M956 = ("Sample", "X", "Y", "Z")
-M956_END = re.compile(rb"\s*Rate (\d+), overflows (\d+)\s*")
+COMMAND = ["t", "x", "y"]  # as sweep and verify write it
+KLIPPER = ["#time", "accel_x", "accel_y", "accel_z"]
+TIMES = ("time", "t", "timestamp")
 ACCELERATIONS = (
     "accel_{}", "acceleration_{}", "acc_{}", "a{}", "a_{}", "{}_accel", "{}_acc", "{}",
 )  # fmt: skip
-UNIT = re.compile(r"[ _]*(?:\((?P<a>[^)]*)\)|\[(?P<b>[^\]]*)\]|_(?P<c>g|mm/s2|m/s2|s))$")
-UNIT_NAMES = {"g": "g", "m/s2": "m/s2", "m/s^2": "m/s2", "m/s²": "m/s2",
-              "mm/s2": "mm/s2", "mm/s^2": "mm/s2", "mm/s²": "mm/s2"}  # fmt: skip
+UNIT = re.compile(r"[ _]*(?:\([^)]*\)|\[[^\]]*\]|_(?:g|mm/s2|m/s2|s))$")
 MOST_SAMPLES = 1 << 22  # of a recording: 20 minutes of an ADXL345
+LONGEST_HEAD = 1 << 12  # bytes of the line with the names of columns
 LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show it
 
 
@@ -36,15 +35,15 @@ LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show
 class Table:
     """One recording in a file: time (s) and three accelerations, (n, 4).
 
-    text: the file, if it has lines, so that errors can name them. unit: of the accelerations;
-    None if the format does not fix it. starts_with_command: whether the program that wrote the
-    file began recording with the first sample of the command. name: of the recording, if the
-    file names it.
+    text: the file, if it has lines, so that errors can name them. in_mm: whether the accelerations
+    are in mm/s²; otherwise gravity shows their unit. starts_with_command: whether the program that
+    wrote the file began recording with the first sample of the command. name: of the recording, if
+    the file names it.
     """
 
     values: Array
     text: bytes | None = None
-    unit: str | None = None
+    in_mm: bool = False
     starts_with_command: bool = False
     name: str = ""
 
@@ -62,29 +61,36 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     content: of the file, decompressed. columns: names of time, x, y, z if the user gave them.
     Raises IdentificationError.
     """
-    if path.suffix == ".npz":
-        return [Table(_named_arrays(path, content, columns))]
     _check_count(path, content.count(b"\n"))
+    if not content.strip():
+        raise IdentificationError(f"{path}: the file is empty")
+    names, _ = _header(content)
     if columns is not None:
-        return [_text(path, content, columns)]
-    if content.startswith(b"{"):
-        return [_measurement(path, k, line) for k, line in enumerate(content.splitlines(), 1)]
-    names = tuple(_header(content)[0])
-    if names == KLIPPER:  # always in mm/s²
-        values = _numbers(path, content, KLIPPER)
-        return [Table(values, content, "mm/s2", starts_with_command=True)]
-    if names == COMMAND:
-        raise IdentificationError(
-            f"{path} is the command of a motion, not a recording. Give the command first and the "
-            "recording after it"
-        )
-    if names[:1] == M956[:1] and set(names) <= set(M956):
-        return [_m956(path, content, names)]
-    return [_recognized(path, content, names)]
+        return [Table(_numbers(path, content, columns), content)]
+    for read in FORMATS:
+        if (tables := read(path, content, names)) is not None:
+            return tables
+    raise IdentificationError(
+        f"{path} is not a Klipper accelerometer file. If another program wrote it, name its "
+        f"columns: 'hframe-post identify --columns time,x,y,z'; {_listed(names)}"
+    )
+
+
+def _klipper(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
+    """Read what ACCELEROMETER_MEASURE and TEST_RESONANCES write."""
+    if names != KLIPPER:
+        return None
+    return [Table(_numbers(path, content, names), content, in_mm=True, starts_with_command=True)]
+
+
+def _shaketune(path: Path, content: bytes, _: list[str]) -> list[Table] | None:
+    """Read a .stdata file of Shake&Tune: in each line a JSON object with a name and samples."""
+    if not content.startswith(b"{"):
+        return None
+    return [_measurement(path, k, line) for k, line in enumerate(content.splitlines(), 1)]
 
 
 def _measurement(path: Path, number: int, line: bytes) -> Table:
-    """Read one line of a .stdata file of Shake&Tune: a JSON object with a name and samples."""
     _check_count(path, max(line.count(b"["), line.count(b",") // 4))  # as read they take 20 times
     try:
         read = json.loads(line)
@@ -101,76 +107,49 @@ def _measurement(path: Path, number: int, line: bytes) -> Table:
             f"{path}: measurement {number} does not consist of a name and samples of time, x, y "
             "and z: Shake&Tune did not write this file"
         ) from None
-    return Table(values, None, "mm/s2", False, name)
+    return Table(values, in_mm=True, name=name)
 
 
-def _m956(path: Path, content: bytes, names: Sequence[str]) -> Table:
-    """Read what M956 of RepRapFirmware wrote: samples in g, and their rate in the last line."""
-    if len(names) < len(M956):
-        raise IdentificationError(
-            f"{path} has only {', '.join(names[1:]) or 'no axis'}. Record all three axes: M956 "
-            "without X, Y and Z"
-        )
-    body, _, last = content.rstrip().rpartition(b"\n")
-    found = M956_END.fullmatch(last)
-    if found is None or not int(found[1]):
-        raise IdentificationError(
-            f"{path}: the last line is not 'Rate …, overflows …'. The file is cut off, or the "
-            "accelerometer failed"
-        )
-    if int(found[2]):
-        raise IdentificationError(
-            f"{path}: samples are missing: {int(found[2])} overflows at unknown times. Set a lower "
-            "rate (M955 S) and record again"
-        )
-    values = _numbers(path, body, M956)
-    values[:, 0] /= float(found[1])
-    return Table(values, body, "g")
-
-
-def _recognized(path: Path, content: bytes, names: Sequence[str]) -> Table:
+def _labelled(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
     """Read another program's table if its columns say what they are: time, and accelerations."""
     bare = [UNIT.sub("", name.strip("# ").lower()).replace(" ", "_") for name in names]
-    units = [_unit_of(name) for name in names]
-    times = [k for k, name in enumerate(bare) if name in ("time", "t", "timestamp")]
+    times = [k for k, name in enumerate(bare) if name in TIMES]
     for form in ACCELERATIONS:
         axes = [form.format(axis) for axis in "xyz"]
         if len(times) == 1 and all(bare.count(axis) == 1 for axis in axes):
             places = [times[0], *(bare.index(axis) for axis in axes)]
-            unit = UNIT_NAMES.get(units[places[1]])
-            return Table(_numbers(path, content, [names[k] for k in places]), content, unit)
-    return _text(path, content, None)
+            return [Table(_numbers(path, content, [names[k] for k in places]), content)]
+    return None
 
 
-def _unit_of(name: str) -> str:
-    found = UNIT.search(name.lower())
-    return next(filter(None, found.groups()), "").strip() if found else ""
+def _no_recording(path: Path, _: bytes, names: list[str]) -> list[Table] | None:
+    """Raise IdentificationError for files that are often taken for recordings."""
+    if names == COMMAND:
+        raise IdentificationError(
+            f"{path} is the command of a motion, not a recording. Give the command first and the "
+            "recording after it"
+        )
+    if any(name.lower().startswith("psd_") for name in names):
+        raise IdentificationError(
+            f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
+            "TEST_RESONANCES AXIS=… OUTPUT=raw_data"
+        )
+    return None
+
+
+FORMATS: tuple[Callable[[Path, bytes, list[str]], list[Table] | None], ...] = (
+    _shaketune, _klipper, _no_recording, _labelled,
+)  # fmt: skip
 
 
 # ---------------------------------------------------------------------- text
 
 
 def _header(content: bytes) -> tuple[list[str], str]:
-    line = content.lstrip().partition(b"\n")[0].decode("utf-8-sig", "replace").strip()
+    head = content.lstrip()[:LONGEST_HEAD]
+    line = head.partition(b"\n")[0].decode("utf-8-sig", "replace").strip()
     delimiter = max(",;\t", key=line.count)
     return [name.strip().strip("\"'") for name in line.split(delimiter)], delimiter
-
-
-def _text(path: Path, content: bytes, columns: Sequence[str] | None) -> Table:
-    if not content.strip():
-        raise IdentificationError(f"{path}: the file is empty")
-    names, _ = _header(content)
-    if any(name.lower().startswith("psd_") for name in names):
-        raise IdentificationError(
-            f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
-            "TEST_RESONANCES AXIS=… OUTPUT=raw_data"
-        )
-    if columns is None:
-        raise IdentificationError(
-            f"{path} is not a Klipper accelerometer file. If another program wrote it, name its "
-            f"columns: 'hframe-post identify --columns time,x,y,z'; {_listed(names)}"
-        )
-    return Table(_numbers(path, content, columns), content)
 
 
 def _numbers(path: Path, content: bytes, columns: Sequence[str]) -> Array:
@@ -210,37 +189,6 @@ def _bad_line(
         except ValueError:
             return IdentificationError(f"{path}: line {number}: not a number: {shown}")
     return IdentificationError(f"{path} cannot be read as numbers")
-
-
-# ---------------------------------------------------------------------- files of arrays
-
-
-def _named_arrays(path: Path, content: bytes, columns: Sequence[str] | None) -> Array:
-    """Return the arrays of the user's names in an archive of NumPy, (n, 4)."""
-    try:
-        check_zip(path, content)
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            if columns is None:
-                raise IdentificationError(
-                    f"{path}: name the arrays of time and x, y, z: 'hframe-post identify --columns "
-                    f"time,x,y,z'; {_listed(file.files)}"
-                )
-            chosen = []
-            for name in columns:
-                _column(path, file.files, name)
-                array = np.squeeze(file[name])
-                if array.ndim != 1 or array.dtype.kind not in "fiu":
-                    raise IdentificationError(f"{path}: {name} is not a list of real numbers")
-                _check_count(path, len(array))
-                chosen.append(array.astype(np.float64))
-    except IdentificationError:
-        raise
-    except Exception as error:  # a broken file fails in many ways
-        raise IdentificationError(f"{path} cannot be read as .npz: {str(error)[:200]}") from None
-    if len({len(array) for array in chosen}) > 1:
-        sizes = ", ".join(f"{n}: {len(a)}" for n, a in zip(columns, chosen, strict=True))
-        raise IdentificationError(f"{path}: the arrays differ in length ({sizes})")
-    return np.column_stack(chosen)
 
 
 def _check_count(path: Path, samples: int) -> None:

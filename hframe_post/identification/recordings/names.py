@@ -1,4 +1,4 @@
-"""What the name of a recording says about its test.
+"""What the name of a recording says about its test, and when it was made.
 
     raw_data_x_adxl345_hotend_100.000_110.000_20.000_20250805_220709.csv    Klipper, Kalico
     raw_data_x_hotend_20250805_220709.csv                                   [adxl345 hotend]
@@ -8,21 +8,29 @@
     resonances_20231016_101500_X.csv, belt_20231016_101500_A.csv            Shake&Tune, 2023
     shaketune-axis_X_20240620_101500.csv, inputshaper_20240620_101500_X.csv     2024
     axis_Y_20250805_220709, belt_A_…, axesmap_X_… (within .stdata)              since 2024-12
-    0_2026-03-01_10.15.00.csv                                               M956 of RepRapFirmware
 
 Any other name may contain x or y as a word, such as ``sv08_x_1.csv``.
+
+A copied or downloaded file has a new time. So the day comes from the file's name (Klipper,
+Shake&Tune until 2024), the name of the measurement in it (.stdata), or comments above the first
+sample; then from gzip, which keeps the time of the file that it packed; last from the file's time.
 """
 
 from __future__ import annotations
 
-import datetime
 import math
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.packed import GZIP, unpacked
 
 NUMBER = r"-?\d+(?:\.\d+)?"
-ENDINGS = re.compile(r"(\.(csv|txt|stdata|npz|gz|xz|zst))+$", re.IGNORECASE)
+ENDINGS = re.compile(r"(\.(csv|txt|stdata|gz|xz|zst))+$", re.IGNORECASE)
 ENDED = re.compile(r"-t(\d{4,16})(?![a-z\d])", re.IGNORECASE)  # µs of print time
 RAW_DATA = re.compile(
     r"(?:^|.*[^a-z])raw_data_(?:axis=(?P<dir>[-+\d.,]+)|(?P<axis>[xyz]))(?:_(?P<rest>.*))?$"
@@ -46,6 +54,10 @@ OTHER_TESTS = {
     "constant frequency": re.compile(r"static_?freq"),
 }
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+EARLIEST = date(2010, 1, 1)  # no accelerometer was recorded on a printer before
+HEAD = 1 << 12  # bytes in which a date is looked for
+SAMPLE = re.compile(r"[-+.\d\s,;]*\d[-+.\deE\s,;]*")  # a line of numbers
+JSON_NAME = re.compile(r'"name"\s*:\s*"([^"]*)"')
 BELTS = {"a": (1.0, -1.0, 0.0), "b": (1.0, 1.0, 0.0), "x": (1.0, 0.0, 1.0), "z": (-1.0, 0.0, 1.0)}
 
 
@@ -86,8 +98,8 @@ def parsed(name: str) -> RecordingName:
     if times := ENDED.findall(name):
         return replace(parsed(ENDED.sub("", name)), ended=1e-6 * int(times[-1]))
     name = ENDINGS.sub("", name.lower())
-    dates = ["".join(filter(None, found.groups())) for found in DATE.finditer(name)]
-    date = dates[-1] if dates else ""
+    stamps = ["".join(filter(None, found.groups())) for found in DATE.finditer(name)]
+    stamp = stamps[-1] if stamps else ""
     other = next((kind for kind, form in OTHER_TESTS.items() if form.search(name)), "")
     if found := RAW_DATA.match(name):
         rest = found["rest"] or ""
@@ -96,24 +108,55 @@ def parsed(name: str) -> RecordingName:
         named = NAMED_CHIP.match(rest)
         chip = rest[: point.start()] if point else named[0] if named else _chip(rest)
         place = (float(point[1]), float(point[2])) if point else _place(rest)
-        return RecordingName(direction, place, chip, date, direction is not None, other)
+        return RecordingName(direction, place, chip, stamp, direction is not None, other)
     shaketune = re.match(r"(shaketune-|inputshaper_|shaper_|resonances_20|axis_)", name) is not None
     if found := BELT.search(name):
-        return RecordingName(_unit(BELTS[found[1]]), _place(name), _chip(name), date, True, other)
+        return RecordingName(_unit(BELTS[found[1]]), _place(name), _chip(name), stamp, True, other)
     words = set(WORD.findall(name)) or set(NUMBERED.findall(name))
     axis = AXES[words.pop()] if len(words) == 1 else None
     return RecordingName(
-        axis, _place(name), _chip(name), date, shaketune and axis is not None, other
+        axis, _place(name), _chip(name), stamp, shaketune and axis is not None, other
     )
 
 
-def days_in(text: str) -> list[datetime.date]:
+# ---------------------------------------------------------------------- day
+
+
+def recorded_on(path: Path) -> date:
+    """Return the day on which the recording in a file was made. Raises OSError."""
+    written = datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
+    tomorrow = datetime.now(UTC).date() + timedelta(days=1)  # somewhere it is tomorrow already
+    named = (*days_in(path.name), *_days_in_head(path))
+    return next((day for day in named if EARLIEST <= day <= tomorrow), written)
+
+
+def days_in(text: str) -> list[date]:
     """Return the days that a name or a line names, the last first."""
     found = []
     for year, month, day, *_ in DATE.findall(ENDED.sub("", text)):
         with suppress(ValueError):  # no such day
-            found.append(datetime.date(int(year), int(month), int(day)))
+            found.append(date(int(year), int(month), int(day)))
     return found[::-1]
+
+
+def _days_in_head(path: Path) -> Iterator[date]:
+    try:
+        text = unpacked(path)[:HEAD].decode("latin-1")
+    except IdentificationError:  # damaged
+        text = ""
+    if text.startswith("{"):
+        text = "\n".join(JSON_NAME.findall(text))
+    for line in text.splitlines():
+        if SAMPLE.fullmatch(line):
+            break
+        yield from days_in(line)
+    with path.open("rb") as file:
+        start = file.read(8)
+    if start.startswith(GZIP) and (packed := int.from_bytes(start[4:8], "little")):
+        yield datetime.fromtimestamp(packed, UTC).date()
+
+
+# ---------------------------------------------------------------------- parts of names
 
 
 def _direction(text: str) -> tuple[float, float, float] | None:

@@ -1,14 +1,11 @@
 """Content of files that may be compressed, none of which may unpack to more than MAX_SIZE.
 
-gzip, xz and zstd are recognized by a file's first bytes. The zip archives of NumPy (.npz) are
-checked here, too, so that one limit holds for all.
+gzip, xz and zstd are recognized by a file's first bytes.
 """
 
 from __future__ import annotations
 
-import io
 import lzma
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -108,20 +105,3 @@ OPENERS: dict[bytes, Callable[[bytes], bytes]] = {  # by a file's first bytes
     XZ: lambda content: _streams(content, lambda: lzma.LZMADecompressor(memlimit=MEMORY)),
     ZSTD: _zstd,
 }
-
-
-# ---------------------------------------------------------------------- files of arrays
-
-
-def check_zip(path: Path, content: bytes) -> None:
-    """Raise IdentificationError if a zip archive would unpack to more than MAX_SIZE.
-
-    Its directory tells, as no more than that is read of any file in it. Raises ValueError if it is
-    compressed by a method that cannot be read in parts, and zipfile.BadZipFile.
-    """
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        inside = archive.infolist()
-    if sum(one.file_size for one in inside) > MAX_SIZE:
-        raise _too_large(path)
-    if any(one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in inside):
-        raise ValueError("it is not compressed as NumPy does. Save it with numpy.savez_compressed")

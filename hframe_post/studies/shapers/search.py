@@ -22,11 +22,11 @@ from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import Linear
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.shapers import (
-    SHAPERS,
     WITH_PARAMETERS,
     AxisShaping,
     Shaper,
     Shaping,
+    compared,
     most_damping,
     shaper,
 )
@@ -130,7 +130,7 @@ def search(plant: Plant, paths: Paths) -> list[Shaping]:
             "layer, such as ;LAYER:0"
         )
     Q = quadratic_form(plant, paths)
-    return sorted((best(plant, paths, name, Q) for name in SHAPERS), key=BY_ERROR)
+    return sorted((best(plant, paths, name, Q) for name in compared()), key=BY_ERROR)
 
 
 def calibrated(plant: Plant) -> Shaping:

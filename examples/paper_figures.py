@@ -1,0 +1,114 @@
+"""The paper's figures 4, 5, 8, 9 and 11, drawn from what `hframe_post.paper` computes.
+
+    python examples/paper_figures.py FOLDER [PRISM.GCODE]
+
+The prism, for Fig. 11, is `sample_gcode/prism.gcode`. It takes a minute, and needs matplotlib:
+``pip install matplotlib``. The equations and figures are those of arXiv 2105.09878.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+import hframe_post as hp
+from hframe_post.paper import results
+
+STYLES = {  # of strategies: label and colour
+    "none": ("no compensation", "#888888"),
+    "fbs": ("ringing only (fbs)", "#c05020"),
+    "racking": ("ringing and racking", "#2060a0"),
+}
+BLUE = STYLES["racking"][1]
+FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+FOLDER.mkdir(parents=True, exist_ok=True)
+# equal drawings give equal files
+matplotlib.rcParams.update(
+    {"font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "hframe-post",
+     "svg.fonttype": "none", "path.simplify_threshold": 0.5}
+)  # fmt: skip
+
+
+def canvas(rows, columns, width, height):
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def save(figure, name):
+    figure.savefig(FOLDER / f"{name}.svg", metadata={"Date": None, "Creator": None})
+
+
+def bode(axes, hz, response, unit, title):
+    axes[0].semilogx(hz, 20.0 * np.log10(np.abs(response)), color=BLUE)
+    axes[0].set(ylabel=f"magnitude, dB ({unit})", title=title)
+    axes[1].semilogx(hz, np.degrees(np.unwrap(np.angle(response))), color=BLUE)
+    axes[1].set(ylabel="phase, °", xlabel="frequency, Hz")
+
+
+printer = hp.load_printer("paper")
+plant = printer.plant
+
+# Fig. 4: racking; Fig. 5: the axes
+responses = results.frequency_responses(plant, np.geomspace(1.0, 200.0, 400))
+figure, axes = canvas(2, 1, 5.0, 4.2)
+bode(axes[:, 0], responses.hz, responses.Gxtheta, "rad/m", "$G_{x\\theta}$")
+save(figure, "fig04")
+figure, axes = canvas(2, 2, 8.0, 4.2)
+bode(axes[:, 0], responses.hz, responses.Gxx, "mm/mm", "(a) $G_{xx}$")
+bode(axes[:, 1], responses.hz, responses.Gyy, "mm/mm", "(b) $G_{yy}$")
+save(figure, "fig05")
+
+# Fig. 8: contour error and time, decoupled and coupled
+xy = results.path(printer)
+rows = results.approximations(plant, xy)
+share = [row.share for row in rows]
+figure, axes = canvas(1, 2, 8.0, 3.2)
+for k, (name, style) in enumerate((("decoupled", "-o"), ("coupled", "--s"))):
+    axes[0, 0].semilogy(share, [row.rms[k] * 1e3 for row in rows], style, label=name)
+    axes[0, 1].plot(share, [row.seconds[k] for row in rows], style, label=name)
+axes[0, 0].set(xlabel="n / E", ylabel="RMS contour error, µm", title="(a)")
+axes[0, 1].set(xlabel="n / E", ylabel="time, s", title="(b)")
+axes[0, 0].legend()
+save(figure, "fig08")
+
+# Fig. 9: the nozzle at the first corner, and contour error along the path
+controls = results.time_responses(plant, xy)
+figure, axes = canvas(1, 2, 9.0, 3.4)
+large, corner = canvas(1, 1, 7.0, 3.6)
+corner = corner[0, 0]
+corner.plot(*(xy - xy[0]).T, color="#e0dccf", lw=7.0, solid_capstyle="round", label="the path")
+for control in controls:
+    (label, colour), nozzle = STYLES[control.name], control.nozzle - control.nozzle[0]
+    axes[0, 0].plot(*nozzle.T, color=colour, lw=1.0, label=label)
+    axes[0, 1].plot(control.along, control.error * 1e3, color=colour, lw=1.0)
+    corner.plot(*nozzle.T, color=colour, lw=1.6, label=f"{label}: {control.rms * 1e3:.0f} µm RMS")
+axes[0, 0].set(xlim=(112, 122), ylim=(-1.5, 6), xlabel="x, mm", ylabel="y, mm")
+axes[0, 0].set_title("(a) first corner, n = 125")
+axes[0, 0].legend(loc="upper left")
+axes[0, 1].set(xlabel="along the path, mm", ylabel="contour error, µm", title="(b)")
+save(figure, "fig09")
+corner.set(xlim=(112.5, 121.6), ylim=(-0.9, 3.3), xlabel="x, mm", ylabel="y, mm", aspect="equal")
+corner.set_title(
+    "the nozzle at a corner, to the right and then up, 150 mm/s, simulated", loc="left"
+)
+corner.legend(loc="upper left")
+save(large, "corner")
+
+# Fig. 11: |Δw| as boxes (median in the box), its RMS as a diamond
+if len(sys.argv) > 2:
+    slice_ = Path(sys.argv[2]).read_bytes().splitlines(keepends=True)
+    figure, axes = canvas(1, 2, 9.0, 3.4)
+    for axis, printed_window in zip(axes[0], (False, True), strict=True):
+        prism = results.widths(printer, slice_, printed_window)
+        boxes = [np.abs(error).ravel() * 1e3 for error in prism.error.values()]
+        axis.boxplot(boxes, tick_labels=[STYLES[name][0] for name in prism.error])
+        rms = [prism.rms(name) * 1e3 for name in prism.error]
+        axis.plot(range(1, len(rms) + 1), rms, "D", color=BLUE, label="RMS")
+        axis.set(ylabel="|Δw|, µm", title=f"{prism.window} window")
+        axis.tick_params(axis="x", labelsize=7)
+        axis.legend()
+    save(figure, "fig11")
