@@ -76,6 +76,7 @@ class MarlinTable(FirmwareTable):
 
     Corners follow ``junction_deviation`` or, in builds with CLASSIC_JERK, ``jerk`` (x, y) and
     ``jerk_e``; the others are 0. baud: of the serial line that files are printed over; 0: from SD.
+    bed_levelling: a mesh is stored, which M420 S1 turns on after G28.
     """
 
     holds: ClassVar[str] = "Marlin's own settings"
@@ -107,6 +108,7 @@ class MarlinTable(FirmwareTable):
     planner: str = field(default="2.1", metadata={"choices": MARLIN_PLANNERS})
     adaptive_step_smoothing: float = not_negative(0.0, most=1e7)
     s_curve_acceleration: bool = False
+    bed_levelling: bool = False
 
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)

@@ -80,11 +80,11 @@ DONE = {
     "check": Done("uncertainty  ±"),
     "check {run}": Done("uncertainty  ±"),
     "identify {recordings} -o mine.toml": Done(".", "mine.toml"),
-    "calibrate-print -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
+    "calibrate-print --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
     "calibrate-print --form {form} -o n.toml": Done(
         "Next: hframe-post calibrate-print -p n.toml --compare", "n.toml"
     ),
-    "calibrate-print --compare 6% -o t.gcode": Done("Print t.gcode.", "t.gcode"),
+    "calibrate-print --compare 6% --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.gcode"),
     "calibrate-print --pick 6% 0 -o n.toml": Done("Next: compare once more", "n.toml"),
     "setup {config} -o new": Done(
         r"  .*hframe-post (identify|calibrate-print)",

@@ -66,6 +66,16 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert (table.min_segment_time, table.planner) == (0.02, "2.1")
 
 
+def test_a_stored_mesh_is_known(answers: Path) -> None:
+    def levelled(settings: MarlinSettings) -> bool:
+        table = profile(settings).firmware.marlin
+        assert table is not None
+        return table.bed_levelling
+
+    assert not levelled(MarlinSettings([answers]))
+    assert levelled(changed(answers, "echo:; Linear Advance:", "echo:  M420 S1 Z10.00"))
+
+
 def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
     plain = profile(MarlinSettings([answers]))
     lines = answers.read_text().splitlines()

@@ -55,6 +55,10 @@ class MarlinCode(Code):
         )
 
     @property
+    def after_homing(self) -> list[str]:
+        return ["M420 S1"] if self.table.bed_levelling else []
+
+    @property
     def planner(self) -> Planner:
         t = self.table
         timer = Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)

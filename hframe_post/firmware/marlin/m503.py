@@ -301,6 +301,8 @@ def _table(settings: MarlinSettings) -> dict[str, Known]:
     if not math.isnan(steps):
         table["min_steps_per_segment"] = Known(steps, "MIN_STEPS_PER_SEGMENT of the build")
     table["planner"] = settings.planner or Known(ASSUMED, "assumed: M115 shows the version")
+    if as_float(word("M420", "S", 0.0)):
+        table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
     if settings.defined("S_CURVE_ACCELERATION"):
         table["s_curve_acceleration"] = Known(True, "S_CURVE_ACCELERATION of the build")
     return table
