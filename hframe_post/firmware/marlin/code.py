@@ -49,9 +49,10 @@ class MarlinCode(Code):
         if received == self.table.lines_per_second:
             return ()
         return (
-            f"a serial line of {self.table.baud} baud carries {received:.0f} lines in "
-            "a second, so motion is coarser: raise its baud rate, or print from the SD card, "
-            "without baud in the profile",
+            f"a serial line of {self.table.baud} baud, with a sender that takes "
+            f"{1e3 * self.table.latency:g} ms (latency), carries {received:.0f} lines in a second, "
+            "so motion is coarser: raise its baud rate, or print from the SD card, without baud in "
+            "the profile",
         )
 
     @property
@@ -125,6 +126,11 @@ class MarlinCode(Code):
         for axis, shaper in zip("XY", table.fixed_time_shaper, strict=True):
             if shaper:  # the mode is a word of the axis, or of C in later builds
                 lines.append(f"M493 {axis}{shaper:.0f} C{shaper:.0f}")
+        smoothing = *table.fixed_time_smoothing, *table.fixed_time_smoothing_z_e
+        if table.fixed_time_trajectory or any(smoothing):
+            named = zip("XYZE", smoothing, strict=True)
+            words = (f"{axis}{plain(seconds, 4)}" for axis, seconds in named)
+            lines.append(f"M494 T{table.fixed_time_trajectory} {' '.join(words)}")
         lines += [
             *coordinates(state.offset, at[:E] - state.offset),
             f"G1 F{plain(state.feed * 60, 1)}",
