@@ -56,7 +56,8 @@ def calibrate_marlin(output: Path, printer: str) -> None:
     Example:
       hframe-post calibrate-marlin -p my.toml -o calibrate.gcode
     """
-    found = calibration(load(printer))
+    profile = load(printer)
+    found = calibration(profile)
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).writelines(found.lines)
     say(" " * 44 + "".join(f"{part:>10s}" for part in found.parts))
@@ -66,6 +67,8 @@ def calibrate_marlin(output: Path, printer: str) -> None:
         "If the steady part is shorter than in every row, the board smooths steps: set "
         "firmware.marlin.adaptive_step_smoothing."
     )
+    if (table := profile.firmware.marlin) is not None and table.classic_jerk:
+        say("Built with CLASSIC_JERK, only the steady part is as in the table: it shows the timer.")
     sent = " or ".join(f"{LINES * LINE_BITS / baud:.1f} at {baud} baud" for baud in BAUDS)
     say(
         f"The part 'lines' is {LINES} lines. From SD: if it takes more than {LINES / 250:.0f} s, "

@@ -291,6 +291,18 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     assert cube.machine.merged == 0
 
 
+def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> None:
+    """With its corners: junction deviation lets it pass a right angle at 17.7 mm/s, not at 5."""
+    lines = laps(10)
+    table = marlin.firmware.marlin
+    assert table is not None
+    machine = Machine(built(marlin, junction_deviation=table.junction_deviation))
+    board = max(run.duration for run in machine.read(b"".join(lines)))
+    report = converted(lines, marlin)[1]
+    near(report.time.before, board, 0.02 * board, "print time as sliced, s")
+    below(report.time.before, 0.98 * report.time.after, "print time as sliced, s")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
@@ -66,6 +66,20 @@ class Marlin(Firmware):
         from hframe_post.firmware.marlin.written_moves import MarlinMoves
 
         return MarlinMoves(self.code(printer), printer.kinematics)
+
+    def limits(self, printer: Printer) -> FirmwareLimits:
+        table = printer.firmware.marlin
+        if table is None:
+            return super().limits(printer)
+        corner = {"square_corner_velocity": min(table.jerk)}
+        if not table.classic_jerk:
+            corner = {"square_corner_velocity": 1e4, "junction_deviation": table.junction_deviation}
+        velocity = min(table.max_velocity)
+        own = unlimited(printer.limits, velocity=velocity, acceleration=MOST, **corner)
+        return FirmwareLimits(
+            own, table.acceleration, table.travel_acceleration, table.max_acceleration,
+            printer.kinematics.matrix,
+        )  # fmt: skip
 
     def shaper_settings(self, shaping: Shaping) -> str:
         lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
