@@ -98,7 +98,7 @@ class Marlin(Firmware):
         if table is not None and not table.baud:
             raise PrinterError(
                 "OctoPrint prints over a serial line, which starves without it and makes prints "
-                "worse. Write the speed of the connection below [firmware.marlin], such as\n"
-                "baud = 115200\n(docs/firmware.md)",
+                "worse. Write the speed of the connection below [firmware.marlin], such as "
+                "'baud = 115200' (docs/firmware.md)",
                 "firmware.marlin.baud", printer.name,
             )  # fmt: skip
