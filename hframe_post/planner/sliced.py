@@ -57,7 +57,10 @@ class SlicedTime:
             asked = np.array(moves.limits.acceleration[:Z])
             most = np.where(np.isfinite(asked), asked, self._rules.motors)
             own = np.minimum(own, (most / np.maximum(share, 1e-9)).min(axis=1))
-        return replace(moves, acceleration=own, marks=())
+        # a board with junction deviation knows no other rule, whatever the file says
+        knows = math.isinf(self._rules.limits.junction_deviation)
+        corner = moves.corner if knows else np.full_like(moves.corner, math.inf)
+        return replace(moves, acceleration=own, corner=corner, marks=())
 
     def _duration(self, plan: Plan) -> float:
         d, v = np.diff(plan.s[plan.ends]), plan.speed

@@ -99,7 +99,7 @@ DONE = {
     ),
     "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
-    "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),
+    "calibrate-marlin -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
     "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
     "octoprint-plugin --folder {folder}": Done(
         "Restart OctoPrint.", "there/plugins/hframe_post.py"

@@ -134,7 +134,9 @@ def filled(text: str, source: str) -> Filled:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise HframeError(f"{source}: {error}. {ROW}") from None
+        raise HframeError(
+            f"{source} is not a form of 'hframe-post calibrate-print': {error}. {ROW}"
+        ) from None
     try:
         printed, waves, racking = document["print"], document["waves"], document.get("racking", {})
         pairs = zip(printed["speeds"], printed["corners"], strict=True)
