@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +35,10 @@ def _shift(text: str) -> float:
 
 def _heat(text: str) -> tuple[float, float]:
     nozzle, _, bed = text.partition(",")
-    values = number(nozzle), number(bed)
+    try:
+        values = number(nozzle), number(bed)
+    except ValueError:
+        values = 0.0, 0.0
     if not (150.0 <= values[0] <= 320.0 and 0.0 <= values[1] <= 130.0):
         raise click.BadParameter(f"{text!r} is not °C of nozzle and bed, such as 210,60")
     return values
@@ -58,12 +62,13 @@ def _heat(text: str) -> tuple[float, float]:
     help="Change the model by what the best square has in x and in y, such as --pick -6% 0.",
 )  # fmt: skip
 @click.option(
-    "--heat", type=_heat, default="210,60", show_default=True, metavar="NOZZLE,BED",
-    help="Temperatures of the prints, °C.",
+    "--heat", type=_heat, metavar="NOZZLE,BED",
+    help="Temperatures of what is printed, °C, such as 210,60 for PLA. Default: asked on a "
+    "terminal.",
 )  # fmt: skip
 def calibrate_print(
     output: Path, printer: str, form: Path | None, compare: float | None,
-    pick: tuple[float, float] | None, heat: tuple[float, float],
+    pick: tuple[float, float] | None, heat: tuple[float, float] | None,
 ) -> None:  # fmt: skip
     """Measure a printer by two small prints and a ruler, where there is no accelerometer.
 
@@ -73,9 +78,9 @@ def calibrate_print(
 
     \b
     Examples:
-      hframe-post calibrate-print -o tower.gcode
+      hframe-post calibrate-print --heat 210,60 -o tower.gcode
       hframe-post calibrate-print --form tower.form.toml -o printer.toml
-      hframe-post calibrate-print --compare 6% -o three.gcode
+      hframe-post calibrate-print --heat 210,60 --compare 6% -o three.gcode
       hframe-post calibrate-print --pick 0 6% -o printer.toml
     """
     if sum(choice is not None for choice in (form, compare, pick)) > 1:
@@ -86,9 +91,21 @@ def calibrate_print(
     elif pick is not None:
         _picked(pick, output, printer, profile)
     elif compare is not None:
-        _compare(compare, output, printer, profile, heat)
+        check_identified(profile)
+        _compare(compare, output, printer, profile, heat or _asked())
     else:
-        _tower(output, printer, profile, heat)
+        _tower(output, printer, profile, heat or _asked())
+
+
+def _asked() -> tuple[float, float]:
+    """Return °C of nozzle and bed, which only the owner knows."""
+    if not sys.stdin.isatty():
+        raise click.UsageError(
+            "give the temperatures of your filament, °C of nozzle and bed: --heat 210,60 for PLA"
+        )
+    question = "Temperatures of your filament, °C of nozzle and bed, such as 210,60"
+    heat: tuple[float, float] = click.prompt(question, value_proc=_heat)
+    return heat
 
 
 def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
@@ -127,6 +144,10 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     shown = [
         f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
     ]
+    for rows in sheet.hertz().values():
+        say(f"rows         {', '.join(f'{name} {hz:.1f} Hz' for name, hz in rows.items())}")
+    for doubt in sheet.doubts(modes, profile.kinematics.bed_moves):
+        say(f"LOOK AGAIN   {doubt}")
     off = min(off, MOST_UNCERTAINTY)
     if racking is not None:
         shown.append(
@@ -145,7 +166,6 @@ def _compare(
 ) -> None:
     from hframe_post.identification.by_eye.tower import squares
 
-    check_identified(profile)
     if not 0.0 < by <= 0.3:
         raise click.UsageError("--compare takes a share above 0% and up to 30%")
     plants = [_shifted(profile.plant, change, change) for change in (-by, 0.0, by)]

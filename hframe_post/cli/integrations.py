@@ -13,7 +13,7 @@ from platformdirs import user_data_path
 from hframe_post.cli.options import files_read, printer_option, say
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
-from hframe_post.firmware.marlin.calibration import calibration
+from hframe_post.firmware.marlin.calibration import LINE, LINES, calibration
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import own_command
@@ -46,16 +46,18 @@ def klipper_macros(printer: str) -> None:
 def calibrate_marlin(output: Path, printer: str) -> None:
     """Write G-code whose duration shows which planner and timer a Marlin board has.
 
-    x moves along the middle of y, in two parts of about a minute and a half each. Home the
-    printer, print the file from SD, and note the duration of each part: from the print time that
-    M31 reports after it, from "begins" and "ends" in the host's log, or with a stopwatch. Then look
-    the pair up in the table that this command prints; it shows the keys for [firmware.marlin].
+    x moves along the middle of y, in two parts of about two minutes each. Home the printer, print
+    the file from SD, and note the duration of each part: from the print time that M31 reports after
+    it, from "begins" and "ends" in the host's log, or with a stopwatch. Then look the pair up in
+    the table that this command prints; it shows the keys for [firmware.marlin]. A third part is
+    10 000 lines that move nothing: printed over your serial line, they show its latency.
 
     \b
     Example:
       hframe-post calibrate-marlin -p my.toml -o calibrate.gcode
     """
-    found = calibration(load(printer))
+    profile = load(printer)
+    found = calibration(profile)
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).writelines(found.lines)
     say(" " * 44 + "".join(f"{part:>10s}" for part in found.parts))
@@ -65,8 +67,19 @@ def calibrate_marlin(output: Path, printer: str) -> None:
         "If the steady part is shorter than in every row, the board smooths steps: set "
         "firmware.marlin.adaptive_step_smoothing."
     )
+    if (table := profile.firmware.marlin) is not None and table.classic_jerk:
+        say("Built with CLASSIC_JERK, only the steady part is as in the table: it shows the timer.")
+    sent = " or ".join(f"{LINES * LINE_BITS / baud:.1f} at {baud} baud" for baud in BAUDS)
+    say(
+        f"The part 'lines' is {LINES} lines. From SD: if it takes more than {LINES / 250:.0f} s, "
+        f"set lines_per_second to {LINES} / its seconds. Over a serial line: set latency to "
+        f"(its seconds - {sent}) / {LINES}."
+    )
 
 
+# bits of a line of the part 'lines', with number, checksum and line feed, and of its ok
+LINE_BITS = 10 * (len(f"N{LINES} {LINE}*99\n") + len("ok\n"))
+BAUDS = (115_200, 250_000)
 NAME = "HframePost"  # of the file and its class: Cura finds one by the other
 MENU = 'Extensions, Post Processing, Modify G-Code, Add a script, "Compensate racking and ringing"'
 

@@ -22,7 +22,14 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
-from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
+from hframe_post.conversion.meters import (
+    Clock,
+    ErrorMeter,
+    InputMeter,
+    MotionSummary,
+    PathMeter,
+    PrintTime,
+)
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
@@ -35,6 +42,7 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import pace
 from hframe_post.planner.sampling import sample
+from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
@@ -173,12 +181,14 @@ class Source:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
+        self._sliced = SlicedTime(firmware(printer).limits(printer))
         self._times = StageTimes()
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
+        items = self._times.timed("plan", self._sliced.items(items))
         plans = plan(self._path.items(items), self._printer.limits)
         return Spans(self._times.timed("plan", plans))
 
@@ -190,8 +200,9 @@ class Source:
         if "none" in motion.contour:
             check_prediction(motion.contour["none"].rms)
         return Report(
-            self._options.strategy, self._input.summary, self._path.summary, motion.time,
-            motion.peaks, motion.clamped, motion.contour, motion.width,
+            self._options.strategy, self._input.summary, self._path.summary,
+            PrintTime(self._sliced.seconds, motion.time.after), motion.peaks, motion.clamped,
+            motion.contour, motion.width,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,

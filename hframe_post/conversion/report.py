@@ -238,9 +238,12 @@ class Report:
             )
         if self.clamped.samples:
             found.append(
-                f"clamped {self.clamped.samples} ms of motion at the printer's limits, first at "
-                f"line {self.clamped.line}, by up to {self.clamped.most:.3f} mm; less is "
-                "compensated there, and corners are rounder: the predicted error includes it"
+                f"clamped {self.clamped.samples} ms of motion "
+                f"({_percent(1e-3 * self.clamped.samples / self.time.after)} of the print), first "
+                f"at line {self.clamped.line}, by up to {self.clamped.most:.3f} mm: less is "
+                "compensated there, because [travel] or [motors] of the profile allow no more. The "
+                "predicted error includes it. If the motors can do more, raise "
+                "motors.belt_acceleration"
             )
         return found
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
+from hframe_post.arrays import Array
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Dialect
@@ -15,7 +17,27 @@ from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import FirmwareTable
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Limits, Printer
+
+MOST = 1e6  # mm/s², as much as limits may be
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareLimits:
+    """Limits that a firmware plans a file with; mm, s.
+
+    limits: of any move. printing, travel: accelerations until the file sets others. motors:
+    accelerations of A and B until the file sets others, if motors are limited; belts (2, 2): from
+    x, y to A, B. cruise_ratio: of a move that brakes as soon as it has accelerated, the share that
+    must be at constant speed.
+    """
+
+    limits: Limits
+    printing: float
+    travel: float
+    motors: tuple[float, float] = (math.inf, math.inf)
+    belts: Array | None = None
+    cruise_ratio: float = 0.0
 
 
 class Firmware(ABC):
@@ -57,6 +79,11 @@ class Firmware(ABC):
         """Return how it plays moves as they are written. Raises PrinterError without its table."""
         return WrittenMoves(self.code(printer))
 
+    def limits(self, printer: Printer) -> FirmwareLimits:
+        """Return the limits with which it plays a file as sliced. Default: those of the profile."""
+        own = unlimited(printer.limits)
+        return FirmwareLimits(own, own.acceleration, own.hardest)
+
     def most(self, printer: Printer) -> tuple[float, float]:
         """Return the speed, mm/s, and the acceleration, mm/s², that the firmware itself allows."""
         return math.inf, math.inf
@@ -85,3 +112,12 @@ class Firmware(ABC):
     def check_serial(self, printer: Printer) -> None:
         """Raise PrinterError if the profile does not allow printing over a serial line."""
         return
+
+
+def unlimited(limits: Limits, **others: float) -> Limits:
+    """Return the limits without those of jerk and braking, which only this tool has.
+
+    others: replace those of these names.
+    """
+    without = {"jerk": 1e12, "deceleration": math.inf, "travel_velocity": 0.0}
+    return replace(limits, **(without | {"travel_acceleration": 0.0} | others))

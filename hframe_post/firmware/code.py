@@ -19,6 +19,11 @@ class Code(ABC):
     def notices(self) -> tuple[str, ...]:
         return ()
 
+    @property
+    def after_homing(self) -> list[str]:
+        """Return the lines that a file of our own sends after G28, which may turn levelling off."""
+        return []
+
     @abstractmethod
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         """Return the lines that change from the user's limits and modes to the stream's.

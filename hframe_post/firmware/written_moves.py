@@ -38,6 +38,14 @@ class WrittenMoves:
         return 10
 
     @property
+    def reversal(self) -> float:
+        """Return the speed, mm/s, of two short moves between which an axis turns back; 0: none.
+
+        At that speed it turns, sets out and arrives at once.
+        """
+        return 0.0
+
+    @property
     def begin(self) -> list[str]:
         return []
 
@@ -46,7 +54,10 @@ class WrittenMoves:
         return "restart the firmware: until then it keeps this file's limits."
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
-        """Return lines that set limits, mm and s, with which to turn back is to stop."""
+        """Return lines that set limits, mm and s, with which to turn back is to stop.
+
+        But for a turn at the speed of ``reversal``.
+        """
         return self.code.set_limits(fastest, acceleration, 0.0)
 
     def speed(self, v: float) -> float:

@@ -41,7 +41,7 @@ def plan(
 
     batch: moves planned at once; longest: moves queued at most. Speeds may depend on both.
     """
-    queue = _Queue(limits, batch, longest)
+    queue = Lookahead(limits, batch, longest)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
             queue.append(item)
@@ -55,10 +55,13 @@ def plan(
     yield from queue.stop()
 
 
-class _Queue:
-    """Moves that are not planned yet, and the speed at which the first of them begins."""
+class Lookahead:
+    """Queue of moves that are not planned yet, and the speed at which the first of them begins.
 
-    def __init__(self, limits: Limits, batch: int, longest: int) -> None:
+    batch, longest: see ``plan``.
+    """
+
+    def __init__(self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE) -> None:
         self._limits, self._batch, self._longest = limits, batch, longest
         self._moves: list[_Limited] = []
         self._marks: list[Mark] = []

@@ -23,7 +23,6 @@ END_MACRO = "HFRAME_END"  # one of them: restores what printer.cfg sets, whateve
 RECORDED = "HFRAME_RECORDED"  # another: puts the print time into a recording's name
 UNUSED = "hframe-unused"  # name of the recordings that it throws away
 SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
-SERIAL_WAIT = 0.002  # s, in which a sender takes up an ok
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +76,9 @@ class MarlinTable(FirmwareTable):
 
     Corners follow ``junction_deviation`` or, in builds with CLASSIC_JERK, ``jerk`` (x, y) and
     ``jerk_e``; the others are 0. baud: of the serial line that files are printed over; 0: from SD.
+    latency: s in which the sender takes up an ok. fixed_time_trajectory and
+    fixed_time_smoothing (s): those of M494, of builds of 2026.
+    bed_levelling: a mesh is stored, which M420 S1 turns on after G28.
     """
 
     holds: ClassVar[str] = "Marlin's own settings"
@@ -99,15 +101,20 @@ class MarlinTable(FirmwareTable):
     shaper_freq_x: float = not_negative(0.0, most=1e3)
     shaper_freq_y: float = not_negative(0.0, most=1e3)
     fixed_time_motion: int = not_negative(0, most=99)
+    fixed_time_trajectory: int = not_negative(0, most=99)
+    fixed_time_smoothing: tuple[float, float] = not_negative((0.0, 0.0), most=1.0)
+    fixed_time_smoothing_z_e: tuple[float, float] = not_negative((0.0, 0.0), most=1.0)
     fixed_time_shaper: tuple[float, float] = not_negative((0.0, 0.0), most=99.0)
     lines_per_second: float = positive(250.0, below=1001.0)
     baud: int = not_negative(0, most=10**7)
+    latency: float = not_negative(0.002, most=1.0)
     min_steps_per_segment: int = positive(6, most=1000)
     timer_hz: float = within(1e5, 1e9, default=2e6)
     timer_extra_tick: bool = False
     planner: str = field(default="2.1", metadata={"choices": MARLIN_PLANNERS})
     adaptive_step_smoothing: float = not_negative(0.0, most=1e7)
     s_curve_acceleration: bool = False
+    bed_levelling: bool = False
 
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)
@@ -125,7 +132,7 @@ class MarlinTable(FirmwareTable):
         """Return the lines that arrive and are planned in a second."""
         if not self.baud:
             return self.lines_per_second
-        return min(self.lines_per_second, 1.0 / (10.0 * SERIAL_BYTES / self.baud + SERIAL_WAIT))
+        return min(self.lines_per_second, 1.0 / (10.0 * SERIAL_BYTES / self.baud + self.latency))
 
     @property
     def classic_jerk(self) -> bool:

@@ -24,7 +24,7 @@ VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 AS_BEFORE = "as before"  # origin of what an earlier setup found
 
-Value = float | tuple[float, float] | tuple[str] | str | bool
+Value = float | tuple[float, ...] | tuple[str] | str | bool
 
 
 @dataclass(frozen=True, slots=True)

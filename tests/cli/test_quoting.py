@@ -35,7 +35,7 @@ def test_the_next_command_can_be_typed(source: Path, tmp_path: Path) -> None:
     own, tower = home / "printer.toml", home / "the tower.gcode"
     advised = done.stdout.decode().partition("hframe-post identify recordings")[2].splitlines()[0]
     assert shlex.split(advised)[-1] == str(own)
-    printed = run("calibrate-print", "-p", own, "-o", tower)
+    printed = run("calibrate-print", "-p", own, "--heat", "210,60", "-o", tower)
     assert printed.returncode == 0, printed.stderr
     words = shlex.split(printed.stderr.decode().partition("hframe-post calibrate-print")[2])
     assert words == ["-p", str(own), "--form", str(home / "the tower.form.toml"), "-o", str(own)]

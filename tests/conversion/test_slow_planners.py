@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -21,6 +20,7 @@ from hframe_post.printer.settings import Printer
 from tests.command_line import run
 from tests.matrix.files import sliced
 from tests.quantities import below
+from tests.ruler import filled
 from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parent.parent / "matrix" / "owners"
@@ -105,13 +105,9 @@ def test_a_limit_that_the_owner_states_is_kept_by_a_gentler_command(
 def test_an_owner_without_a_sensor_prints(tmp_path: Path, kind: str, acceleration: int) -> None:
     set_up(tmp_path, kind, acceleration)
     profile, form = tmp_path / "printer.toml", tmp_path / "t.form.toml"
-    assert run("calibrate-print", "-p", profile, "-o", tmp_path / "t.gcode").returncode == 0
-    text = form.read_text()
-    for k, speed in enumerate(tomllib.loads(text)["print"]["speeds"], start=1):
-        for axis, hz in (("x", 42.0), ("y", 28.0)):
-            waves = f"{axis}{k} = [{3.0 * speed / hz:.1f}, 3, 4]"
-            text = text.replace(f"{axis}{k} = [0, 0, 0]", waves)
-    form.write_text(text)
+    words = ("calibrate-print", "-p", profile, "--heat", "210,60", "-o", tmp_path / "t.gcode")
+    assert run(*words).returncode == 0
+    form.write_text(filled(form.read_text(), {"x": 42.0, "y": 28.0}))
     done = run("calibrate-print", "--form", form, "-p", profile, "-o", profile)
     assert done.returncode == 0, done.stderr
     for limits in get_args(LimitSource):  # corners as in the file, and the firmware's own

@@ -416,6 +416,26 @@ def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: P
     assert [line for line in end if b"M493" in line] == [b"M493 S0", b"M493 X1 C1", b"M493 Y8 C8"]
 
 
+def test_trajectory_and_smoothing_are_those_of_the_user_again(marlin: Printer) -> None:
+    smoothed = with_own(marlin, fixed_time_trajectory=2, fixed_time_smoothing=(0.02, 0.03))
+    assert b"M494 T0 X0 Y0 Z0 E0" in code(smoothed).begin(NOWHERE, AT)
+    assert b"M494 T2 X0.02 Y0.03 Z0 E0" in code(smoothed).end(STATE, AT)
+    assert not any(b"M494" in line for line in code(marlin).end(STATE, AT))
+
+
+def test_advance_that_is_off_is_said(marlin: Printer) -> None:
+    assert not code(marlin).notices
+    (said,) = code(with_own(marlin, linear_advance=0.05)).notices
+    assert "0.45 mm³ of plastic" in said
+
+
+def test_a_slow_sender_gets_fewer_lines(marlin: Printer) -> None:
+    slow, usual = (with_own(marlin, baud=250_000, latency=t) for t in (4e-3, 2e-3))
+    assert motion(slow).lines_per_second == pytest.approx(172.4, abs=0.1)
+    assert motion(usual).lines_per_second == 250.0
+    assert "takes 4 ms (latency)" in code(slow).notices[0]
+
+
 JERKS: dict[str, object] = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
 
 

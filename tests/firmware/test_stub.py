@@ -59,8 +59,8 @@ SLOW = [
     "simulate {print}",
     "simulate {print} --shapers",
     "tune {print} --knots 10 --effort 10 --draws 0",
-    "calibrate-print -o {folder}/tower.gcode",
-    "calibrate-print --compare 6% -o {folder}/squares.gcode",
+    "calibrate-print --heat 210,60 -o {folder}/tower.gcode",
+    "calibrate-print --compare 6% --heat 210,60 -o {folder}/squares.gcode",
     "convert {print} -o {folder}/fast.gcode --max-error 100um",
     "octoprint-plugin --folder {folder}",
 ]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye.form import filled, form
+from hframe_post.identification.by_eye.form import Filled, filled, form
 from hframe_post.identification.by_eye.racking import (
     LEVER,
     Blocks,
@@ -25,16 +25,17 @@ from hframe_post.identification.by_eye.waves import (
     Band,
     PrintedMode,
     Reading,
-    corner_path,
     mode_response,
     printed_mode,
 )
 from hframe_post.model.plant import FiniteFilter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from tests import ruler
 from tests.command_line import run
 from tests.klipper.host import play
 from tests.marlin.planner import Build, Machine
+from tests.ruler import read
 
 A = 1500.0
 HEAT = (210.0, 60.0)  # °C of nozzle and bed
@@ -45,32 +46,44 @@ def ender(acceleration: float = A) -> Printer:
     return replace(printer, limits=replace(printer.limits, acceleration=acceleration))
 
 
-def read(hz: float, damping: float, band: Band, seen_from: float = 0.015) -> Reading:
-    """Return what an owner reads who measures to a tenth and counts half waves."""
-    path, corner = corner_path(band, A, SIDE)
-    x = FiniteFilter(mode_response(hz, damping), 0).run(path[:, 0] + SIDE) - SIDE
-    deviation, along = np.abs(x[corner:]), path[corner:, 1]
-    peaks, _ = find_peaks(deviation)
-    seen = (deviation[peaks] > seen_from).sum() / 2.0
-    crests = along[peaks][along[peaks] > (band.speed**2 - band.corner**2) / (2.0 * A)]
-    waves = int(min(max(seen - 1.0, 1.0), 5.0))
-    return Reading(band, round(float(crests[2 * waves] - crests[0]), 1), waves, seen)
-
-
 @pytest.mark.parametrize(("hz", "damping"), [(20.0, 0.1), (30.0, 0.05), (45.0, 0.03), (55.0, 0.07)])
-@pytest.mark.parametrize("seen_from", [0.01, 0.02])
-def test_waves_show_frequency_and_damping(hz: float, damping: float, seen_from: float) -> None:
-    """However small the waves are that an owner sees."""
-    found = printed_mode([read(hz, damping, b, seen_from) for b in bands(ender())], A, SIDE)
+@pytest.mark.parametrize(("seen_from", "a"), [(0.01, 500.0), (0.02, 1500.0), (0.015, 10000.0)])
+def test_waves_show_frequency_and_damping(
+    hz: float, damping: float, seen_from: float, a: float
+) -> None:
+    """However small the waves are that an owner sees, and in the ramp behind a corner, too."""
+    its = [read(hz, damping, band, a, seen_from) for band in bands(ender(a))]
+    found = printed_mode(its, a, SIDE)
     assert found.hz == pytest.approx(hz, rel=0.03)
     assert found.damping == pytest.approx(damping, rel=0.4)
     assert found.uncertainty < 0.1
 
 
+def test_a_wave_too_many_hardly_counts_and_is_shown() -> None:
+    one, two, *more = (read(30.0, 0.05, band, A) for band in bands(ender()))
+    sheet = Filled(
+        {"x": [one, replace(two, waves=two.waves + 1), *more], "y": [one, two, *more]}, A
+    )
+    modes = sheet.modes()
+    assert modes["x"].hz == pytest.approx(30.0, rel=0.03)
+    (found,) = sheet.doubts(modes, bed_moves=True)
+    assert "row x2 means" in found
+    assert "count its waves again" in found
+
+
 def test_readings_that_disagree_are_uncertain() -> None:
-    one, two, *more = (read(30.0, 0.05, band) for band in bands(ender()))
+    one, two, *more = (read(30.0, 0.05, band, A) for band in bands(ender()))
     found = printed_mode([one, replace(two, distance=1.5 * two.distance), *more], A, SIDE)
     assert found.uncertainty > 0.1
+
+
+def test_an_unusual_printer_is_shown_for_a_look() -> None:
+    rows = {hz: [read(hz, 0.05, band, A) for band in bands(ender())] for hz in (30.0, 50.0, 85.0)}
+    for x, y, doubt in ((85.0, 30.0, "85 Hz in x: usual is 25 to 75"), (30.0, 50.0, "exchange")):
+        sheet = Filled({"x": rows[x], "y": rows[y]}, A)
+        assert any(doubt in found for found in sheet.doubts(sheet.modes(), bed_moves=True))
+    sheet = Filled({"x": rows[50.0], "y": rows[30.0]}, A)
+    assert not sheet.doubts(sheet.modes(), bed_moves=True)
 
 
 def test_modes_answer_straight_lines_exactly() -> None:
@@ -94,7 +107,7 @@ def test_impossible_readings_are_errors() -> None:
     band = Band(100.0, 20.0)
     with pytest.raises(IdentificationError, match="no band has a distance"):
         printed_mode([Reading(band, 0.0, 0.0, 0.0)], A, SIDE)
-    with pytest.raises(IdentificationError, match="these waves mean 500 Hz"):
+    with pytest.raises(IdentificationError, match="over all of the waves that you counted"):
         printed_mode([Reading(band, 1.0, 5.0, 6.0)], A, SIDE)
 
 
@@ -107,8 +120,15 @@ def test_a_form_is_read_as_it_was_written() -> None:
     assert found.readings["y"][1] == Reading(bands(ender())[1], 9.5, 4.0, 5.5)
     with pytest.raises(IdentificationError, match="x, right wall: no band"):
         found.modes()
-    for row in ('[1, "4", 2]', "[1, 4]", "[1, -4, 2]", "[1, 4, 1e5]", "4"):
-        with pytest.raises(HframeError, match="x1 must be three numbers"):
+    for row, message in (
+        *((row, "x1 must be three numbers. A row reads like x1 = ")
+          for row in ('[1, "4", 2]', "[1, 4]", "[1, -4, 2]", "[1, 4, 1e5]", "4", "[9,5, 4, 5]")),
+        ("[9.5mm, 4, 5]", "A row reads like x1 = "),
+        ("[0, 4, 5]", "x1 has a distance without waves"),
+        ("[9.5, 0, 5]", "x1 has a distance without waves"),
+        ("[9.5, 4, 2]", "x1: 4 waves were measured, but only 2 seen"),
+    ):  # fmt: skip
+        with pytest.raises(HframeError, match=re.escape(message)):
             filled(empty.replace("x1 = [0, 0, 0]", f"x1 = {row}"), "a.toml")
     for text in ("[limits]\nspeed = 3\n", f"racking = 3\n{empty}", "[[waves]]\n"):
         with pytest.raises(HframeError, match="is not a form"):
@@ -169,14 +189,14 @@ def test_klipper_travels_the_wall_as_assumed(tmp_path: Path) -> None:
 def test_racking_that_hardly_shows_is_not_guessed() -> None:
     comb = Comb(20.0, 12, 80.0, 7500.0)
     weak = seen_on(comb, PrintedRacking(5e-8, 62.0, 0.08, 140.0, 0.0), 0.015)
-    for read, x in (
+    for its, x in (
         (Blocks(comb, (0.0,) * 11, 0, 0.0, 0.0), X),
         (Blocks(comb, (0.5,) * 11, 0, 0.0, 0.0), X),
         (Blocks(comb, (2.0, *(0.0,) * 10), 1, 0.0, 0.0), X),  # but on a single block
         (weak, replace(X, uncertainty=0.3)),
         (replace(weak, seen=(9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0)), X),
     ):
-        assert printed_racking(read, x, 140.0, 0.015) is None
+        assert printed_racking(its, x, 140.0, 0.015) is None
 
 
 def test_racking_follows_acceleration() -> None:
@@ -240,10 +260,21 @@ def test_the_tower_stays_on_the_bed_and_restores_the_limits(profile: str) -> Non
     klipper, marlin = printer.firmware.klipper, printer.firmware.marlin
     if printer.firmware.dialect == "klipper":
         assert klipper is not None
-        assert f"ACCEL={klipper.acceleration:g} " in lines[-5] + lines[-6] + lines[-4]
+        assert any(f"ACCEL={klipper.acceleration:g} " in line for line in lines[-9:])
     else:
         assert marlin is not None
-        assert any(line.startswith(f"M204 P{marlin.acceleration:g} ") for line in lines[-9:])
+        assert any(line.startswith(f"M204 P{marlin.acceleration:g} ") for line in lines[-11:])
+    assert "M82" in lines[-5:]  # as a printer counts filament after it was switched on
+
+
+def test_a_mesh_that_m503_shows_is_used() -> None:
+    printer = ender()
+    table = printer.firmware.marlin
+    assert table is not None
+    mesh = replace(printer.firmware, tables=(replace(table, bed_levelling=True),))
+    lines = tower(replace(printer, firmware=mesh), HEAT)
+    assert lines[lines.index("G28") + 1] == "M420 S1"
+    assert "M420 S1" not in tower(printer, HEAT)
 
 
 def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
@@ -269,16 +300,12 @@ def test_marlin_takes_every_deviation(profile: str) -> None:
 def written_form(own: Path) -> Path:
     """Return the form of a tower for a profile, as the owner of a 40 and 28 Hz printer fills it."""
     own.write_text('extends = "example-ender"\n[limits]\nacceleration = 1500.0\n')
-    asked = run("calibrate-print", "-p", own, "-o", own.with_name("tower.gcode"))
+    asked = run(
+        "calibrate-print", "-p", own, "--heat", "210,60", "-o", own.with_name("tower.gcode")
+    )
     assert asked.returncode == 0, asked.stderr
     sheet = own.with_name("tower.form.toml")
-    text = sheet.read_text()
-    for axis, hz in (("x", 40.0), ("y", 28.0)):
-        for k, band in enumerate(bands(ender()), 1):
-            one = read(hz, 0.06, band)
-            row = f"{axis}{k} = [{one.distance}, {one.waves:g}, {one.seen}]"
-            text = text.replace(f"{axis}{k} = [0, 0, 0]", row)
-    sheet.write_text(text)
+    sheet.write_text(ruler.filled(sheet.read_text(), {"x": 40.0, "y": 28.0}))
     return sheet
 
 
@@ -306,7 +333,7 @@ def test_squares_are_compared_and_the_best_is_picked(tmp_path: Path) -> None:
     sheet = written_form(own)
     assert run("calibrate-print", "-p", own, "--form", sheet, "-o", own).returncode == 0
     before = frequencies(own)
-    done = run("calibrate-print", "-p", own, "--compare", "6%", "-o", three)
+    done = run("calibrate-print", "-p", own, "--compare", "6%", "--heat", "210,60", "-o", three)
     assert done.returncode == 0, done.stderr
     assert b"--pick -6% 0" in done.stderr
     assert three.read_bytes().count(b"M201 X500 Y500") == 3  # restored after each
@@ -320,6 +347,8 @@ def test_mistakes_are_errors(tmp_path: Path) -> None:
     for words, status, message in (
         (("--pick", "-60%", "0"), 2, b"at most 30%"),
         (("--heat", "20,60"), 2, b"nozzle and bed"),
+        (("--heat", "warm"), 2, b"nozzle and bed"),
+        ((), 2, b"give the temperatures of your filament"),
         (("--compare", "6%", "--pick", "0", "0"), 2, b"give one of"),
         (("--compare", "6%"), 1, b"not measured on your printer"),
     ):

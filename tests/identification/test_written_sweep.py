@@ -35,15 +35,17 @@ MACHINE = Machine(Axis((Mode(42.0, 0.06),)), Axis((Mode(27.0, 0.09),)), kinemati
 FINE = 20  # samples of a board a millisecond
 
 
-def ender(planner: str = "2.1", acceleration: float = 1500.0) -> Printer:
+def ender(planner: str = "2.1", acceleration: float = 1500.0, jerk: bool = False) -> Printer:
+    """Return a printer of that generation; jerk: built with CLASSIC_JERK."""
     printer = load("example-ender")
-    assert printer.firmware.marlin is not None
+    table = printer.firmware.marlin
+    assert table is not None
+    if jerk:
+        table = replace(table, junction_deviation=0.0, jerk=(8.0, 8.0), jerk_e=5.0)
     return replace(
         printer,
         limits=replace(printer.limits, acceleration=acceleration),
-        firmware=replace(
-            printer.firmware, tables=(replace(printer.firmware.marlin, planner=planner),)
-        ),
+        firmware=replace(printer.firmware, tables=(replace(table, planner=planner),)),
     )
 
 
@@ -51,25 +53,32 @@ def at(axis: int, *place: float) -> Run:
     return Run("run", axis, (place[0], place[1]), np.zeros((1, 2)))
 
 
-def motion(text: bytes, planner: str = "2.1") -> Array:
+def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
     """Return x and y (m, 2), mean of each millisecond, as a board of 80 steps/mm plays a file."""
-    board = Board(Build(1 / 80, 1 / 400, 1 / 93, planner=planner, cartesian=True))
+    build = Build(1 / 80, 1 / 400, 1 / 93, planner=planner, cartesian=True, classic_jerk=jerk)
+    board = Board(build)
     longest = max(board.read(text), key=lambda one: one.duration)
     assert not board.merged
     t = np.arange(round(longest.duration / TS) * FINE) * TS / FINE
     return np.asarray(xy(longest.cells(t), board.build).reshape(-1, FINE, 2).mean(axis=1))
 
 
-@pytest.mark.parametrize("planner", few(["2.1", "2.0", "2.1-dev", "ft-motion"], 2))
+@pytest.mark.parametrize(
+    ("planner", "jerk"),
+    few(
+        [("2.1", True), ("2.1", False), ("2.0", True), ("2.0", False), ("2.1-dev", True),
+         ("2.1-dev", False), ("ft-motion", False)], 2,
+    ),
+)  # fmt: skip
 @pytest.mark.parametrize("acceleration", few([1500.0, 500.0, 5000.0], 1))
-def test_a_board_plays_the_command(planner: str, acceleration: float) -> None:
+def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float) -> None:
     """It ends within 20 ms after half a minute; the sensor's clock differs by more."""
-    one, lines = played(ender(planner, acceleration), at(0, 110.0, 110.0), 10.0)
-    made = motion("\n".join(lines).encode(), planner)
+    one, lines = played(ender(planner, acceleration, jerk), at(0, 110.0, 110.0), 10.0)
+    made = motion("\n".join(lines).encode(), planner, jerk)
     command = one.command[PAD:-PAD]
     assert len(made) == pytest.approx(len(command), abs=20)
-    n = min(len(made), len(command))
-    assert np.abs(made[:n] - command[:n]).max() < 0.6  # mm; 20 ms at 30 mm/s
+    n, begun = min(len(made), len(command)), 200 if jerk else 0  # its first block sets out at once
+    assert np.abs(made[begun:n] - command[begun:n]).max() < 0.6  # mm; 20 ms at 30 mm/s
     assert np.abs(made[:5000] - command[:5000]).mean() < 0.05
 
 

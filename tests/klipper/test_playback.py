@@ -318,3 +318,4 @@ def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_pat
     limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
     own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
     below(run.report.time.after, 1.05 * own.print_time, "print time, s")
+    near(run.report.time.before, own.print_time, 0.01 * own.print_time, "print time as sliced, s")

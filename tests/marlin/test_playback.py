@@ -291,6 +291,19 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     assert cube.machine.merged == 0
 
 
+def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> None:
+    """With its corners: junction deviation lets it pass a right angle at 17.7 mm/s, not at 5."""
+    table = marlin.firmware.marlin
+    assert table is not None
+    board, told = [], []
+    for count in (5, 15):
+        machine = Machine(built(marlin, junction_deviation=table.junction_deviation))
+        board.append(max(run.duration for run in machine.read(b"".join(laps(count)))))
+        told.append(converted(laps(count), marlin)[1].time.before)
+    of_ten = board[1] - board[0]
+    near(told[1] - told[0], of_ten, 0.008 * of_ten, "ten laps as sliced, s")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:

@@ -76,7 +76,7 @@ def put_run(command: str, kind: str, printer: str) -> list[str]:
 def put_form(kind: str, printer: str) -> list[str]:
     """Print a tower and fill in its form ``t.form.toml``: waves of 40 Hz, or impossible ones."""
     named = PROFILE if printer in OWNERS else printer
-    done = run("calibrate-print", "-p", named, "-o", "t.gcode")
+    done = run("calibrate-print", "-p", named, "--heat", "210,60", "-o", "t.gcode")
     assert done.returncode == 0, done.stderr.decode()
     Path("t.gcode").unlink()
     form = Path("t.form.toml")

@@ -80,11 +80,11 @@ DONE = {
     "check": Done("uncertainty  ±"),
     "check {run}": Done("uncertainty  ±"),
     "identify {recordings} -o mine.toml": Done(".", "mine.toml"),
-    "calibrate-print -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
+    "calibrate-print --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
     "calibrate-print --form {form} -o n.toml": Done(
         "Next: hframe-post calibrate-print -p n.toml --compare", "n.toml"
     ),
-    "calibrate-print --compare 6% -o t.gcode": Done("Print t.gcode.", "t.gcode"),
+    "calibrate-print --compare 6% --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.gcode"),
     "calibrate-print --pick 6% 0 -o n.toml": Done("Next: compare once more", "n.toml"),
     "setup {config} -o new": Done(
         r"  .*hframe-post (identify|calibrate-print)",
@@ -99,7 +99,7 @@ DONE = {
     ),
     "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
-    "calibrate-marlin -o c.gcode": Done("If the steady part is shorter", "c.gcode"),
+    "calibrate-marlin -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
     "slicer-line": Done(".*hframe.post"),
     "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
     "octoprint-plugin --folder {folder}": Done(

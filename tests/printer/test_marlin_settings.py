@@ -13,6 +13,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, profile_text
 from tests.printers import M503, REAL
 
+BED = {axis: Known((0.0, 220.0), "test") for axis in "xy"}
 HEADER = """
 #define X_BED_SIZE 310
 #define Y_BED_SIZE (300)
@@ -64,6 +65,109 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert (table.junction_deviation, table.classic_jerk) == (0.08, False)
     assert (table.shaper_freq_x, table.shaper_freq_y, table.linear_advance) == (37.5, 29.0, 0.05)
     assert (table.min_segment_time, table.planner) == (0.02, "2.1")
+
+
+def test_a_stored_mesh_is_known(answers: Path) -> None:
+    def levelled(settings: MarlinSettings) -> bool:
+        table = profile(settings).firmware.marlin
+        assert table is not None
+        return table.bed_levelling
+
+    assert not levelled(MarlinSettings([answers]))
+    assert levelled(changed(answers, "echo:; Linear Advance:", "echo:  M420 S1 Z10.00"))
+
+
+# What owners of these boards have published of their answers to M503: what `setup` reads of them
+BOARDS = {
+    "Creality, Marlin 2.0, BLTouch": """
+  M92 X80.00 Y80.00 Z400.00 E93.00
+  M203 X500.00 Y500.00 Z5.00 E25.00
+  M201 X500.00 Y500.00 Z100.00 E5000.00
+  M204 P500.00 R500.00 T500.00
+  M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.30 E5.00
+  M420 S1
+""",
+    "Creality, junction deviation, another extruder": """
+echo: M92 X80.00 Y80.00 Z400.00 E418.75
+echo:  M203 X500.00 Y500.00 Z5.00 E25.00
+echo:  M201 X500.00 Y500.00 Z100.00 E5000.00
+echo:  M204 P500.00 R500.00 T500.00
+echo:  M205 B20000.00 S0.00 T0.00 J0.08
+echo:  M420 S0 Z0.00
+""",
+    "Artillery Genius, as delivered": """
+echo:  M92 X80.12 Y80.12 Z399.78 E445.00
+echo:  M203 X300.00 Y300.00 Z50.00 E40.00
+echo:  M201 X2000 Y2000 Z100 E10000
+echo:  M204 P800.00 R10000.00 T2000.00
+echo:  M205 Q20000 S0.00 T0.00 X8.00 Y8.00 Z0.30 E5.00
+""",
+    "Artillery, Marlin 2.0": """
+; Steps per unit:
+ M92 X80.12 Y80.12 Z399.78 E414.26
+  M203 X300.00 Y300.00 Z50.00 E40.00
+  M201 X2000.00 Y2000.00 Z100.00 E10000.00
+; Acceleration (units/s2): P<print_accel> R<retract_accel> T<travel_accel>
+  M204 P800.00 R10000.00 T2000.00
+  M205 B20000.00 S0.00 T0.00 J0.03
+""",
+    "SKR, Marlin 2.1": """
+echo:  M92 X80.00 Y80.00 Z400.00 E93.00
+echo:  M203 X300.00 Y300.00 Z5.00 E25.00
+echo:  M201 X500.00 Y500.00 Z100.00 E1000.00
+echo:  M204 P500.00 R500.00 T1000.00
+echo:  M205 B20000.00 S0.00 T0.00 X8.00 Y8.00 Z0.40 E5.00
+echo:  M420 S0 Z10.00 ; Leveling OFF
+""",
+    "Marlin 1.1 of 2017, one jerk for x and y": """
+echo:  M92 X80.00 Y80.00 Z400.00 E93.00
+echo:  M203 X300.00 Y300.00 Z5.00 E25.00
+echo:  M201 X1000 Y1000 Z100 E5000
+echo:  M204 P500.00 R500.00 T1000.00
+echo:Advanced variables: S=Min feedrate (mm/s), B=minimum segment time (ms), X=maximum XY jerk
+echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
+""",
+    "a clone of a Prusa, log with times": """
+20:31:07.791 -> echo: M92 X100.00 Y100.00 Z400.00 E280.00
+20:31:07.791 -> echo:  M203 X200.00 Y200.00 Z12.00 E120.00
+20:31:07.791 -> echo:  M201 X1250.00 Y1250.00 Z200.00 E5000.00
+20:31:07.838 -> echo:  M204 S1250.00 T1500.00
+20:31:07.838 -> echo:  M205 S0.00 T0.00 B20000.00 X10.00 Y10.00 Z0.20 E4.50
+""",
+}
+READ = {  # steps per mm, mm/s² of print, travel and retraction, mm/s at corners, mesh
+    "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 10.0, True),
+    "Creality, junction deviation, another extruder": (80.0, 500.0, 500.0, 500.0, 9.83, False),
+    "Artillery Genius, as delivered": (80.12, 800.0, 2000.0, 10000.0, 8.0, False),
+    "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 7.61, False),
+    "SKR, Marlin 2.1": (80.0, 500.0, 1000.0, 500.0, 8.0, False),
+    "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 20.0, False),
+    "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 10.0, False),
+}
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_answers_of_real_boards(answers: Path, board: str) -> None:
+    answers.write_text(BOARDS[board])
+    tables = from_marlin(MarlinSettings([answers]), "cartesian", BED)
+    named = {"kinematics": {"type": Known("cartesian", "test")}, **tables}
+    own = parse(profile_text(named, "own"), "own")
+    table, steps = own.firmware.marlin, own.steps
+    assert table is not None
+    assert steps is not None
+    read = (
+        1 / steps.belt, table.acceleration, table.travel_acceleration, table.retract_acceleration,
+        own.limits.square_corner_velocity, table.bed_levelling,
+    )  # fmt: skip
+    assert read == pytest.approx(READ[board], rel=1e-3)
+
+
+def test_trajectory_and_smoothing_of_2026_are_known(answers: Path) -> None:
+    line = "echo:  M494 T2 X0.02 Y0.03 Z0 E0.01"
+    table = profile(changed(answers, "echo:; Linear Advance:", line)).firmware.marlin
+    assert table is not None
+    assert (table.fixed_time_trajectory, table.fixed_time_smoothing) == (2, (0.02, 0.03))
+    assert table.fixed_time_smoothing_z_e == (0.0, 0.01)
 
 
 def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.firmware.klipper.code import KlipperCode, table_of
@@ -52,6 +52,16 @@ class Klipper(Firmware):
 
     def code(self, printer: Printer) -> KlipperCode:
         return KlipperCode.from_printer(printer)
+
+    def limits(self, printer: Printer) -> FirmwareLimits:
+        table = table_of(printer)
+        own = unlimited(
+            printer.limits, velocity=table.velocity, acceleration=MOST,
+            square_corner_velocity=table.square_corner_velocity,
+        )  # fmt: skip
+        usual = table.acceleration  # a file may set more
+        ratio = table.minimum_cruise_ratio
+        return FirmwareLimits(own, usual, usual, cruise_ratio=ratio)
 
     def most(self, printer: Printer) -> tuple[float, float]:
         table = table_of(printer)

@@ -1,7 +1,8 @@
 """Motions whose duration shows which planner and which timer a Marlin board has.
 
 ``steady`` is strokes of a single block at full speed: all planners take the same time, a timer
-that counts a tick more takes longer, one that smooths steps is faster. ``uneven`` is strokes of
+that counts a tick more takes longer, one that smooths steps is faster. Then come ``LINES`` lines
+that move nothing, whose duration shows how many arrive in a second. ``uneven`` is strokes of
 short blocks that are slow and fast in turn, so that most steps belong to a ramp: it takes a time
 of its own on each planner. Strokes begin and end at rest, x alone moves.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.marlin.code import MarlinCode
+from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.native.block_times import Timer
 from hframe_post.native.blocks import Blocks
@@ -25,6 +26,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
 SECONDS = 120.0  # of each part, about
+LINES, LINE = 10_000, "G1 F3000"
 EDGE = 10.0  # mm of travel that stay unused on either side
 STEPS = 24  # of x in a block of ``uneven``
 
@@ -131,8 +133,8 @@ def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> lis
     motion = "M493 S1 X0 Y0 C0 P0" if table.planner == "ft-motion" else "M493 S0"
     text = [
         "; home first; the duration of each part shows the planner and the timer", "M400",
-        "M593 F0", "M900 K0", motion, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
-        f"M205 B0 S0 T0 {corners}", "G90",
+        "M593 F0", "M900 K0", motion, TRAPEZOIDS, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+        f"M204 P{a} T{a}", f"M205 B0 S0 T0 {corners}", "G90",
     ]  # fmt: skip
     for part in parts:
         x = [plain(place, 3) for place in part.x.tolist()]
@@ -142,6 +144,9 @@ def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> lis
         text += [f"G1 X{x[0]} Y{y} F3000", "M400", "G4 P2000", f"M118 {part.name} begins", "M75"]
         text += (there + back) * (part.strokes // 2)
         text += ["M400", "M77", f"M118 {part.name} ends", "M31"]
+    text += ["M400", "G4 P2000", "M118 lines begins", "M75"]
+    text += [LINE] * LINES
+    text += ["M77", "M118 lines ends", "M31"]
     state = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))  # places count as homed
     end = marlin.end(state, np.zeros(4))
     return [line.encode() + b"\n" for line in text] + [line + b"\n" for line in end]

@@ -20,6 +20,7 @@ from hframe_post.stream.types import ModalState
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
 DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
+ADVANCED = 9.0  # mm³/s, a line of 0.45 × 0.2 mm at 100 mm/s, times K: what the nozzle holds
 JERK = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
@@ -45,14 +46,27 @@ class MarlinCode(Code):
 
     @property
     def notices(self) -> tuple[str, ...]:
+        found, k = list[str](), self.table.linear_advance
+        if k:
+            found.append(
+                f"linear advance (K {k:g}) is off while this file moves: where a line of 0.45 × "
+                f"0.2 mm stops from 100 mm/s, {k * ADVANCED:.2f} mm³ of plastic are too much, and "
+                "as much is missing where the next one sets out"
+            )
         received = self.table.lines_received
         if received == self.table.lines_per_second:
-            return ()
-        return (
-            f"a serial line of {self.table.baud} baud carries {received:.0f} lines in "
-            "a second, so motion is coarser: raise its baud rate, or print from the SD card, "
-            "without baud in the profile",
+            return tuple(found)
+        found.append(
+            f"a serial line of {self.table.baud} baud, with a sender that takes "
+            f"{1e3 * self.table.latency:g} ms (latency), carries {received:.0f} lines in a second, "
+            "so motion is coarser: raise its baud rate, or print from the SD card, without baud in "
+            "the profile"
         )
+        return tuple(found)
+
+    @property
+    def after_homing(self) -> list[str]:
+        return ["M420 S1"] if self.table.bed_levelling else []
 
     @property
     def planner(self) -> Planner:
@@ -121,6 +135,11 @@ class MarlinCode(Code):
         for axis, shaper in zip("XY", table.fixed_time_shaper, strict=True):
             if shaper:  # the mode is a word of the axis, or of C in later builds
                 lines.append(f"M493 {axis}{shaper:.0f} C{shaper:.0f}")
+        smoothing = *table.fixed_time_smoothing, *table.fixed_time_smoothing_z_e
+        if table.fixed_time_trajectory or any(smoothing):
+            named = zip("XYZE", smoothing, strict=True)
+            words = (f"{axis}{plain(seconds, 4)}" for axis, seconds in named)
+            lines.append(f"M494 T{table.fixed_time_trajectory} {' '.join(words)}")
         lines += [
             *coordinates(state.offset, at[:E] - state.offset),
             f"G1 F{plain(state.feed * 60, 1)}",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
@@ -68,6 +68,20 @@ class Marlin(Firmware):
 
         return MarlinMoves(self.code(printer), printer.kinematics)
 
+    def limits(self, printer: Printer) -> FirmwareLimits:
+        table = printer.firmware.marlin
+        if table is None:
+            return super().limits(printer)
+        corner = {"square_corner_velocity": min(table.jerk)}
+        if not table.classic_jerk:
+            corner = {"square_corner_velocity": 1e4, "junction_deviation": table.junction_deviation}
+        velocity = min(table.max_velocity)
+        own = unlimited(printer.limits, velocity=velocity, acceleration=MOST, **corner)
+        return FirmwareLimits(
+            own, table.acceleration, table.travel_acceleration, table.max_acceleration,
+            printer.kinematics.matrix,
+        )  # fmt: skip
+
     def shaper_settings(self, shaping: Shaping) -> str:
         lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
         for axis, chosen in (("X", shaping.x), ("Y", shaping.y)):
@@ -85,7 +99,7 @@ class Marlin(Firmware):
         if table is not None and not table.baud:
             raise PrinterError(
                 "OctoPrint prints over a serial line, which starves without it and makes prints "
-                "worse: set it to the speed of the connection, such as 115200 or 250000 "
-                "(docs/firmware.md)",
+                "worse. Write the speed of the connection below [firmware.marlin], such as "
+                "'baud = 115200' (docs/firmware.md)",
                 "firmware.marlin.baud", printer.name,
             )  # fmt: skip

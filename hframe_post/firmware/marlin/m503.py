@@ -75,6 +75,7 @@ class MarlinSettings:
                 f"{', '.join(map(str, paths))}: no values of {', '.join(missing)}. Send M503 to "
                 "the printer and save its whole answer"
             )
+        self._complete()
         found = VERSION.search(text)
         self.firmware = found[1] if found else ""
         self.planner = _planner(found)
@@ -87,6 +88,16 @@ class MarlinSettings:
             return  # of a second extruder
         axes = [letter for letter, value in words if not value]  # M593 X F40: of one axis
         self._words.setdefault(" ".join([command, *axes]), {}).update(values)
+
+    def _complete(self) -> None:
+        """Add what older versions leave out: M205 Y, which is X, and P, R or T of M204."""
+        jerk, accelerations = self._words["M205"], self._words["M204"]
+        if "X" in jerk:
+            jerk.setdefault("Y", jerk["X"])
+        if "P" not in accelerations and "S" in accelerations:  # then T is for retractions
+            usual = accelerations["S"]
+            accelerations["R"] = accelerations.pop("T", usual)
+            accelerations["P"] = accelerations["T"] = usual
 
     def word(self, command: str, letter: str, default: float | None = None) -> Known:
         """Return a value of M503. Raises HframeError if it is missing and has no default."""
@@ -291,12 +302,19 @@ def _table(settings: MarlinSettings) -> dict[str, Known]:
         "shaper_freq_x": word("M593 X", "F", 0.0),
         "shaper_freq_y": word("M593 Y", "F", 0.0),
         "fixed_time_motion": word("M493", "S", 0.0),
+        "fixed_time_trajectory": word("M494", "T", 0.0),
     }
     table |= {key: known for key, known in optional.items() if known.value}
+    for key, letters in (("fixed_time_smoothing", "XY"), ("fixed_time_smoothing_z_e", "ZE")):
+        one, other = (as_float(word("M494", letter, 0.0)) for letter in letters)
+        if one or other:
+            table[key] = Known((one, other), f"M494 {letters[0]} and {letters[1]}")
     steps = settings.number("MIN_STEPS_PER_SEGMENT")
     if not math.isnan(steps):
         table["min_steps_per_segment"] = Known(steps, "MIN_STEPS_PER_SEGMENT of the build")
     table["planner"] = settings.planner or Known(ASSUMED, "assumed: M115 shows the version")
+    if as_float(word("M420", "S", 0.0)):
+        table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
     if settings.defined("S_CURVE_ACCELERATION"):
         table["s_curve_acceleration"] = Known(True, "S_CURVE_ACCELERATION of the build")
     return table

@@ -14,6 +14,11 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import Blocks
 from hframe_post.native.whole_steps import most_steps, motor_steps
 
+# With CLASSIC_JERK, planners up to 2.1 compare the speed of a block with that of the one before,
+# although the faster one need not begin at its own. So M205 allows every speed, and the axis turns
+# back where it is slow
+SLOW = 4.0  # mm/s
+
 
 @dataclass(frozen=True, slots=True)
 class MarlinMoves(WrittenMoves):
@@ -31,6 +36,10 @@ class MarlinMoves(WrittenMoves):
         return self.code.table.min_steps_per_segment
 
     @property
+    def reversal(self) -> float:
+        return SLOW if self.code.table.classic_jerk else 0.0
+
+    @property
     def begin(self) -> list[str]:
         return ["M400", "M593 F0", self.code.motion_mode, TRAPEZOIDS]
 
@@ -39,8 +48,8 @@ class MarlinMoves(WrittenMoves):
         return "send M501: it brings back the settings that are saved in the printer."
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
-        corners = "X1 Y1 E1" if self.code.table.classic_jerk else "J0.3"
         v, a = plain(fastest, 0), plain(acceleration, 0)
+        corners = f"X{v} Y{v} E1" if self.code.table.classic_jerk else "J0.3"
         return [
             "M400", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
             f"M205 B0 S0 T0 {corners}",

@@ -15,19 +15,32 @@ from hframe_post.identification.by_eye.racking import (
     printed_racking,
 )
 from hframe_post.identification.by_eye.tower import LAYER, LAYERS, SIDE
-from hframe_post.identification.by_eye.waves import Band, PrintedMode, Reading, printed_mode
+from hframe_post.identification.by_eye.waves import (
+    Band,
+    PrintedMode,
+    Reading,
+    frequency,
+    printed_mode,
+)
 
 WALLS = {"x": "right wall", "y": "back wall"}
 LEAST_UNCERTAINTY, MOST_UNCERTAINTY = 0.1, 0.3  # second modes are not seen; a ruler reads no worse
 MOST = 1e5  # of any number
+USUAL_HZ = {"x": (25.0, 75.0), "y": (15.0, 70.0)}
+APART, HEAVIER = 0.15, 1.25  # share by which a row may differ; of the frequencies of y and x
 HEAD = """\
 # What the tower shows. Hold it so that light falls along a wall, and look at the waves behind the
-# corner, beginning with the second: mm from crest to crest with a ruler, over how many waves that
-# is, and how many waves are seen before they fade. Take as many as you can see. Leave a row of
-# zeros where you see none.
+# corner. A wave goes from one crest to the next. Each row takes three numbers:
+#   1. mm on the ruler from the second crest to the last one that is clear: in all, not of one wave
+#   2. how many waves that is
+#   3. how many waves you see before they fade, from the corner on; halves count
+# Example: from the second crest to the sixth are 9.5 mm and 4 waves; 5 and a half are seen:
+#   x1 = [9.5, 4, 5.5]
+# Leave a row of zeros where you see none.
 """
 
 
+ROW = "A row reads like x1 = [9.5, 4, 5.5], with a point in 9.5: mm, over how many waves, seen"
 RACKING = """\
 # The long low wall in front has a small mark every 20 mm, where the head stopped. Count the waves
 # behind each mark, on the wall's front, from left to right; the first 20 mm do not count. Then
@@ -45,7 +58,7 @@ def form(bands: Sequence[Band], acceleration: float, wall: Comb | None = None) -
         for k, band in enumerate(bands):
             low, high = k * LAYERS * LAYER, (k + 1) * LAYERS * LAYER
             where = f"{its_wall}, {low:g} to {high:g} mm up, {band.speed:g} mm/s"
-            rows.append(f"{axis}{k + 1} = [0, 0, 0]".ljust(28) + f"# {where}: mm, over waves, seen")
+            rows.append(f"{axis}{k + 1} = [0, 0, 0]".ljust(28) + f"# {where}")
     if wall is not None:
         rows += ["", f"{RACKING}", "[racking]"]
         rows += [f"wall = {[wall.left, wall.blocks, wall.speed, wall.acceleration]}"]
@@ -71,6 +84,43 @@ class Filled:
                 raise IdentificationError(f"{axis}, {WALLS[axis]}: {error}") from None
         return found
 
+    def hertz(self) -> dict[str, dict[str, float]]:
+        """Return the frequencies, Hz, that the rows of each axis mean, by the rows' names."""
+        return {
+            axis: {
+                f"{axis}{k}": frequency(one, self.acceleration, SIDE)
+                for k, one in enumerate(readings, 1)
+                if one.waves
+            }
+            for axis, readings in self.readings.items()
+        }
+
+    def doubts(self, modes: dict[str, PrintedMode], bed_moves: bool) -> list[str]:
+        """Return what the owner should look at again, in words.
+
+        bed_moves: the bed, with the print on it, is what y moves.
+        """
+        found = []
+        for axis, rows in self.hertz().items():
+            hz, (low, high) = modes[axis].hz, USUAL_HZ[axis]
+            if not low <= hz <= high:
+                found.append(
+                    f"{hz:.0f} Hz in {axis}: usual is {low:g} to {high:g}. Measure again, if you "
+                    "are not sure"
+                )
+            found += [
+                f"row {name} means {its:.0f} Hz and {axis} has {hz:.0f}: count its waves again. Is "
+                "it the row of another height?"
+                for name, its in rows.items()
+                if abs(its / hz - 1.0) > APART
+            ]
+        if bed_moves and modes["y"].hz > HEAVIER * modes["x"].hz:
+            found.append(
+                "the bed rings faster in y than the head in x. Beds are heavier: did you exchange "
+                "the rows of x and y?"
+            )
+        return found
+
     def racking(self, modes: dict[str, PrintedMode], middle: float) -> PrintedRacking | None:
         """Return the racking that shows, if any. middle: of the travel in x, mm."""
         if self.blocks is None:
@@ -83,6 +133,11 @@ def filled(text: str, source: str) -> Filled:
     """Return a filled form. Raises HframeError, which names the row."""
     try:
         document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise HframeError(
+            f"{source} is not a form of 'hframe-post calibrate-print': {error}. {ROW}"
+        ) from None
+    try:
         printed, waves, racking = document["print"], document["waves"], document.get("racking", {})
         pairs = zip(printed["speeds"], printed["corners"], strict=True)
         bands = [Band(float(speed), float(corner)) for speed, corner in pairs]
@@ -93,15 +148,30 @@ def filled(text: str, source: str) -> Filled:
         raise HframeError(
             f"{source} is not a form of 'hframe-post calibrate-print': {error}"
         ) from None
-    row = "must be three numbers: mm, over how many waves, seen"
     readings = {
         axis: [
-            Reading(band, *_numbers(waves.get(name, [0, 0, 0]), 3, f"{source}: {name} {row}"))
-            for name, band in ((f"{axis}{k}", band) for k, band in enumerate(bands, 1))
+            _reading(band, waves.get(f"{axis}{k}", [0, 0, 0]), f"{source}: {axis}{k}")
+            for k, band in enumerate(bands, 1)
         ]
         for axis in WALLS
     }
     return Filled(readings, acceleration, _blocks(racking, source) if racking else None)
+
+
+def _reading(band: Band, row: object, name: str) -> Reading:
+    """Return a row of the form. Raises HframeError for what no ruler shows."""
+    one = Reading(band, *_numbers(row, 3, f"{name} must be three numbers. {ROW}"))
+    if (one.distance > 0.0) != (one.waves > 0.0):
+        raise HframeError(
+            f"{name} has a distance without waves, or waves without one. Write both, or [0, 0, "
+            f"{one.seen:g}] if the waves are seen but cannot be measured"
+        )
+    if one.seen < one.waves:
+        raise HframeError(
+            f"{name}: {one.waves:g} waves were measured, but only {one.seen:g} seen. The third "
+            "number counts all waves that you see; the first two begin with the second crest"
+        )
+    return one
 
 
 def _blocks(racking: dict[str, object], source: str) -> Blocks:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.errors import HframeError, LimitError
+from hframe_post.errors import HframeError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import OFF, STAMP
@@ -39,7 +39,7 @@ BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
 COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
 
-COLD = ["M104 S0", "M140 S0", "M106 S0"]
+COLD = ["M82", "G92 E0", "M104 S0", "M140 S0", "M106 S0"]  # and E as firmwares begin with it
 Place = tuple[float, float]  # x and y, mm
 Heat = tuple[float, float]  # °C of nozzle and bed
 
@@ -50,6 +50,8 @@ def bands(printer: Printer) -> list[Band]:
     a, (hard, soft) = limits.acceleration, _corners(printer)
     fastest = min(limits.velocity, limits.flow / (LAYER * WIDTH), np.sqrt(0.5 * SIDE * a))
     speeds = [v for v in SPEEDS if v <= fastest]  # on half of a wall at full speed
+    if len(speeds) == 2:  # three tell which reading is wrong
+        speeds.insert(1, sum(speeds) / 2.0)
     if not speeds:
         raise HframeError(
             f"at {limits.velocity:g} mm/s and {a:g} mm/s² no waves would show: the profile needs "
@@ -76,7 +78,11 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
         x, width, depth = x - SIDE / 2.0, 2.0 * (SIDE + GAP), depth + 2.0 * (GAP + DEPTH)
     if np.ptp(printer.travel.x) < width or np.ptp(printer.travel.y) < depth:
         raise HframeError(f"the bed must be at least {width:g} mm wide and {depth:g} mm deep")
-    lines = [OFF.decode(), f"; waves to measure, hframe-post {__version__}", *_heated(heat)]
+    lines = [
+        OFF.decode(),
+        f"; waves to measure, hframe-post {__version__}",
+        *_heated(printer, heat),
+    ]
     if long is not None:
         lines += _comb(printer, long, y - SIDE / 2.0 - GAP - DEPTH)
     for k, band in enumerate(bands(printer)):
@@ -98,10 +104,10 @@ def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
     return _code(printer).set_limits(printer.limits.velocity, acceleration, corner)
 
 
-def _heated(heat: Heat) -> list[str]:
+def _heated(printer: Printer, heat: Heat) -> list[str]:
     nozzle, bed = (plain(one, 0) for one in heat)
-    return [f"M140 S{bed}", f"M190 S{bed}", "G28", f"M104 S{nozzle}", f"M109 S{nozzle}",
-            "M106 S128", "G90", "M83"]  # fmt: skip
+    return [f"M140 S{bed}", f"M190 S{bed}", "G28", *_code(printer).after_homing,
+            f"M104 S{nozzle}", f"M109 S{nozzle}", "M106 S128", "G90", "M83"]  # fmt: skip
 
 
 def comb(printer: Printer) -> Comb | None:
@@ -186,34 +192,36 @@ def squares(printer: Printer, plants: Sequence[Plant], heat: Heat) -> list[bytes
     """Return the G-code of squares from left to right, each compensated for another plant.
 
     Their corners are as hard as the tower's, so that what is left of the waves shows, or as hard as
-    the motors allow. Raises HframeError.
+    the motors allow: a clamp would hide what the plants differ in. Raises HframeError.
     """
     limits, corner = printer.limits, _corners(printer)[0]
     hard = replace(limits, square_corner_velocity=corner)
-    for harder in (replace(hard, jerk=HARDEST_JERK), hard):
-        try:
-            return list(_squares(printer, plants, heat, harder))
-        except LimitError:
-            pass  # the motors cannot do that, not even with less compensation
-    return list(_squares(printer, plants, heat, limits))
+    for tried in (replace(hard, jerk=HARDEST_JERK), hard):
+        pieces, clamped = _squares(printer, plants, heat, tried)
+        if not clamped:
+            return pieces
+    return _squares(printer, plants, heat, limits)[0]
 
 
 def _squares(
     printer: Printer, plants: Sequence[Plant], heat: Heat, limits: Limits
-) -> Iterator[bytes]:
+) -> tuple[list[bytes], bool]:
+    """Return the G-code, and whether less than all is compensated somewhere."""
     n, (x, y) = len(plants), _middle(printer)
     side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
     if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
         raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
     speed, above = bands(printer)[-1].speed, f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"
-    head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}", *_heated(heat)]
-    yield "\n".join([*head, ""]).encode()
+    head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}"]
+    pieces, clamped = ["\n".join([*head, *_heated(printer, heat), ""]).encode()], False
     for k, plant in enumerate(plants):
         at = round(x + (k - (n - 1) / 2.0) * (side + GAP), 1), y
         walls = _square(printer, at, side, speed, range(LOW))
         text = (f"{line}\n".encode() for line in ("G90", "M83", above, *walls, above))
         own = replace(printer, plant=plant, limits=limits)
-        for piece in GcodeConversion(text, own, Options("racking", clamp=True)):
+        conversion = GcodeConversion(text, own, Options("racking", clamp=True))
+        for piece in conversion:
             if isinstance(piece, bytes) and not piece.startswith(STAMP):
-                yield piece
-    yield "\n".join([*COLD, ""]).encode()
+                pieces.append(piece)
+        clamped |= conversion.report().clamped.samples > 0
+    return [*pieces, "\n".join([*COLD, ""]).encode()], clamped

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -31,6 +31,9 @@ DAMPING = np.array([0.02, 0.03, 0.04, 0.05, 0.06, 0.075, 0.09, 0.11, 0.13, 0.16,
 SEEN_FROM = np.geomspace(0.008, 0.03, 9)  # mm: the lowest wave that is seen
 USUAL, SPREAD = 0.016, 0.35  # mm, and standard deviation of its logarithm
 PLAUSIBLE_HZ = (8.0, 120.0)
+FIRST = 1.0  # waves behind a corner's first crest where a reading begins: the form says the second
+FREQUENCIES, HALVINGS = (1.0, 2000.0), 40  # Hz within which a reading's is sought
+CANDIDATES = 400
 SETTLED = 1e-3  # of the largest deviation: what is less has settled
 
 
@@ -121,25 +124,54 @@ def corner_path(band: Band, a: float, side: float) -> tuple[Array, int]:
 
 
 def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedMode:
-    """Return the mode that readings of one axis show. Raises IdentificationError."""
-    measured = [one for one in readings if one.waves > 0.0 and one.distance > 0.0]
+    """Return the mode that readings of one axis show. Raises IdentificationError.
+
+    A reading that differs from the others, such as one with a wave too many, hardly counts.
+    """
+    measured = [one for one in readings if one.waves > 0.0]
     if not measured:
         raise IdentificationError("no band has a distance and a number of waves")
-    distance = np.array([one.distance for one in measured])
-    hz = np.array([one.band.speed * one.waves for one in measured]) / distance
-    weight = (distance / (RULER * hz)) ** 2
-    mean = float(weight @ hz / weight.sum())
+    hz = np.array([frequency(one, a, side) for one in measured])
+    steps = np.diff([[frequency(replace(one, distance=one.distance + sign * RULER), a, side)
+                      for sign in (-1.0, 1.0)] for one in measured])  # fmt: skip
+    by_ruler = np.abs(steps[:, 0]) / (2.0 * hz)  # relative, of each
+    mean = _agreed(hz, by_ruler)
     low, high = PLAUSIBLE_HZ
     if not low <= mean <= high:
         raise IdentificationError(
             f"these waves mean {mean:.0f} Hz, but printers ring at {low:g} to {high:g} Hz: check "
-            "the distances in mm and the numbers of waves"
+            "that each distance is in mm and over all of the waves that you counted, not over one"
         )
-    apart = math.sqrt(weight @ (hz - mean) ** 2 / weight.sum()) / mean
-    by_ruler = float(weight.sum() ** -0.5) / mean
+    weight = by_ruler**-2.0
+    apart = math.sqrt(weight @ np.log(hz / mean) ** 2 / weight.sum())
     damping, seen_from = _fading(readings, mean, a, side)
     natural = mean / math.sqrt(1.0 - damping**2)
-    return PrintedMode(natural, damping, max(by_ruler, apart), seen_from)
+    uncertainty = max(float(weight.sum() ** -0.5), apart)
+    return PrintedMode(natural, damping, uncertainty, seen_from)
+
+
+def frequency(one: Reading, a: float, side: float) -> float:
+    """Return the frequency, Hz, at which waves are as far apart as they were read.
+
+    They are closer together where the head is still gaining speed: in the ramp behind the corner.
+    """
+    path, corner = corner_path(one.band, a, side)
+    along, t = path[corner:, 1], np.arange(len(path) - corner) * TS
+    low, high = FREQUENCIES
+    for _ in range(HALVINGS):
+        hz = math.sqrt(low * high)
+        # a quarter of a wave behind the corner is the first crest, since the axis stops at once
+        crests = (0.25 + FIRST + np.array([0.0, one.waves])) / hz
+        near, far = np.interp(crests, t, along, right=2.0 * side).tolist()
+        low, high = (hz, high) if far - near > one.distance else (low, hz)
+    return math.sqrt(low * high)
+
+
+def _agreed(hz: Array, off: Array) -> float:
+    """Return the frequency that most of some (k,) agree on; off (k,): their relative errors."""
+    candidates = np.geomspace(hz.min(), hz.max(), CANDIDATES)
+    apart = np.log(hz / candidates[:, None]) / off
+    return float(candidates[np.argmin(np.log1p(apart**2).sum(axis=1))])
 
 
 def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tuple[float, float]:

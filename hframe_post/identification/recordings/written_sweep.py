@@ -48,16 +48,20 @@ HEAD = """\
 
 @dataclass(frozen=True, slots=True)
 class _Moves:
-    """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s."""
+    """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s.
+
+    reversal: speed of the moves at both sides of a turn and at both ends, if they are not at rest.
+    """
 
     steps: Integers
     v: Array
+    reversal: float
 
     @property
     def turns(self) -> Array:
-        """Return the most speed (k + 1,) at the ends: none where the axis turns, or rests."""
+        """Return the most speed (k + 1,) at the ends, where the axis turns or rests, too."""
         v, sign = np.pad(self.v, 1), np.sign(np.pad(self.steps, 1))
-        return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), 0.0)
+        return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
 
 
 def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
@@ -79,7 +83,8 @@ def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
     lines_per_second = own.motion(printer, None).lines_per_second
     end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
-    moves = _Moves(*(np.array(column) for column in zip(*pulses, strict=True)))
+    steps, v = (np.array(column) for column in zip(*pulses, strict=True))
+    moves = _Moves(steps, v, play.reversal)
     cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
     cells[1:, run.axis] = np.cumsum(moves.steps)
     along = _motion(play, moves, cells, a)
@@ -110,6 +115,8 @@ def _pulses(
     step, least = play.step, play.least
     shortest = least * step / SLOW
     at, way, hz = 0.0, 1, START_HZ
+    turn = [(least, play.speed(play.reversal))] if play.reversal else []
+    yield from turn
     while hz <= end_hz:
         period = 1.0 / hz
         hz += rate * period
@@ -123,10 +130,12 @@ def _pulses(
         if travel > reach:
             continue  # too slow for the room that there is
         if way * at + travel > reach:
+            yield from ((side * n, v) for side in (way, -way) for n, v in turn)
             way = -way
         at += way * travel
         for n, v in ((slow, SLOW), (fast, SLOW + rise)):
             yield way * n, play.speed(v)
+    yield from ((way * n, v) for n, v in turn)
 
 
 def _motion(play: WrittenMoves, moves: _Moves, cells: Integers, a: float) -> Array:

@@ -1,0 +1,90 @@
+"""How long the firmware itself takes for a file as it was sliced, without this tool.
+
+It accelerates at once (no limit on jerk), and has corners, accelerations and speeds of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hframe_post.arrays import Array, E, Z
+from hframe_post.firmware.base import FirmwareLimits
+from hframe_post.planner.lookahead import Lookahead
+from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Plan, Standing
+
+
+class SlicedTime:
+    """Adds up the time of items that pass. ``seconds``: of all, once all have passed."""
+
+    def __init__(self, rules: FirmwareLimits) -> None:
+        self._rules, self._queue = rules, Lookahead(rules.limits)
+        self.seconds = 0.0
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        for item in items:
+            self._add(item)
+            yield item
+        self._stop()
+
+    def _add(self, item: Item) -> None:
+        if isinstance(item, Moves):
+            self._queue.append(self._limited(item))
+            while (plan := self._queue.take_final()) is not None:
+                self.seconds += self._duration(plan)
+        elif isinstance(item, Standing):
+            self._stop()
+            self.seconds += self._standing(item)
+        elif isinstance(item, Passthrough):
+            if item.handling is not Handling.CARRY:
+                self._stop()
+            self.seconds += item.seconds
+
+    def _stop(self) -> None:
+        self.seconds += sum(map(self._duration, self._queue.stop()))
+
+    def _limited(self, moves: Moves) -> Moves:
+        """Return the moves with the firmware's accelerations where the file sets none."""
+        travels = np.diff(moves.points[:, E]) == 0.0
+        usual = np.where(travels, self._rules.travel, self._rules.printing)
+        own = np.where(np.isfinite(moves.acceleration), moves.acceleration, usual)
+        if (belts := self._rules.belts) is not None:
+            way = np.diff(moves.points[:, :E], axis=0)
+            share = np.abs(way[:, :Z] @ belts.T) / np.linalg.norm(way, axis=1)[:, None]
+            asked = np.array(moves.limits.acceleration[:Z])
+            most = np.where(np.isfinite(asked), asked, self._rules.motors)
+            own = np.minimum(own, (most / np.maximum(share, 1e-9)).min(axis=1))
+        # a board with junction deviation knows no other rule, whatever the file says
+        knows = math.isinf(self._rules.limits.junction_deviation)
+        corner = moves.corner if knows else np.full_like(moves.corner, math.inf)
+        return replace(moves, acceleration=own, corner=corner, marks=())
+
+    def _duration(self, plan: Plan) -> float:
+        d, v = np.diff(plan.s[plan.ends]), plan.speed
+        v_s, v_e, cruise, a = v[:-1], v[1:], plan.cruise, plan.acceleration
+        ramped = (1.0 - self._rules.cruise_ratio) * a * d
+        reached = np.sqrt(np.maximum(ramped + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
+        top = np.minimum(cruise, reached)
+        return float(_seconds(d, v_s, v_e, top, a).sum())
+
+    def _standing(self, move: Standing) -> float:
+        limits, delta = self._rules.limits, np.abs(np.subtract(move.end, move.start))
+        z = delta[Z] > 0.0
+        d, v, a = (
+            (delta[Z], limits.z_velocity, limits.z_acceleration)
+            if z
+            else (delta[E], limits.extruder_velocity, limits.extruder_acceleration)
+        )
+        if not d:
+            return 0.0
+        top = min(move.speed, v, math.sqrt(a * d))
+        return float(d / top + top / a)
+
+
+def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:
+    """Return the seconds (n,) of ways d (mm) from speed to speed over a speed between."""
+    cruised = np.maximum(d - (2.0 * top**2 - v_s**2 - v_e**2) / (2.0 * a), 0.0)
+    return np.asarray((2.0 * top - v_s - v_e) / a + cruised / top)
