@@ -16,7 +16,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Event, Handling, ModalState, Passthrough, Pause, Samples
 from hframe_post.writers.step_file import Note, Start, Stepped
-from hframe_post.writers.steps import StepCounts, Stepper
+from hframe_post.writers.steps import StepCounts, StepGenerator
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 
@@ -55,7 +55,7 @@ class Stepping:
 
 
 def stepped(blocks: list[Samples], table: Steps, kinematics: Kinematics | None = None) -> Stepping:
-    stepper = Stepper("none", kinematics or Kinematics("cartesian"), table)
+    stepper = StepGenerator("none", kinematics or Kinematics("cartesian"), table)
     keys = []
     starts: list[Start] = []
     notes: list[Note] = []

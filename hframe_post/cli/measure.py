@@ -12,7 +12,7 @@ from hframe_post.cli.sweep import chips_option, next_steps, write_motion
 from hframe_post.printer.profile import load
 
 if TYPE_CHECKING:  # which imports SciPy: that takes a second
-    from hframe_post.identification.recordings.sweep import Run
+    from hframe_post.identification.recordings.sweep import SweepRun
 
 
 @click.command()
@@ -50,7 +50,7 @@ def measure(
 
     profile = load(printer)
     planned = runs(profile, places)
-    jobs: dict[Path, list[Run]] = {}
+    jobs: dict[Path, list[SweepRun]] = {}
     if moves_sensor(profile, planned, chips):
         for run in planned:
             file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")

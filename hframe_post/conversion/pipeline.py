@@ -8,7 +8,7 @@
       → checked       within the model's reach, the bed and the motors' limits (or clamped)
       → predicted     contour error; print time
 
-Conversions and studies all use these stages. ``Commands`` joins them for a whole file.
+Conversions and studies all use these stages. ``SampleStream`` joins them for a whole file.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def continued(
     return successive(streams if printer.plant.bed is None else map(ended, streams))
 
 
-class Source:
+class PlannedFile:
     """A file as spans of planned motion, and a summary of what it asks for."""
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
@@ -214,7 +214,7 @@ class Source:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
-class Commands:
+class SampleStream:
     """Safe commands for the motors of a whole file, streamed in constant memory.
 
     strategies: to compute; the options' by default. Iterating raises HframeError. The report is
@@ -226,7 +226,7 @@ class Commands:
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
         self._printer = printer
-        self._source = Source(lines, printer, options)
+        self._source = PlannedFile(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
         self.check_filament = self._source.check_filament
 

@@ -10,7 +10,7 @@ from hframe_post.arrays import Array, E, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.curves import FARTHEST
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import Bed, State
+from hframe_post.gcode.state import Extent, State
 from hframe_post.native.reading import plain_moves
 from hframe_post.stream.types import (
     Handling,
@@ -41,7 +41,7 @@ class PlainMoves:
     off the bed, too much filament for its path, a number with many digits.
     """
 
-    def __init__(self, source: Lines, state: State, bed: Bed) -> None:
+    def __init__(self, source: Lines, state: State, bed: Extent) -> None:
         self._source, self._state = source, state
         self._edges = (*bed.smallest, *bed.largest)
         self._values, self._rules = np.empty(10), np.empty(16)

@@ -41,7 +41,7 @@ from hframe_post.gcode.lexer import (
     uncommented,
 )
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import AXES, Bed, ReadOptions, State
+from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
 
 MAX_DWELL = 24 * 3600.0  # s
@@ -74,7 +74,7 @@ class _Reader:
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options.dialect, options.extrusion)
-        self._bed = Bed(options.travel)
+        self._bed = Extent(options.travel)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions

@@ -63,7 +63,7 @@ class StepCounts:
     ticks: int = 0
 
 
-class Stepper:
+class StepGenerator:
     """Stage that turns a strategy's command into steps, and ``counts`` them.
 
     Keeps the samples whose intervals are not finished, and steps that are not yet in order.

@@ -14,7 +14,7 @@ import pytest
 from hframe_post.conversion import conversions, spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.spans import Beginning, Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read
@@ -116,7 +116,7 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
 
 @pytest.mark.usefixtures("short")
 def test_commands_of_spans_are_one_stream(paper: Printer) -> None:
-    chunks = list(Commands(iter(cube()), paper, OPTIONS).computed())
+    chunks = list(SampleStream(iter(cube()), paper, OPTIONS).computed())
     assert all(a.end == b.first for a, b in pairwise(chunks))
     command = np.concatenate([chunk.commands["racking"] for chunk in chunks])
     path = np.concatenate([chunk.xyze[:, :2] for chunk in chunks])

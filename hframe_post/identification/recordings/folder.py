@@ -39,7 +39,7 @@ EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND 
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class RunMotion:
     """The motion of a run: x and y (m, 2) in mm every 1 ms. run: the last word of its name."""
 
     path: Path
@@ -47,7 +47,7 @@ class Command:
     motion: Array
 
     @classmethod
-    def read(cls, path: Path) -> Command:
+    def read(cls, path: Path) -> RunMotion:
         """Return the command in a file. Raises OSError and IdentificationError."""
         return cls(path, ENDINGS.sub("", path.name).rpartition(".")[2], read_command(path))
 
@@ -86,7 +86,7 @@ class Measurement:
     recording: Recording
     name: RecordingName
     digest: str
-    command: Command | None = None
+    command: RunMotion | None = None
     session: int = 1
 
     @property
@@ -147,7 +147,7 @@ def contents(
 
 def read_files(
     paths: Sequence[Path], columns: Sequence[str] | None = None
-) -> tuple[list[Command], list[Measurement | Aside]]:
+) -> tuple[list[RunMotion], list[Measurement | Aside]]:
     """Return the commands and the recordings in files and folders, not yet paired.
 
     Raises as ``contents``.
@@ -163,8 +163,8 @@ def read_files(
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]
     return (
-        [each for each in read if isinstance(each, Command)],
-        [each for each in read if not isinstance(each, Command)],
+        [each for each in read if isinstance(each, RunMotion)],
+        [each for each in read if not isinstance(each, RunMotion)],
     )
 
 
@@ -200,18 +200,18 @@ def _raise(error: OSError) -> None:
 
 def _read(
     path: Path, label: str, columns: Sequence[str] | None
-) -> list[Command | Measurement | Aside]:
+) -> list[RunMotion | Measurement | Aside]:
     by_file = parsed(path.name)
     if by_file.other:
         return [Aside(label, UNUSABLE[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
-            return [Command.read(path)]
+            return [RunMotion.read(path)]
         tables = read_tables(path, content, columns)
     except (HframeError, OSError) as error:
         return [Aside(label, _reason(path, error))]
-    found: list[Command | Measurement | Aside] = []
+    found: list[RunMotion | Measurement | Aside] = []
     for table in tables:
         which = f"{label}: {table.name}" if len(tables) > 1 else label
         name = parsed(table.name) | by_file if table.name else by_file
@@ -243,7 +243,7 @@ def _reason(path: Path, error: Exception) -> str:
 # ---------------------------------------------------------------------- motions
 
 
-def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside:
+def _with_motion(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside:
     """Return a recording with its command, if it is not one of a test of resonances."""
     name = one.name
     if name.other:
@@ -258,7 +258,7 @@ def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement |
     return replace(one, recording=replace(one.recording, started=False))
 
 
-def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside | None:
+def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside | None:
     """Return a recording with the command that its name ends with, or else of the same axis.
 
     A command in the same folder goes before others. None if there is none.
@@ -271,7 +271,7 @@ def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | 
         cause = f"it lasts {lasts:.1f} s, but its motion, {meant[0].path.name}, {needed:.1f} s"
         return Aside(one.label, f"{cause}: it was cut off, or is of another run")
 
-    def suits(command: Command) -> tuple[int, bool]:
+    def suits(command: RunMotion) -> tuple[int, bool]:
         named = len(command.run) if own.endswith(command.run) else 0
         return named, command.path.parent == one.path.parent
 

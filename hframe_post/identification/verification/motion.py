@@ -13,11 +13,11 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.identification.recordings.excitation import alignment_mark
 from hframe_post.identification.recordings.sweep import (
-    Run,
+    SweepRun,
     check_records,
     room,
     within_limits,
@@ -53,7 +53,7 @@ def path(printer: Printer) -> list[bytes]:
     return [f"{line}\n".encode() for line in lines]
 
 
-def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
+def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[SweepRun]:
     """Return the plain and the compensated run: of the test motion, or of a print's beginning.
 
     lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
@@ -78,10 +78,10 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     )
 
 
-def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[Run]:
+def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[SweepRun]:
     options = Options("racking", limits="printer", clamp=False)
     chunks = list[Samples]()
-    for chunk in Commands(lines, printer, options, tuple(STRATEGIES.values())).computed():
+    for chunk in SampleStream(lines, printer, options, tuple(STRATEGIES.values())).computed():
         if len(chunk):
             chunks.append(chunk)
         if chunk.end > LOOKED_AT:
@@ -97,7 +97,7 @@ def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
         part = _between_stops(commands["verify-compensated"], ends)
     return [
-        Run(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
+        SweepRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
             frozen(_framed(command[part], printer)))
         for run, command in commands.items()
     ]  # fmt: skip

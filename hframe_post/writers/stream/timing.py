@@ -12,11 +12,11 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
 from hframe_post.firmware.motion import Dwelling, MotionRules, Stroke, Way
 from hframe_post.writers.stream.machine import (
-    Command,
+    LimitChange,
     Motion,
-    Settings,
-    StandingMove,
-    Stop,
+    MotionEnd,
+    OutputCommand,
+    PlacedMove,
     Text,
 )
 from hframe_post.writers.stream.segments import Units
@@ -37,14 +37,14 @@ class TimedMotion(NamedTuple):
 class TimedMove(NamedTuple):
     """A retraction or a lift, and how it is asked for."""
 
-    move: StandingMove
+    move: PlacedMove
     stroke: Stroke
 
 
-TimedCommand = Text | TimedMotion | TimedMove | Settings
+TimedCommand = Text | TimedMotion | TimedMove | LimitChange
 
 
-class Pace:
+class Timing:
     """Feed rates and dwells of one machine.
 
     steady: segments over which time is kept inside a motion, too; 0: over a batch. It takes an F
@@ -65,7 +65,7 @@ class Pace:
         self._lift: tuple[TimedMove, Callable[[float], Stroke]] | None = None
         self._after_lift: list[Text] = []  # lines between both
 
-    def timed(self, commands: Iterable[Command]) -> Iterator[TimedCommand]:
+    def timed(self, commands: Iterable[OutputCommand]) -> Iterator[TimedCommand]:
         """Yield the commands with their feed rates."""
         for command in commands:
             match command:
@@ -77,12 +77,12 @@ class Pace:
                         self._after_lift.append(command)
                 case Motion():
                     yield from self._motion(command)
-                case StandingMove():
+                case PlacedMove():
                     yield from self._standing_move(command)
-                case Stop():
+                case MotionEnd():
                     yield from self._leave(0.0)
                     yield from self._stop(command.samples)
-                case Settings():
+                case LimitChange():
                     yield command
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
 
@@ -119,7 +119,7 @@ class Pace:
         if rejoined is None:
             return motion
         self._before, self._ending = rejoined.speed, None
-        yield Settings(rejoined.text)
+        yield LimitChange(rejoined.text)
         at, T = motion.at.copy(), motion.T.copy()
         at[0] = self._units.rounded(rejoined.at)
         T[0] -= rejoined.seconds
@@ -195,7 +195,7 @@ class Pace:
         entry = self._before if alone else float(v[0])
         self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
 
-    def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
+    def _standing_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
         pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
         way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
         into, out = self._rules.corners(way, move.speed, (pause.entry, pause.leaving), previous)
@@ -217,7 +217,7 @@ class Pace:
         if line := self._dwell(0, next_to):
             yield Text(line)
 
-    def _way(self, move: StandingMove) -> Way:
+    def _way(self, move: PlacedMove) -> Way:
         return self._units.mm(move.start), self._units.mm(move.end)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
