@@ -4,7 +4,7 @@
       → parsed        read the G-code; set the pace, if a speed was asked for
       → planned       look-ahead: speeds along the path
       → sampled       the path, one sample a millisecond
-      → compensated   commands for the motors, which stand where the machine stops
+      → compensated   commands for the motors, which dwell where the machine stops
       → checked       within the model's reach, the bed and the motors' limits (or clamped)
       → predicted     contour error; print time
 
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
-from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
+from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PathMeter
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Plastic, Report
@@ -65,13 +65,13 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 def sampled(
     items: Iterable[Planned], printer: Printer, options: Options, skip_slow: bool = False
 ) -> Iterator[Samples]:
-    """Sample planned motion, with the standstill that the strategy needs at stops.
+    """Sample planned motion, with the rest that the strategy needs at stops.
 
     skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
     rules = firmware(printer).motion(printer, options.tolerance, options.retract == "moving")
-    waits = rests(printer.compensation.stops, options.strategy, rules.rests)
-    return sample(items, printer.limits, waits, skip_slow=skip_slow)
+    rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
+    return sample(items, printer.limits, rests, skip_slow=skip_slow)
 
 
 class Stages:
@@ -114,8 +114,8 @@ class Stages:
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = hold_at_stops(self.times.timed("compensate", commands), self._at_stops)
-        return self.times.timed("stand", commands)
+        commands = dwell_at_stops(self.times.timed("compensate", commands), self._at_stops)
+        return self.times.timed("dwell", commands)
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""

@@ -16,10 +16,10 @@ from hframe_post.stream.types import (
     Handling,
     Item,
     Mark,
+    MoveAtRest,
     Moves,
     Passthrough,
     Position,
-    Standing,
     frozen,
 )
 
@@ -128,8 +128,8 @@ class ItemBuilder:
             self._tables.append(np.array(self._rows))
             self._rows = []
 
-    def add_standing(self, move: Standing) -> None:
-        """Add a move in which x and y stand still. Raises GcodeError if it takes too long."""
+    def add_move_at_rest(self, move: MoveAtRest) -> None:
+        """Add a move while x and y are at rest. Raises GcodeError if it takes too long."""
         self.flush()
         length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
         _check_duration(length / move.speed, move.line)

@@ -82,7 +82,7 @@ static int64_t coupled(const double *sections, int64_t total, double *state, con
     return n;
 }
 
-/* motion (n, columns): the nozzle under a command (n, 2) from a standstill at origin, and what the
+/* motion (n, columns): the nozzle under a command (n, 2) from rest at origin, and what the
  * first couplings' filters give. The filters: Gxx, Gyy and those of the couplings. */
 static int64_t response(const double *sections, int64_t total, double *state, const int64_t *counts,
                         int64_t filters, const int64_t *axes, const double *centre, int64_t count,

@@ -93,7 +93,7 @@ def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
 def response(
     filters: Sections, couplings: Couplings, origin: Array, command: Array, motion: Array
 ) -> Array:
-    """Return the nozzle's motion under a command (n, 2) from a standstill at origin (2,).
+    """Return the nozzle's motion under a command (n, 2) from rest at origin (2,).
 
     filters: Gxx, Gyy and those of the couplings. motion (n, 2 + m): takes x, y of the nozzle and
     the outputs of the first m couplings' filters.

@@ -1,4 +1,4 @@
-"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes standing moves.
+"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes moves at rest.
 
 Only this module uses Ruckig.
 """
@@ -16,9 +16,9 @@ from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.sampling import misses, ramps, samples_until, stand
+from hframe_post.native.sampling import misses, move_at_rest, ramps, samples_until
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.types import Plan, Standing
+from hframe_post.stream.types import MoveAtRest, Plan
 
 ALMOST = 0.999  # share of a limit that counts as all of it
 
@@ -99,10 +99,10 @@ class Profiler:
 
 
 @dataclass(frozen=True, slots=True)
-class StandingProfile:
-    """How the firmware, which has no limit on jerk, makes one move while x and y stand still.
+class ProfileAtRest:
+    """How the firmware, which has no limit on jerk, makes one move while x and y are at rest.
 
-    trapezoid: of z, or of the filament if z stands too; samples: until the next whole one.
+    trapezoid: of z, or of the filament if z rests too; samples: until the next whole one.
     """
 
     trapezoid: Trapezoid
@@ -110,8 +110,8 @@ class StandingProfile:
 
     @classmethod
     def from_move(
-        cls, move: Standing, limits: Limits, entry: float = 0.0, leaving: float = 0.0
-    ) -> StandingProfile:
+        cls, move: MoveAtRest, limits: Limits, entry: float = 0.0, leaving: float = 0.0
+    ) -> ProfileAtRest:
         """Return the fastest profile that the limits allow.
 
         entry, leaving: speeds of z at its ends, mm/s, lowered to what a move so short can have.
@@ -127,14 +127,14 @@ class StandingProfile:
         ends = min(entry, most), min(leaving, most)
         trapezoid = Trapezoid(length, cruise, acceleration, *ends)
         samples = samples_until(trapezoid.seconds)
-        if any(ends):  # no standstill next to it can fill up the last sample
+        if any(ends):  # no rest next to it can fill up the last sample
             trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, samples)
 
-    def places(self, move: Standing, first: int, n: int) -> Array:
+    def places(self, move: MoveAtRest, first: int, n: int) -> Array:
         """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
         ends = np.array([move.start, move.end])
-        return stand(self.trapezoid.row, ends, first, n, self.samples)
+        return move_at_rest(self.trapezoid.row, ends, first, n, self.samples)
 
 
 class TravelRetraction:
@@ -146,7 +146,7 @@ class TravelRetraction:
 
     @classmethod
     def if_it_fits(
-        cls, move: Standing, travel: Plan, limits: Limits, acceleration: float
+        cls, move: MoveAtRest, travel: Plan, limits: Limits, acceleration: float
     ) -> TravelRetraction | None:
         """Return the retraction, or None if ``move`` is none or the travel is too short for it."""
         length = move.start[E] - move.end[E]

@@ -26,7 +26,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
-from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 from tests.quantities import below
 from tests.random_paths import walk
 
@@ -310,8 +310,8 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
     path[:, 0] += np.interp(np.arange(1000), [350, 400, 450, 500], [0.0, 0.25, 0.25, 0.5])
     path[:, 1] += np.interp(np.arange(1000), [340, 355], [0.0, 0.1])
     action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    held = replace(chunk(path, path), events=(Pause(420, 20, action),))
-    result, clamp = clamped(held, LIMITS)
+    dwelling = replace(chunk(path, path), events=(Dwell(420, 20, action),))
+    result, clamp = clamped(dwelling, LIMITS)
     assert clamp.clamped.samples > 0
     np.testing.assert_array_equal(result[419:440], path[419:440])
 

@@ -46,12 +46,12 @@ from hframe_post.identification.recordings.excitation import peaks, trajectory
 from hframe_post.printer.firmware_tables import RECORDED
 from hframe_post.printer.settings import Printer, Sweep
 from hframe_post.stream.types import (
+    Dwell,
     Handling,
     ModalState,
+    MoveAtRest,
     Passthrough,
-    Pause,
     Samples,
-    Standing,
     frozen,
 )
 from hframe_post.version import __version__
@@ -313,7 +313,7 @@ def _samples(
         events = (
             _passthrough(first, approach, Handling.RELEASE),
             # a move of zero length: the stream, with its limits, begins here, before the motion
-            Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
+            Dwell(first + 1, 0, MoveAtRest(0, here, here, APPROACH)),
             _passthrough(begun, "\n".join(measure), Handling.REST),
             _passthrough(end, "\n".join(_end_of_recording(run, chips)), Handling.REST),
             _passthrough(end, "", Handling.RELEASE),
@@ -336,6 +336,6 @@ def _end_of_recording(run: SweepRun, chips: Sequence[str]) -> Iterator[str]:
     yield from ("M400", f"{macro} NAME={run.name}", *calls, macro)
 
 
-def _passthrough(index: int, text: str, handling: Handling) -> Pause:
+def _passthrough(index: int, text: str, handling: Handling) -> Dwell:
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
-    return Pause(index, 0, Passthrough(0, text.encode(), handling, state))
+    return Dwell(index, 0, Passthrough(0, text.encode(), handling, state))

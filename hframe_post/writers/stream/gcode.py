@@ -4,7 +4,7 @@ The command becomes a polyline in time, with segments as the firmware wants them
 are rounded to 0.001 mm, or finer if asked, and filament to 0.00001 mm, and written as differences
 of rounded absolute values, so that no rounding adds up. Feed rates allow for the firmware's ramps
 inside every segment, so that it takes the segment's time; the next segments make up for what it
-is late by, as far as rounding tells. A retraction, a lift or a wait is one line at standstill.
+is late by, as far as rounding tells. A retraction, a lift or a wait is one line at rest.
 
 Three passes make the text, each a generator:
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
-from hframe_post.firmware.motion import Dwelling, MotionRules, Stroke, Way
+from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
 from hframe_post.writers.stream.machine import (
     LimitChange,
     Motion,
@@ -22,7 +22,7 @@ from hframe_post.writers.stream.machine import (
 from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
-REVERSED = -0.999  # cosine between ways from which every firmware stands between them
+REVERSED = -0.999  # cosine between ways from which every firmware stops between them
 LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
@@ -55,7 +55,7 @@ class Timing:
     def __init__(self, rules: MotionRules, units: Units, steady: int = 0) -> None:
         self._rules, self._units, self._steady = rules, units, steady or rules.steady
         self._per_feed = units.per_feed
-        self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
+        self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it rests
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
         # last segment of a batch: places, speed, whether from rest, speed of the one before it
@@ -78,7 +78,7 @@ class Timing:
                 case Motion():
                     yield from self._motion(command)
                 case PlacedMove():
-                    yield from self._standing_move(command)
+                    yield from self._placed_move(command)
                 case MotionEnd():
                     yield from self._leave(0.0)
                     yield from self._stop(command.samples)
@@ -128,11 +128,11 @@ class Timing:
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
 
-        rest (k + 1,): whether the machine stands at each end, noted here for the first; after:
+        rest (k + 1,): whether the machine rests at each end, noted here for the first; after:
         greatest speed at the last.
         """
         if self._turns_back(at):
-            self._stand()
+            self._come_to_rest()
         rest[0] |= self._before == 0.0
         planned, T = T, self._rules.possible_times(at, T, self._before)
         if self._lift is not None:
@@ -169,7 +169,7 @@ class Timing:
         sizes = lengths(ways)
         return bool(ways[0] @ ways[1] < REVERSED * sizes[0] * sizes[1])
 
-    def _stand(self) -> None:
+    def _come_to_rest(self) -> None:
         """Add what the last segment of a batch takes longer to come to rest at its end."""
         assert self._ending is not None
         last, v_last, from_rest, entry = self._ending
@@ -195,17 +195,17 @@ class Timing:
         entry = self._before if alone else float(v[0])
         self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
 
-    def _standing_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
-        pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
+    def _placed_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
+        dwell, next_to = move.dwell, NextTo.LIFT if move.lifts else NextTo.RETRACTION
         way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
-        into, out = self._rules.corners(way, move.speed, (pause.entry, pause.leaving), previous)
+        into, out = self._rules.corners(way, move.speed, (dwell.entry, dwell.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
         if self._before == 0.0 and (line := self._dwell(0, next_to)):
             yield Text(line)
-        planned = pause.samples * TS
+        planned = dwell.samples * TS
         stroke_to = partial(
-            self._rules.stroke, way, move.speed, pause.exact, planned - self.lag, self._before
+            self._rules.stroke, way, move.speed, dwell.exact, planned - self.lag, self._before
         )
         stroke = stroke_to(out)
         self.lag += stroke.seconds - planned
@@ -234,17 +234,17 @@ class Timing:
         self._after_lift = []
 
     def _stop(self, samples: int) -> Iterator[Text]:
-        """Yield the line for a standstill of this many samples more, if they are not 0."""
+        """Yield the line for a dwell of this many samples more, if they are not 0."""
         line = self._dwell(samples) if samples else None
         if line:
             yield Text(line)
-        if line != b"":  # else the firmware leaves the standstill out
+        if line != b"":  # else the firmware leaves the dwell out
             self._before = 0.0
 
-    def _dwell(self, samples: int, next_to: Dwelling = Dwelling.MOTION) -> bytes | None:
-        """Return the line for a standstill, less what the machine is late; None: it needs none.
+    def _dwell(self, samples: int, next_to: NextTo = NextTo.MOTION) -> bytes | None:
+        """Return the line for a dwell, less what the machine is late; None: it needs none.
 
-        It is empty where the firmware leaves the standstill out.
+        It is empty where the firmware leaves the dwell out.
         """
         dwell = self._rules.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
