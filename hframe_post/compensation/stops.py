@@ -251,9 +251,7 @@ class _Window:
     def solve(self, stop: Stop) -> None:
         around = Surroundings(self._path, self._origin, self._extruding)
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
-        n = self._first
-        a, b, ends = stop.a - n, stop.b - n, stop.ends - n
-        local = Stop(a, b, stop.before, stop.after, stop.movable, ends)
+        local = stop.counted_from(self._first)
         for track in self._tracks.values():
             before = self._response_before(stop.a - BESIDE, track)
             track.command[changed] = track.solver.solve(around, track.command, before, local)

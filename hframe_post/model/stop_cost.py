@@ -66,6 +66,11 @@ class Stop:
     movable: bool
     ends: int
 
+    def counted_from(self, first: int) -> Stop:
+        """Return the same stop with its samples counted from another one."""
+        a, b, ends = self.a - first, self.b - first, self.ends - first
+        return Stop(a, b, self.before, self.after, self.movable, ends)
+
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
-from functools import partial
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -41,6 +41,22 @@ class TimedMove(NamedTuple):
     stroke: Stroke
 
 
+@dataclass(slots=True)
+class _Lift:
+    """A lift that waits for the speed of the next motion, and the lines between both.
+
+    way: of the lift; seconds: that it should last; entry: speed, mm/s, from which it begins;
+    stroke: into the greatest speed.
+    """
+
+    move: PlacedMove
+    way: Way
+    seconds: float
+    entry: float
+    stroke: Stroke
+    lines: list[Text] = field(default_factory=list)
+
+
 TimedCommand = Text | TimedMotion | TimedMove | LimitChange
 
 
@@ -61,9 +77,7 @@ class Timing:
         # last segment of a batch: places, speed, whether from rest, speed of the one before it
         self._ending: tuple[Array, Array, bool, float] | None = None
         self._may_be_elsewhere = False  # moves may have been left out since the last motion
-        # a lift that waits for the speed of the next motion, and its stroke at a lower one
-        self._lift: tuple[TimedMove, Callable[[float], Stroke]] | None = None
-        self._after_lift: list[Text] = []  # lines between both
+        self._lift: _Lift | None = None
 
     def timed(self, commands: Iterable[OutputCommand]) -> Iterator[TimedCommand]:
         """Yield the commands with their feed rates."""
@@ -74,7 +88,7 @@ class Timing:
                     if self._lift is None:
                         yield command
                     else:
-                        self._after_lift.append(command)
+                        self._lift.lines.append(command)
                 case Motion():
                     yield from self._motion(command)
                 case PlacedMove():
@@ -96,7 +110,7 @@ class Timing:
         rest[-1] = motion.stops
         feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
-            before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
+            before = 0.0 if motion.dwell[0] else self._lift.stroke.left
             v = float(feeds[0] / self._per_feed)
             yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
@@ -137,7 +151,7 @@ class Timing:
         planned, T = T, self._rules.possible_times(at, T, self._before)
         if self._lift is not None:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
-            T[0] = self._lift[0].stroke.time_of_next(first, float(T[0]))
+            T[0] = self._lift.stroke.time_of_next(first, float(T[0]))
         late, passed = abs(self.lag), T.cumsum()
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
@@ -197,21 +211,19 @@ class Timing:
 
     def _placed_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
         dwell, next_to = move.dwell, NextTo.LIFT if move.lifts else NextTo.RETRACTION
-        way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
+        way, previous = self._way(move), self._lift.way if self._lift else None
         into, out = self._rules.corners(way, move.speed, (dwell.entry, dwell.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
         if self._before == 0.0 and (line := self._dwell(0, next_to)):
             yield Text(line)
-        planned = dwell.samples * TS
-        stroke_to = partial(
-            self._rules.stroke, way, move.speed, dwell.exact, planned - self.lag, self._before
-        )
-        stroke = stroke_to(out)
+        planned, entry = dwell.samples * TS, self._before
+        seconds = planned - self.lag
+        stroke = self._rules.stroke(way, move.speed, dwell.exact, seconds, entry, out)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
         if out:
-            self._lift = TimedMove(move, stroke), stroke_to
+            self._lift = _Lift(move, way, seconds, entry, stroke)
             return
         yield TimedMove(move, stroke)
         if line := self._dwell(0, next_to):
@@ -224,14 +236,15 @@ class Timing:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
         if self._lift is None:
             return
-        (lift, stroke_to), self._lift = self._lift, None
-        if speed != lift.stroke.left:
-            slower = stroke_to(speed)
-            self.lag += slower.seconds - lift.stroke.seconds
-            lift = TimedMove(lift.move, slower)
-        yield lift
-        yield from self._after_lift
-        self._after_lift = []
+        lift, self._lift = self._lift, None
+        move, stroke = lift.move, lift.stroke
+        if speed != stroke.left:
+            stroke = self._rules.stroke(
+                lift.way, move.speed, move.dwell.exact, lift.seconds, lift.entry, speed
+            )
+            self.lag += stroke.seconds - lift.stroke.seconds
+        yield TimedMove(move, stroke)
+        yield from lift.lines
 
     def _stop(self, samples: int) -> Iterator[Text]:
         """Yield the line for a dwell of this many samples more, if they are not 0."""
