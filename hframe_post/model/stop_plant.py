@@ -20,7 +20,7 @@ class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a dwell, in the order of time.
-    axes (couplings, 2): where each coupling answers, and the command. ahead: samples of the command
+    axes (couplings, 2): where each coupling responds, and the command. ahead: samples of the command
     after a sample that the nozzle's place depends on.
     """
 

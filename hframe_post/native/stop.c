@@ -33,7 +33,7 @@ struct problem {
     const uint8_t *extruding;  /* (r) */
     const vector *known;       /* (r) */
     const double *levers;      /* (couplings, r) */
-    const int64_t *axes;       /* (couplings, 2): where each answers, and the command */
+    const int64_t *axes;       /* (couplings, 2): where each responds, and the command */
     int64_t couplings;
     const double *by_p;        /* (2 + couplings, r, k): outputs of x, y and the couplings */
     const int64_t *first;      /* (k) */

@@ -1,12 +1,12 @@
 """The states of a stop, and how long the path rests in each of them.
 
-                  ENTER: a lift that motion passes into
-                 ┌───────────────────────┐
-    MOVING ─STOP─► STOPPED ────DWELL────► SETTLED ─MOVE─► MOVING
-                 ▲    └──PART──► APART ◄──PART──┘ │
-                 └───────────────────────────────-┘
-                  LEAVE: a lift that passes into motion
+           STOP            DWELL, ENTER             MOVE
+    MOVING ────► STOPPED ─────────────► SETTLED ─────────► MOVING
+                    │  ◄───────────────    │
+                    │        LEAVE         │
+                    └────PART──► APART ◄───┘ ────MOVE────► MOVING
 
+ENTER and LEAVE are the corners between motion and a lift, which firmware may take at a speed.
 A command settles after the path has come to rest, and leads the path when it sets out. Samples of
 rest give it time for both. What parts two motions needs more of it.
 """

@@ -102,6 +102,7 @@ class Run:
 
     @property
     def place(self) -> float:
+        """Return the mean x, mm."""
         return float(self.command[:, X].mean())
 
 
