@@ -20,8 +20,8 @@ class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a dwell, in the order of time.
-    axes (couplings, 2): where each coupling responds, and the command. ahead: samples of the command
-    after a sample that the nozzle's place depends on.
+    axes (couplings, 2): where each coupling responds, and the command. ahead: samples of the
+    command after a sample that the nozzle's place depends on.
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:

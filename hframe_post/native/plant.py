@@ -83,7 +83,7 @@ def coupled(
 
 
 def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
-    """Return what couplings that respond in one axis add at places (n, 2), by their outputs (n,)."""
+    """Return what couplings that respond in one axis add at places (n, 2), by outputs (n,)."""
     added = np.zeros(len(place))
     for k, output in enumerate(outputs):
         added += couplings.lever(k, place) * output

@@ -5,7 +5,7 @@
    its speed. Segments are therefore long enough, and end on whole steps.
 3. The motor with the most steps sets the pace, see ``planner``.
 4. When the queue has run empty, Marlin waits for three blocks before it goes on. So the stream
-   has no dwells of its own: standstill that no line of the file asks for is left out.
+   has no dwells of its own: a dwell that no line of the file asks for is left out.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class MarlinMotion(MotionRules):
         return 0 if self.planner.fixed_time else 50
 
     def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
-        # standstill is left out, and what follows makes up for it
+        # a dwell is left out, and what follows makes up for it
         return (b"", 0.0) if next_to is NextTo.MOTION else None
 
     def entry(self, at: Array, v: float, before: float) -> float:

@@ -303,7 +303,7 @@ def _cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
 
 
 def _rests_before(a: Array, start: float) -> bool:
-    """Return whether the printer of a recording stands before a motion that starts at s."""
+    """Return whether the printer of a recording rests before a motion that starts at s."""
     first = int((start - REST) * RATE)
     moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
     return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving

@@ -29,7 +29,7 @@ STRATEGIES = {"verify-plain": "none", "verify-compensated": "racking"}  # by the
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
-SHORTEST_STOP, STANDS = 20, 1e-9  # samples and mm per sample of a standstill
+SHORTEST_STOP, AT_REST = 20, 1e-9  # samples and mm per sample at rest
 GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
 QUIET = 1000  # samples of rest before, between and after the parts
 
@@ -104,11 +104,11 @@ def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list
 
 
 def _between_stops(command: Array, ends: Sequence[int]) -> slice:
-    """Return the longest part of at most ``LONGEST`` samples from one standstill to another.
+    """Return the longest part of at most ``LONGEST`` samples from one stop to another.
 
     command (m, 2): mm; ends: samples after which the machine moves on its own.
     """
-    still = (np.abs(np.diff(command, axis=0)) < STANDS).all(axis=1)
+    still = (np.abs(np.diff(command, axis=0)) < AT_REST).all(axis=1)
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
     first, last = edges[::2], edges[1::2]
     stops = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST_STOP]

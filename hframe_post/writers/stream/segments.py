@@ -69,7 +69,7 @@ class Batch(NamedTuple):
     """Samples (n,) that are written together.
 
     first: index of the first; points (n + 1, 4): x, y, z, e in mm, beginning where the machine
-    stands before them; marks: the lines that pass before one of them; last: motion ends here.
+    is before them; marks: the lines that pass before one of them; last: motion ends here.
     """
 
     first: int
