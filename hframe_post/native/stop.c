@@ -303,7 +303,7 @@ INSIDE double cost_of(int64_t n, const struct room *room, const double *p)
 
 /* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
  * the accelerations, and of what is outside. */
-INSIDE void judge(const struct problem *q, struct room *room, const vector *p, double most[3])
+INSIDE void measure_bounds(const struct problem *q, struct room *room, const vector *p, double most[3])
 {
     most[0] = most[1] = most[2] = 0.0;
     for (int64_t r = 0; r < q->q - 2; r++) {
@@ -358,7 +358,7 @@ INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
     for (int64_t trial = 0; trial < q->trials; trial++) {
         add_bounds(q, room);
         solve(2 * q->k, room, tried[0]);
-        judge(q, room, (const vector *)tried, most);
+        measure_bounds(q, room, (const vector *)tried, most);
         double excess = greater(most[0], 1.0) + most[2];
         double hard = greater(most[1] / (q->to.hardest * q->full_limit), 1.0) + most[2];
         double cost = cost_of(2 * q->k, room, tried[0]) + q->to.excess_cost * (excess - 1.0);
