@@ -303,7 +303,8 @@ INSIDE double cost_of(int64_t n, const struct room *room, const double *p)
 
 /* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
  * the accelerations, and of what is outside. */
-INSIDE void measure_bounds(const struct problem *q, struct room *room, const vector *p, double most[3])
+INSIDE void measure_bounds(const struct problem *q, struct room *room, const vector *p,
+                           double most[3])
 {
     most[0] = most[1] = most[2] = 0.0;
     for (int64_t r = 0; r < q->q - 2; r++) {
