@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hframe_post.conversion.options import Options
     from hframe_post.conversion.report import Report
     from hframe_post.errors import HframeError
-    from hframe_post.identification.identify import identify
+    from hframe_post.identification.identify import MeasurementSettings, Run, identify
     from hframe_post.library import (
         compensate,
         contour_error,
@@ -37,10 +37,12 @@ if TYPE_CHECKING:
 __all__ = [
     "HframeError",
     "Lpfbs",
+    "MeasurementSettings",
     "Options",
     "Plant",
     "Printer",
     "Report",
+    "Run",
     "TransferFunction",
     "Window",
     "__version__",
@@ -58,10 +60,12 @@ __all__ = [
 _ROOMS = {  # name → module, and the name in it if that differs
     "HframeError": "errors",
     "Lpfbs": "model.lpfbs",
+    "MeasurementSettings": "identification.identify",
     "Options": "conversion.options",
     "Plant": "model.plant",
     "Printer": "printer.settings",
     "Report": "conversion.report",
+    "Run": "identification.identify",
     "TransferFunction": "model.transfer_function",
     "Window": "model.lpfbs",
     "compensate": "library",

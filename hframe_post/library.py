@@ -86,7 +86,7 @@ def compensate(xy: ArrayLike, printer: Printer, strategy: str = "racking") -> Ar
 def predict(command: ArrayLike, printer: Printer) -> Array:
     """Return where the nozzle goes under a command (m, 2): x and y, (m, 2), eq. 1 and 2.
 
-    The printer stands at the command's first sample before it begins. For a printer that differs
+    The printer rests at the command's first sample before it begins. For a printer that differs
     from the model, give one with another plant: ``dataclasses.replace(printer, plant=...)``.
     Raises ArgumentError for an array that is not a command.
     """

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands, prepared
+from hframe_post.conversion.pipeline import SampleStream, prepared
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -98,7 +98,7 @@ def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Sample
 
     def whole(strategy: str) -> Samples:
         lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-        commands = Commands(iter(lines), paper, Options(strategy), compensator=compensator)
+        commands = SampleStream(iter(lines), paper, Options(strategy), compensator=compensator)
         return join([chunk for chunk in commands.computed() if len(chunk)])
 
     return whole

@@ -65,7 +65,7 @@ class CoupledMachine:
     kinematics: str = "corexy"
 
     def response(self, hz: Array, x: float = MIDDLE) -> Complex:
-        """Return the matrix (k, 2, 2) at x (mm), of answer and command."""
+        """Return the matrix (k, 2, 2) at x (mm), of response and command."""
         s = np.asarray(2j * np.pi * hz)
         total = np.zeros((len(hz), 2, 2), complex)
         for mode in self.modes:

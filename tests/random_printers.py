@@ -9,8 +9,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
-from hframe_post.identification.identify import Identified, Run, Settings, identify
+from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.recordings.sweep import positions
 from hframe_post.identification.recordings.sweep import runs as planned
@@ -73,7 +73,7 @@ def places(machine: Machine) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def identified(machine: Machine, runs: list[Run]) -> Identified:
     """Return what the tool identifies from the runs."""
-    return identify(runs, Settings(BAND, racks=printer(machine).kinematics.racks))
+    return identify(runs, MeasurementSettings(BAND, racks=printer(machine).kinematics.racks))
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def judged(machine: Playing, profile: Printer, path: str = "rectangle") -> Error
     """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else cube()
     options = Options("racking", clamp=True)
-    computed = Commands(lines, profile, options, ("racking", "none")).computed()
+    computed = SampleStream(lines, profile, options, ("racking", "none")).computed()
     chunks = [chunk for chunk in computed if len(chunk)]
     wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in chunks])

@@ -14,9 +14,9 @@ from hframe_post.conversion.report import Report
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
-from hframe_post.stream.types import Event, Handling, ModalState, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Event, Handling, ModalState, Passthrough, Samples
 from hframe_post.writers.step_file import Note, Start, Stepped
-from hframe_post.writers.steps import StepCounts, Stepper
+from hframe_post.writers.steps import StepCounts, StepGenerator
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 
@@ -25,11 +25,11 @@ def block(xyze: Array, first: int = 0, events: tuple[Event, ...] = ()) -> Sample
     """Return samples (n, 4) whose command is the path; the line of sample i is i + 1."""
     line = np.arange(first, first + len(xyze)) + 1
     last = events[-1] if events else None
-    ends = isinstance(last, Pause) and released(last)
+    ends = isinstance(last, Dwell) and released(last)
     return Samples(first, xyze, line, events, {"none": xyze[:, :2]}, ends)
 
 
-def released(pause: Pause) -> bool:
+def released(pause: Dwell) -> bool:
     """Return whether the machine is released in it."""
     action = pause.action
     return isinstance(action, Passthrough) and action.handling is Handling.RELEASE
@@ -55,7 +55,7 @@ class Stepping:
 
 
 def stepped(blocks: list[Samples], table: Steps, kinematics: Kinematics | None = None) -> Stepping:
-    stepper = Stepper("none", kinematics or Kinematics("cartesian"), table)
+    stepper = StepGenerator("none", kinematics or Kinematics("cartesian"), table)
     keys = []
     starts: list[Start] = []
     notes: list[Note] = []

@@ -29,7 +29,7 @@ from hframe_post.printer.profile import load, parse
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
-    from hframe_post.identification.identify import Settings
+    from hframe_post.identification.identify import MeasurementSettings
     from hframe_post.printer.settings import Printer
 
 NO_WINDOW = (
@@ -192,14 +192,14 @@ def _settings(
     config: KlipperConfig | None,
     band: tuple[float, float],
     offset: tuple[float, ...],
-) -> Settings:
-    from hframe_post.identification.identify import Settings
+) -> MeasurementSettings:
+    from hframe_post.identification.identify import MeasurementSettings
 
     # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
     height = offset[2] if len(offset) > 2 else None
     bed_moves = profile.kinematics.bed_moves
-    settings = Settings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
+    settings = MeasurementSettings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
 
 

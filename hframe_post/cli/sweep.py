@@ -20,7 +20,7 @@ from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import write_output
 
 if TYPE_CHECKING:
-    from hframe_post.identification.recordings.sweep import Run
+    from hframe_post.identification.recordings.sweep import SweepRun
     from hframe_post.printer.settings import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
@@ -57,8 +57,8 @@ places_option = click.option(
 
 
 def write_motion(
-    target: Path, printer: str, profile: Printer, planned: list[Run], chips: tuple[str, ...],
-    jobs: Mapping[Path, list[Run]] | None = None,
+    target: Path, printer: str, profile: Printer, planned: list[SweepRun], chips: tuple[str, ...],
+    jobs: Mapping[Path, list[SweepRun]] | None = None,
 ) -> None:  # fmt: skip
     """Write the runs as G-code, and next to it each command as TARGET.RUN.csv.
 
@@ -79,7 +79,9 @@ def write_motion(
             file.writelines(command_csv(run.command))
 
 
-def write_moves(target: Path, printer: str, profile: Printer, planned: list[Run]) -> list[Run]:
+def write_moves(
+    target: Path, printer: str, profile: Printer, planned: list[SweepRun]
+) -> list[SweepRun]:
     """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
     from hframe_post.identification.recordings.excitation import command_csv
     from hframe_post.identification.recordings.written_sweep import played
@@ -94,7 +96,7 @@ def write_moves(target: Path, printer: str, profile: Printer, planned: list[Run]
 
 
 def next_steps(
-    command: str, target: Path, printer: str, planned: list[Run], jobs: Sequence[Path] = (),
+    command: str, target: Path, printer: str, planned: list[SweepRun], jobs: Sequence[Path] = (),
     recorded: str = "",
 ) -> str:  # fmt: skip
     """Return what to do with a file of runs: print it, fetch what was recorded, and judge that.
@@ -205,7 +207,7 @@ def measure(
 
     profile = load(printer)
     planned = runs(profile, places)
-    jobs: dict[Path, list[Run]] = {}
+    jobs: dict[Path, list[SweepRun]] = {}
     if moves_sensor(profile, planned, chips):
         for run in planned:
             file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")

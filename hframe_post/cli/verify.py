@@ -115,7 +115,7 @@ def _judge(
     from hframe_post.identification.recordings.names import recorded_on
     from hframe_post.identification.verification.drifted import as_text, drifted
     from hframe_post.identification.verification.pairing import along_printer, sorted_out
-    from hframe_post.identification.verification.verdict import judge
+    from hframe_post.identification.verification.verdict import compare_runs
 
     profile = load(printer)
     sources = [*files_read(printer), *read_from]
@@ -126,7 +126,7 @@ def _judge(
             html = reports.open(report_file) if report_file is not None else None
             first, second = (along_printer(run, axes) for run in given)
             plain, compensated, notes = sorted_out(profile, first, second)
-            verdict = judge(profile, plain, compensated)
+            verdict = compare_runs(profile, plain, compensated)
             moved = {} if verdict.fault else drifted(profile, plain, compensated)
             left = {name: list(one.left) for name, one in moved.items()}
             fault = None

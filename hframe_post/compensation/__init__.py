@@ -1,1 +1,1 @@
-"""Motor commands from samples: compensated, standing still at stops, and checked."""
+"""Motor commands from samples: compensated, dwelling at stops, and checked."""

@@ -3,7 +3,7 @@
 Near the edge of the bed, and where the belts would be too fast, the compensation is reduced; at the
 edge itself the command is cut off. Where the belts would accelerate too hard, as they do in the
 first milliseconds of a corner, the command is averaged over a longer and longer time. Both begin
-and end smoothly, and a command that must stand still does so.
+and end smoothly, and a command that must dwell does so.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.guard import is_safe
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import join, neighbours, stretches
-from hframe_post.stream.types import Pause, Samples, frozen
+from hframe_post.stream.types import Dwell, Samples, frozen
 
 REACH = 80  # samples over which a reduction fades in and out
 LONGER_REACHES = (2 * REACH, 4 * REACH)  # where that itself would be too fast: all is removed
@@ -66,7 +66,7 @@ class Clamp:
                 wide, start = join(around), sum(map(len, before))
                 command, where = wide.commands[strategy], slice(start, start + len(chunk))
                 path = wide.xyze[:, :Z]
-                safe = self._averaged(self._reduced(path, command), _standing(wide))
+                safe = self._averaged(self._reduced(path, command), _dwelling(wide))
                 safe = self._removed(path, safe)
                 changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
@@ -114,12 +114,12 @@ class Clamp:
             share[1:] = np.minimum(share[1:], _share_within(*pair, -limit, limit, MARGIN))
         return share
 
-    def _averaged(self, command: Array, standing: Flags) -> Array:
+    def _averaged(self, command: Array, dwelling: Flags) -> Array:
         """Return the command (n, 2) averaged where the belts would accelerate too hard.
 
-        standing (n,): samples that must stay. Means of places on the bed are on it, too.
+        dwelling (n,): samples that must stay. Means of places on the bed are on it, too.
         """
-        free = 1.0 - _near(standing)
+        free = 1.0 - _near(dwelling)
         for reach in AVERAGED:
             hard = self._too_hard(command)
             if not hard.any():
@@ -131,7 +131,7 @@ class Clamp:
     def _removed(self, path: Array, command: Array) -> Array:
         """Return the command (n, 2) without compensation where the belts still are too hard.
 
-        That is next to samples at which the machine stands, which are not averaged.
+        That is next to samples at which the machine dwells, which are not averaged.
         """
         for reach in LONGER_REACHES:
             hard = self._too_hard(command)
@@ -149,15 +149,15 @@ class Clamp:
         return hard
 
 
-def _standing(chunk: Samples) -> Flags:
-    """Return at which samples (n,) the machine stands, at pauses and at the ends of a stretch."""
-    standing = np.zeros(len(chunk), dtype=bool)
-    standing[[0, -1]] = True
+def _dwelling(chunk: Samples) -> Flags:
+    """Return at which samples (n,) the machine dwells, also at the ends of a stretch."""
+    dwelling = np.zeros(len(chunk), dtype=bool)
+    dwelling[[0, -1]] = True
     for event in chunk.events:
-        if isinstance(event, Pause):
+        if isinstance(event, Dwell):
             at = event.index - chunk.first
-            standing[max(at - 1, 0) : max(at + event.samples, 0)] = True
-    return standing
+            dwelling[max(at - 1, 0) : max(at + event.samples, 0)] = True
+    return dwelling
 
 
 def _near(flags: Flags) -> Array:

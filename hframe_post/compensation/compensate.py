@@ -100,11 +100,11 @@ class _Rows:
 
 
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:
-    """Return the samples of standstill in which any command leads and settles, to SETTLED.
+    """Return the samples of rest in which any command leads and settles, to SETTLED.
 
     They are those of the fastest start and stop, in x and y at once, from the bed's corners.
     """
-    long = 4096  # samples of standstill in which any stable command settles
+    long = 4096  # samples of rest in which any stable command settles
     ramp = np.arange(0.0, limits.velocity + 1e-9, limits.acceleration * TS)
     cruise = np.full(long // 8, limits.velocity)
     moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS

@@ -145,7 +145,7 @@ class Guard:
             for chunk in stretch:
                 command, path = chunk.commands[strategy], chunk.xyze[:, :Z]
                 _check_order(chunk, end)
-                # samples of slow motion and of pauses may be left out after a stretch
+                # samples of slow motion and of dwells may be left out after a stretch
                 end = None if chunk.ends_stretch else chunk.end
                 if len(chunk) and self._safe(chunk, command, differences):
                     of_path.skip(path)

@@ -1,9 +1,9 @@
-"""Commands that stand still while the machine retracts, lifts or waits, and lose no time by it.
+"""Commands that dwell while the machine retracts, lifts or waits, and lose no time by it.
 
 Where a strategy's command would go on settling and leading during a stop, it is replaced around
 the stop by the one of ``model.stop``. A stop longer than LONGEST is treated as two: the command
 comes to rest on the path, and later sets out from there. So are the ends of a stretch, where the
-machine must stand where the file believes it to be.
+machine must be at rest where the file believes it to be.
 
 The solution depends only on the samples around the stop and on the state of the plant before it.
 That state is carried from stop to stop; after a long time without stops it is computed from the
@@ -27,19 +27,19 @@ from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.native.stop import NEAREST
 from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.types import Pause, Rests, Samples, frozen
+from hframe_post.stream.types import Dwell, Samples, StopRules, frozen
 
 LONGEST = 1000  # samples of a stop that is treated as one
-ASIDE = 80  # samples of rest around a longer one, on whose path the command must stand
+ASIDE = 80  # samples of rest around a longer one, on whose path the command must dwell
 REMEMBERED = 2048  # after this many samples any plant has forgotten its state
 BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
-AT_REST = Rests()  # lifts come to rest
+AT_REST = StopRules()  # lifts come to rest
 
 
-def rests(stops: str, strategy: str, lifts: Rests = AT_REST) -> Rests:
-    """Return how long the path stands at stops for a setting of ``stops``; lifts: see ``Rests``."""
+def stop_rules(stops: str, strategy: str, lifts: StopRules = AT_REST) -> StopRules:
+    """Return how long the path rests at stops for a setting of ``stops``; lifts: see there."""
     if strategy == "none":
         return lifts
     n = STOPS[stops]
@@ -73,8 +73,8 @@ class StopSolvers:
         }
 
 
-def hold_at_stops(chunks: Iterable[Samples], solvers: StopSolvers) -> Iterator[Samples]:
-    """Yield the stream with commands that stand still at stops, of the strategies with solvers."""
+def dwell_at_stops(chunks: Iterable[Samples], solvers: StopSolvers) -> Iterator[Samples]:
+    """Yield the stream with commands that dwell at stops, of the strategies with solvers."""
     for first_chunks in stretches(chunks):
         stretch: _Stretch | None = None
         for chunk in first_chunks:
@@ -94,7 +94,7 @@ class _Stretch:
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
         self._window = _Window(chunk, solvers)
         self._buffered: deque[Samples] = deque()
-        # samples from which and before which the command stands still; the stretch begins with one
+        # samples from which and before which the command dwells; the stretch begins with one
         self._stops = [(-FOREVER, chunk.first + 1)]
         self._arrived = True  # at the first of the stops, which is a long one
         self._free = chunk.first + 1  # end of the last solved stop: from here on a command may move
@@ -104,14 +104,14 @@ class _Stretch:
         others = {k: xy for k, xy in chunk.commands.items() if k not in self._window.names}
         self._buffered.append(replace(chunk, commands=others))
         for event in chunk.events:
-            if isinstance(event, Pause):
+            if isinstance(event, Dwell):
                 self._add_stop(event.index - 1, event.index + event.samples)
         yield from self._release(self._solve())
 
     def finish(self) -> Iterator[Samples]:
-        """Yield the rest of the stretch, at the end of which the machine goes on standing."""
+        """Yield what is left of the stretch, at the end of which the machine dwells."""
         end = self._window.end
-        self._window.append_standstill(self._window.after)
+        self._window.append_rest(self._window.after)
         self._add_stop(end - 1, FOREVER)
         self._solve()
         yield from self._release(end)
@@ -180,7 +180,7 @@ class _Track:
 class _Window:
     """The samples of a stretch that are still needed, counted as in the stream.
 
-    They begin with standstill before the stretch. ``_first`` is the index of the first of them.
+    They begin at rest, before the stretch. ``_first`` is the index of the first of them.
     after: samples after a stop that its solution depends on.
     """
 
@@ -224,7 +224,7 @@ class _Window:
         for name, track in self._tracks.items():
             track.command = _longer(track.command, commands[name], self._origin)
 
-    def append_standstill(self, n: int) -> None:
+    def append_rest(self, n: int) -> None:
         last = np.tile([*(self._path[-1] + self._origin), 0.0, self._e[0]], (n, 1))
         self.append(last, dict.fromkeys(self._tracks, last[:, :Z]))
 
@@ -251,9 +251,7 @@ class _Window:
     def solve(self, stop: Stop) -> None:
         around = Surroundings(self._path, self._origin, self._extruding)
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
-        n = self._first
-        a, b, ends = stop.a - n, stop.b - n, stop.ends - n
-        local = Stop(a, b, stop.before, stop.after, stop.movable, ends)
+        local = stop.counted_from(self._first)
         for track in self._tracks.values():
             before = self._response_before(stop.a - BESIDE, track)
             track.command[changed] = track.solver.solve(around, track.command, before, local)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import MotionSummary
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Source, Stages, first_line, prepared
+from hframe_post.conversion.pipeline import PlannedFile, Stages, first_line, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
@@ -37,7 +37,7 @@ class GcodeConversion:
         self._printer, self._options = printer, options
         own = firmware(printer)
         self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
-        self._source = Source(lines, printer, options)
+        self._source = PlannedFile(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:

@@ -21,7 +21,7 @@ from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import joined
-from hframe_post.stream.types import Item, Moves, Passthrough, Pause, Rest, Samples, Standing
+from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -62,7 +62,7 @@ class InputMeter:
             if isinstance(item, Moves):
                 summary.moves += len(item.line)
                 summary.filament += float(item.points[-1, E] - item.points[0, E])
-            elif isinstance(item, Standing):
+            elif isinstance(item, MoveAtRest):
                 summary.moves += 1
                 summary.filament += item.end[E] - item.start[E]
             else:
@@ -202,7 +202,7 @@ class PrintTime:
 class MotionSummary:
     """What the stages saw of one span or of several.
 
-    samples: all; resting: those where the path waits for the command. fed: most filament in one
+    samples: all; resting: those where the path rests for the command. fed: most filament in one
     stretch, mm. seconds: processor time by stage. picture: if one was asked for.
     """
 
@@ -286,7 +286,7 @@ class FilamentMeter:
                     last = float(chunk.xyze[-1, E])
                     self.total += last - start
                 for event in chunk.events:
-                    if isinstance(event, Pause) and isinstance(event.action, Passthrough):
+                    if isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                         self.total += event.action.filament
                 yield chunk
 

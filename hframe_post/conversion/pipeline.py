@@ -4,11 +4,11 @@
       → parsed        read the G-code; set the pace, if a speed was asked for
       → planned       look-ahead: speeds along the path
       → sampled       the path, one sample a millisecond
-      → compensated   commands for the motors, which stand where the machine stops
+      → compensated   commands for the motors, which dwell where the machine stops
       → checked       within the model's reach, the bed and the motors' limits (or clamped)
       → predicted     contour error; print time
 
-Conversions and studies all use these stages. ``Commands`` joins them for a whole file.
+Conversions and studies all use these stages. ``SampleStream`` joins them for a whole file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
-from hframe_post.compensation.stops import StopSolvers, hold_at_stops, rests
+from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.meters import (
     Clock,
     ErrorMeter,
@@ -73,13 +73,13 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 def sampled(
     items: Iterable[Planned], printer: Printer, options: Options, skip_slow: bool = False
 ) -> Iterator[Samples]:
-    """Sample planned motion, with the standstill that the strategy needs at stops.
+    """Sample planned motion, with the rest that the strategy needs at stops.
 
     skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
     rules = firmware(printer).motion(printer, options.tolerance, options.retract == "moving")
-    waits = rests(printer.compensation.stops, options.strategy, rules.rests)
-    return sample(items, printer.limits, waits, skip_slow=skip_slow)
+    rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
+    return sample(items, printer.limits, rests, skip_slow=skip_slow)
 
 
 class Stages:
@@ -122,8 +122,8 @@ class Stages:
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = hold_at_stops(self.times.timed("compensate", commands), self._at_stops)
-        return self.times.timed("stand", commands)
+        commands = dwell_at_stops(self.times.timed("compensate", commands), self._at_stops)
+        return self.times.timed("dwell", commands)
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""
@@ -174,7 +174,7 @@ def continued(
     return successive(streams if printer.plant.bed is None else map(ended, streams))
 
 
-class Source:
+class PlannedFile:
     """A file as spans of planned motion, and a summary of what it asks for."""
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
@@ -226,7 +226,7 @@ class Source:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
-class Commands:
+class SampleStream:
     """Safe commands for the motors of a whole file, streamed in constant memory.
 
     strategies: to compute; the options' by default. Iterating raises HframeError. The report is
@@ -238,7 +238,7 @@ class Commands:
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
         self._printer = printer
-        self._source = Source(lines, printer, options)
+        self._source = PlannedFile(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
         self.check_filament = self._source.check_filament
 

@@ -1,6 +1,6 @@
 """A print cut into spans that are computed separately, by a rule that depends on the input alone.
 
-A span ends before a retraction or lift, where the machine stands and its command has come to rest,
+A span ends before a retraction or lift, where the machine dwells and its command has come to rest,
 once its plan has lasted SECONDS. The output therefore does not depend on who computes a span. A
 print that never stops is one span.
 """
@@ -16,14 +16,14 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.stream.features import Place
 from hframe_post.stream.types import (
-    Halt,
     Handling,
     Mark,
+    MoveAtRest,
     Passthrough,
     Plan,
     Planned,
     Position,
-    Standing,
+    SpanEnd,
 )
 
 SECONDS = 240.0  # each cut costs some 0.1 s of print time
@@ -46,7 +46,7 @@ class Beginning:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Planned items that are computed together; a Halt ends all spans but the last.
+    """Planned items that are computed together; a SpanEnd ends all spans but the last.
 
     items: a tuple, unless the span is too long to be kept in memory or the only one of its print.
     """
@@ -117,16 +117,16 @@ class Spans:
         yield from self._rest()
 
     def _rest(self) -> Iterator[Planned]:
-        """Yield items up to the end of the span, and a Halt if another span follows."""
+        """Yield items up to the end of the span, and a SpanEnd if another span follows."""
         if self._first is not None:
             yield self._noted(self._first)
             self._first = None
         for item in self._source:
-            if isinstance(item, Standing) and self._moved and self._seconds >= SECONDS:
+            if isinstance(item, MoveAtRest) and self._moved and self._seconds >= SECONDS:
                 self._first, self._seconds = item, 0.0
                 offset, printing = self._beginning.offset, replace(self._printing)
                 self._beginning = Beginning(item.start, offset, printing)
-                yield Halt()
+                yield SpanEnd()
                 return
             yield self._noted(item)
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 from hframe_post.arrays import Array
 from hframe_post.conversion.meters import FilamentMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands, settings_hash
+from hframe_post.conversion.pipeline import SampleStream, settings_hash
 from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import PrinterError
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers.samples import tabulate
 from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
-from hframe_post.writers.steps import Stepper
+from hframe_post.writers.steps import StepGenerator
 
 # ---------------------------------------------------------------------- steps
 
@@ -37,8 +37,8 @@ class StepConversion:
             )
             raise PrinterError(cause, "kinematics.type", printer.name)
         self._table = table
-        self._commands = Commands(lines, printer, options)
-        self._stepper = Stepper(options.strategy, kinematics, table)
+        self._commands = SampleStream(lines, printer, options)
+        self._stepper = StepGenerator(options.strategy, kinematics, table)
         header = Header(
             options.format or "steps", __version__, printer.name, settings_hash(printer, options),
             table.clock_hz, (table.belt, table.belt, table.z, table.e), kinematics.matrix,
@@ -75,7 +75,7 @@ class SampleConversion:
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._plant, self._strategy = printer.plant, options.strategy
-        self._commands = Commands(lines, printer, options)
+        self._commands = SampleStream(lines, printer, options)
         self._filament, self._rows = FilamentMeter(), 0
 
     def __iter__(self) -> Iterator[Array]:

@@ -28,7 +28,7 @@ class Code(ABC):
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         """Return the lines that change from the user's limits and modes to the stream's.
 
-        offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine stands.
+        offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine is.
         """
 
     @abstractmethod

@@ -9,13 +9,13 @@ from enum import Enum
 from typing import NamedTuple
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.stream.types import Position, Rests
+from hframe_post.stream.types import Position, StopRules
 
 SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
 VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
 
 
-class Dwelling(Enum):
+class NextTo(Enum):
     """What a dwell is next to."""
 
     MOTION = "motion in x and y"
@@ -72,8 +72,8 @@ class MotionRules(ABC):
     """How a firmware moves on a printer: segments, feed rates, strokes, dwells.
 
     lines_per_second: lines that it can take in a second; inf if nothing limits them. steady:
-    segments over which time is kept inside a motion; 0: over a batch. rests: how the command passes
-    from motion into lifts and retractions, and back.
+    segments over which time is kept inside a motion; 0: over a batch. stop_rules: how the command
+    passes from motion into lifts and retractions, and back.
     """
 
     @property
@@ -85,8 +85,8 @@ class MotionRules(ABC):
         return 0
 
     @property
-    def rests(self) -> Rests:
-        return Rests()
+    def stop_rules(self) -> StopRules:
+        return StopRules()
 
     @abstractmethod
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
@@ -111,7 +111,7 @@ class MotionRules(ABC):
         """Return F (k,) by which segments take the time T (k,), and the seconds that they take.
 
         F is whole, in units of which a mm/s has ``per_feed``. rest (k + 1,): whether the machine
-        stands at each end; before: feed rate of the segment before the first, mm/s, 0 if there is
+        rests at each end; before: feed rate of the segment before the first, mm/s, 0 if there is
         none; after: greatest speed at the end of the last.
         """
 
@@ -150,8 +150,8 @@ class MotionRules(ABC):
         return Stroke(speed, seconds)
 
     @abstractmethod
-    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
-        """Return lines for a standstill, and the seconds that they last; None: no dwell."""
+    def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
+        """Return lines for a dwell, and the seconds that they last; None: no dwell."""
 
     def rejoin(self, at: Array, way: Array, T: float) -> Rejoined | None:
         """Return how a machine at rest comes back to ``at`` after moves that it left out.

@@ -1,1 +1,1 @@
-"""G-code in: text to moves, standing moves and lines that pass through."""
+"""G-code in: text to moves, moves at rest and lines that pass through."""

@@ -10,16 +10,16 @@ from hframe_post.arrays import Array, E, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.curves import FARTHEST
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import Bed, State
+from hframe_post.gcode.state import Extent, State
 from hframe_post.native.reading import plain_moves
 from hframe_post.stream.types import (
     Handling,
     Item,
     Mark,
+    MoveAtRest,
     Moves,
     Passthrough,
     Position,
-    Standing,
     frozen,
 )
 
@@ -41,7 +41,7 @@ class PlainMoves:
     off the bed, too much filament for its path, a number with many digits.
     """
 
-    def __init__(self, source: Lines, state: State, bed: Bed) -> None:
+    def __init__(self, source: Lines, state: State, bed: Extent) -> None:
         self._source, self._state = source, state
         self._edges = (*bed.smallest, *bed.largest)
         self._values, self._rules = np.empty(10), np.empty(16)
@@ -128,8 +128,8 @@ class ItemBuilder:
             self._tables.append(np.array(self._rows))
             self._rows = []
 
-    def add_standing(self, move: Standing) -> None:
-        """Add a move in which x and y stand still. Raises GcodeError if it takes too long."""
+    def add_move_at_rest(self, move: MoveAtRest) -> None:
+        """Add a move while x and y are at rest. Raises GcodeError if it takes too long."""
         self.flush()
         length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
         _check_duration(length / move.speed, move.line)

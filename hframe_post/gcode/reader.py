@@ -1,4 +1,4 @@
-"""The reader of G-code: text → moves, moves in which x and y stand still, and other lines.
+"""The reader of G-code: text → moves, moves while x and y are at rest, and other lines.
 
 Rules:
  1. A line that is not motion passes through byte for byte and in order.
@@ -41,8 +41,8 @@ from hframe_post.gcode.lexer import (
     uncommented,
 )
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import AXES, Bed, ReadOptions, State
-from hframe_post.stream.types import Handling, Item, Passthrough, Position, Standing
+from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
+from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
 MAX_DWELL = 24 * 3600.0  # s
 MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
@@ -74,7 +74,7 @@ class _Reader:
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options.dialect, options.extrusion)
-        self._bed = Bed(options.travel)
+        self._bed = Extent(options.travel)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
@@ -190,8 +190,8 @@ class _Reader:
 
     def _stand(self, line: Line, end: Position, max_speed: float) -> None:
         state = self._state
-        move = Standing(line.number, state.position, end, min(state.speed, max_speed))
-        self.items.add_standing(move)
+        move = MoveAtRest(line.number, state.position, end, min(state.speed, max_speed))
+        self.items.add_move_at_rest(move)
 
     def _pass_move_through(self, line: Line, name: str, words: Words, end: Position) -> None:
         """Leave a move from an unknown position to the firmware; what it names is known then."""
@@ -280,7 +280,7 @@ class _Reader:
             start = state.position
             state.add_filament(filament)
             speed = min(speed * state.factor, state.axes.velocity[3])
-            self.items.add_standing(Standing(line.number, start, state.position, speed))
+            self.items.add_move_at_rest(MoveAtRest(line.number, start, state.position, speed))
         return True
 
     def _g11_follows(self) -> bool:

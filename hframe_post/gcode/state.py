@@ -58,7 +58,7 @@ class ReadOptions:
         )  # fmt: skip
 
 
-class Bed:
+class Extent:
     """Smallest and largest x, y and z of a path, mm; infinite without ``travel``."""
 
     def __init__(self, travel: Travel | None) -> None:

@@ -22,8 +22,8 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.folder import (
     Aside,
-    Command,
     Measurement,
+    RunMotion,
     contents,
     digest_of,
 )
@@ -292,7 +292,7 @@ def from_pair(command: Path, path: Path, travel: Travel, columns: Sequence[str] 
     """
     recording = accelerometer.read(path, columns)
     one = Measurement(
-        path.name, path, recording, parsed(path.name), digest_of(path), Command.read(command)
+        path.name, path, recording, parsed(path.name), digest_of(path), RunMotion.read(command)
     )
     try:
         run, record = _run(one, None, travel)

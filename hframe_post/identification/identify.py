@@ -51,9 +51,9 @@ from hframe_post.identification.responses.frequency_response import (
     spread,
 )
 from hframe_post.identification.responses.measured import (
+    MeasurementSettings,
     Run,
     RunGroup,
-    Settings,
     nozzle_responses,
 )
 from hframe_post.identification.responses.strokes import stroke_responses
@@ -62,11 +62,11 @@ from hframe_post.stream.running import one_blas_thread
 
 SAME_PLACE = 5.0  # mm
 
-__all__ = ["Identified", "Measured", "Run", "Settings", "identify"]
+__all__ = ["Identified", "Measured", "MeasurementSettings", "Run", "identify"]
 
 
 @one_blas_thread()
-def identify(runs: Sequence[Run], settings: Settings) -> Identified:
+def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     """Return transfer functions and x_c from runs of x, of y, or of both.
 
     Raises IdentificationError.
@@ -111,7 +111,7 @@ def _along_x(
     shifts: Iterable[str],
     measured: Mapping[str, Measured],
     fits: Mapping[str, Fit],
-    settings: Settings,
+    settings: MeasurementSettings,
 ) -> dict[str, Fit]:
     """Return the fits of axes that shift, with the response of each place, if starts are known."""
     known = [name for name in shifts if measured[name].resonance_hz is None]
@@ -122,7 +122,7 @@ def _along_x(
     return found
 
 
-def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
+def _groups(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, RunGroup]:
     """Return the runs of each axis: of strokes, of our own sweep, or of others, the first found."""
     strokes = stroke_responses([run for run in runs if run.start], settings)
     groups = {tuple(AXIS)[axis]: group for axis, group in strokes.items()}
@@ -139,7 +139,7 @@ def _groups(runs: Sequence[Run], settings: Settings) -> dict[str, RunGroup]:
     return groups
 
 
-def _measured(group: RunGroup, settings: Settings) -> Measured:
+def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
     responses = [run.response for run in group.runs]
     places = [(run.place, run.response) for run in group.runs]
     differ = spread(responses, settings.band_hz)
@@ -151,7 +151,7 @@ def _measured(group: RunGroup, settings: Settings) -> Measured:
 
 
 def _fit_axes(
-    groups: Mapping[str, RunGroup], measured: Mapping[str, Measured], settings: Settings
+    groups: Mapping[str, RunGroup], measured: Mapping[str, Measured], settings: MeasurementSettings
 ) -> tuple[dict[str, Fit], Nonlinearity | None]:
     """Fit Gxx and Gyy: first as if the printer were linear, then without what is distorted."""
     fits = _fit_all(measured, settings, {})
@@ -167,7 +167,9 @@ def _fit_axes(
 
 
 def _fit_all(
-    measured: Mapping[str, Measured], settings: Settings, distortions: Mapping[str, Distortion]
+    measured: Mapping[str, Measured],
+    settings: MeasurementSettings,
+    distortions: Mapping[str, Distortion],
 ) -> dict[str, Fit]:
     excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
     fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
@@ -183,7 +185,7 @@ def _fit_all(
     return {name: fits[name] for name in measured}
 
 
-def _sensor(name: str, settings: Settings) -> tuple[float, float] | None:
+def _sensor(name: str, settings: MeasurementSettings) -> tuple[float, float] | None:
     """Return mean and standard deviation of the sensor's gain along an axis, if calibrated."""
     if settings.sensor is None or name not in AXIS:
         return None
@@ -198,7 +200,7 @@ def _compared(found: Fit, group: RunGroup) -> Fit:
     return found
 
 
-def _repetition(measured: Measured, found: Fit, settings: Settings) -> Repetition | None:
+def _repetition(measured: Measured, found: Fit, settings: MeasurementSettings) -> Repetition | None:
     """Compare recordings of the place that was recorded most often; None if none was repeated.
 
     Runs of our own sweep follow one another within minutes, which tells nothing of a day.
@@ -222,7 +224,11 @@ def _most_repeated(places: Sequence[float]) -> Flags:
 
 
 def _coupling(
-    name: str, group: RunGroup, fits: Mapping[str, Fit], x_c: float | None, settings: Settings
+    name: str,
+    group: RunGroup,
+    fits: Mapping[str, Fit],
+    x_c: float | None,
+    settings: MeasurementSettings,
 ) -> MeasuredCoupling | None:
     """Return what a command in an axis does to the other, if its recordings tell."""
     along = fits[name].measured
@@ -239,7 +245,7 @@ def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
     return replace(run, across=replace(run.across, H=run.across.H - turned))
 
 
-def _pitching(axis: str, group: RunGroup, settings: Settings) -> Pitch | None:
+def _pitching(axis: str, group: RunGroup, settings: MeasurementSettings) -> Pitch | None:
     found = [
         pitching(axis, run.response, run.z, settings.height)
         for run in group.runs

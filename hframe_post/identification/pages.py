@@ -12,7 +12,7 @@ from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verification.verdict import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
-from hframe_post.page.measured import Card, Chart, Line, Section, page
+from hframe_post.page.measured import Card, Chart, Curve, Section, page
 from hframe_post.plotting import decibel, degrees
 
 TITLES = {
@@ -107,17 +107,19 @@ def _charts(name: str, measured: Measured, found: Fit, held: Linear | None) -> l
         near = degrees(model(run.hz)) + np.degrees(np.angle(clean(run) / model(run.hz)))
         return np.where(run.coherence >= RELIABLE, near, np.nan)
 
-    magnitudes = [Line(label, run.hz, decibel(clean(run)), ink or None) for label, run, ink in runs]
-    phases = [Line(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
+    magnitudes = [
+        Curve(label, run.hz, decibel(clean(run)), ink or None) for label, run, ink in runs
+    ]
+    phases = [Curve(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
     for lines, of in ((magnitudes, decibel), (phases, degrees)):
-        lines.append(Line("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
+        lines.append(Curve("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
     if isinstance(held, ImpulseResponse) and held.doubts:
         sd = uncertain(held, hz)
         for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
             edge = np.maximum(np.abs(model(hz)) + size * sd, LEAST_SHOWN)
-            magnitudes.append(Line(label, hz, decibel(edge.astype(complex)), "var(--racking)"))
-    coherence = Line("coherence", hz, mean.coherence, "var(--ink)")
-    residual = Line("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
+            magnitudes.append(Curve(label, hz, decibel(edge.astype(complex)), "var(--racking)"))
+    coherence = Curve("coherence", hz, mean.coherence, "var(--ink)")
+    residual = Curve("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
     frequency = "frequency, Hz"
     return [
@@ -139,7 +141,7 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
     hz, gain = coupling.runs[0].across.hz, coupling.gain
     at = [f"at x = {run.place[X]:.0f}, y = {run.place[Y]:.0f} mm" for run in coupling.runs]
     lines = [
-        Line(f"recording {k} {where}", hz, decibel(run.across.H / gain))
+        Curve(f"recording {k} {where}", hz, decibel(run.across.H / gain))
         for k, (where, run) in enumerate(zip(at, coupling.runs, strict=True), 1)
     ]
     for where, run in dict(zip(at, coupling.runs, strict=True)).items():
@@ -149,7 +151,7 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
         ]
         if parts:
             known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
-            lines.append(Line(f"compensated {where}", hz, known, colour, strong=True, dashed=True))
+            lines.append(Curve(f"compensated {where}", hz, known, colour, strong=True, dashed=True))
     return Chart("Magnitude", "frequency, Hz", "dB (mm/mm)", lines, (True, False))
 
 
@@ -171,8 +173,8 @@ def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]])
     )
     charts = [
         Chart(title, "time, s", "µm", [
-            Line("not compensated", verdict.at, errors[0], "var(--none)"),
-            Line("compensated", verdict.at, errors[1], "var(--racking)"),
+            Curve("not compensated", verdict.at, errors[0], "var(--none)"),
+            Curve("compensated", verdict.at, errors[1], "var(--racking)"),
         ])
         for title, errors in (
             ("Contour error, measured", verdict.errors_measured),

@@ -14,10 +14,10 @@ from hframe_post.identification.estimation.axes import Fit, fit_racking
 from hframe_post.identification.identified import Measured
 from hframe_post.identification.responses.frequency_response import average
 from hframe_post.identification.responses.measured import (
-    Line,
+    LineOverPlaces,
+    MeasurementSettings,
     RunGroup,
     RunResponse,
-    Settings,
     centre,
     line,
 )
@@ -39,7 +39,7 @@ class Racking:
 
 
 def find_racking(
-    group: RunGroup, fits: Mapping[str, Fit], settings: Settings, shifts: bool
+    group: RunGroup, fits: Mapping[str, Fit], settings: MeasurementSettings, shifts: bool
 ) -> tuple[Racking | None, bool]:
     """Return what runs along x show of racking, and whether they could show any.
 
@@ -71,7 +71,7 @@ def find_racking(
 
 
 def _fitted(
-    measured: Measured, group: RunGroup, fits: Mapping[str, Fit], settings: Settings
+    measured: Measured, group: RunGroup, fits: Mapping[str, Fit], settings: MeasurementSettings
 ) -> Fit:
     low, high = settings.band_hz
     seen = measured.mean.within((max(low, group.excited_hz), high))
@@ -87,7 +87,7 @@ def _unmoved(run: RunResponse, moves: ImpulseResponse) -> RunResponse:
     return replace(run, response=response, y=y)
 
 
-def _by_the_middle(arm: Line, runs: Sequence[RunResponse]) -> Line:
+def _by_the_middle(arm: LineOverPlaces, runs: Sequence[RunResponse]) -> LineOverPlaces:
     """Return the line with what was measured nearest the middle instead of the mean.
 
     Where modes move, the outer places may rack differently, and would pull x_c to one side.
@@ -96,7 +96,9 @@ def _by_the_middle(arm: Line, runs: Sequence[RunResponse]) -> Line:
     return replace(arm, middle=run.place, at_middle=run.y.H)
 
 
-def _lever_arm(runs: Sequence[RunResponse], settings: Settings, changes: bool) -> Line | None:
+def _lever_arm(
+    runs: Sequence[RunResponse], settings: MeasurementSettings, changes: bool
+) -> LineOverPlaces | None:
     """Return the line over positions whose slope is racking.
 
     None if the kinematics cannot rack or the positions are too close. changes: whether the printer

@@ -7,14 +7,16 @@ from typing import Any
 
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identified import AXIS, Identified
-from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 
 
-def conclude(gathered: Gathered, profile: Printer, settings: Settings) -> IdentificationReport:
+def conclude(
+    gathered: Gathered, profile: Printer, settings: MeasurementSettings
+) -> IdentificationReport:
     """Identify the printer of a profile from gathered runs, and report it. Raises HframeError."""
     found = identify(gathered.runs, settings)
     middle = sum(profile.travel.x) / 2.0

@@ -111,7 +111,7 @@ class Rates:
 class Differences:
     """Rates of a command that comes in pieces, by backward differences.
 
-    Before its first sample the command is taken to stand still.
+    Before its first sample the command is taken to be at rest.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:

@@ -136,8 +136,8 @@ class Lpfbs:
     def command(self, x_d: Array) -> Array:
         """Return the command (n,) for a whole target x_d (n,), from rest at x_d[0].
 
-        The target stands still after its end. The command has no samples before the start to lead,
-        or after the end to settle: pad x_d with standstill to get them. Raises ArgumentError for
+        The target is at rest after its end. The command has no samples before the start to lead,
+        or after the end to settle: pad x_d with rest to get them. Raises ArgumentError for
         another shape.
         """
         if np.ndim(x_d) != 1:
@@ -148,7 +148,7 @@ class Lpfbs:
         return np.asarray(x_d[0] + x_dm[: len(x_d)])
 
     def whole(self, target: Array) -> Array:
-        """Return the target in whole windows, standing still after its end.
+        """Return the target in whole windows, at rest after its end.
 
         It is ``lead`` samples late, so the command of its last ``lead`` samples is not needed.
         """

@@ -449,7 +449,7 @@ class Response:
 def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
     """Return the nozzle's x, y (n, 2) under a whole command (n, 2).
 
-    The plant rests at ``origin`` (2,) before it, and the command stands still after it.
+    The plant rests at ``origin`` (2,) before it, and the command rests after it.
     """
     return motion(plant, origin, command)[0]
 

@@ -63,7 +63,7 @@ class Shaper:
         return taps
 
     def run(self, path: Array) -> Array:
-        """Return the command (n,) for a path (n,) that stands still before and after it."""
+        """Return the command (n,) for a path (n,) that is at rest before and after it."""
         padded = np.pad(path, self.reach, mode="edge")
         taps = self.taps()[::-1]
         command, term = np.zeros(len(path)), np.empty(len(path))

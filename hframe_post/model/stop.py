@@ -1,12 +1,12 @@
-r"""A stop: the command stands still while the machine does something else.
+r"""A stop: the command dwells while the machine does something else.
 
       command     ____                        ____
              ____/    \                      /    \____
                        \____________________/
-                  before   hold: a … b − 1   after
+                  before   dwell: a … b − 1  after
 
 Only what is printed counts: the nozzle's distance to the path while it extrudes. So the command
-may leave the path during travel, may stand next to it, and may lag or lead along it. The command
+may leave the path during travel, may dwell next to it, and may lag or lead along it. The command
 around the stop minimises
 
     ‖W n·(nozzle − foot)‖² + ALONG ‖W t·(nozzle − path)‖² + λ‖E D command‖² + ‖B (command − bed)‖²
@@ -17,7 +17,7 @@ symbol          meaning
 ``N, p``        cubic splines, with knots closer together near the stop; their weights
 ``foot, t, n``  the path's nearest point to the nozzle, the directions along and across there
 ``W``           root of each sample's weight, see ``model.stop_cost``
-``D, λ``        second difference, across the hold too; effort
+``D, λ``        second difference, across the dwell too; effort
 ``E, B``        roots of weights that keep the belts and the bed's edges within bounds
 ==============  =============================================================================
 
@@ -48,8 +48,8 @@ from hframe_post.native.linear import product
 from hframe_post.native.stop import Problem, Splines, least_squares
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
-AT_HOLD = 0.5  # share of that next to the hold, where firmware stops within one segment
-HOLD_ROWS = 2  # samples of a hold that second differences can tell apart
+AT_DWELL = 0.5  # share of that next to the dwell, where firmware stops within one segment
+DWELL_ROWS = 2  # samples of a dwell that second differences can tell apart
 
 
 class StopSolver:
@@ -92,13 +92,13 @@ class StopSolver:
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
         node = self.around.node(float(around.path[stop.a, X] + around.origin[X]))
         splines = self._splines(*reach, stop.movable, n, node)
-        # with two samples more on either side for second differences, and a shortened hold
-        hold = command[BESIDE + 2 :][: min(n, HOLD_ROWS)]
+        # with two samples more on either side for second differences, and a shortened dwell
+        dwell = command[BESIDE + 2 :][: min(n, DWELL_ROWS)]
         later = command[BESIDE + 2 + n :][: BESIDE + 2]
-        sequence = np.concatenate([command[: BESIDE + 2], hold, later])
+        sequence = np.concatenate([command[: BESIDE + 2], dwell, later])
         bed = self._bed - around.origin[:, None]
         problem = Problem(
-            rows.path, rows.index, rows.held, rows.weight, rows.extruding, known, levers,
+            rows.path, rows.index, rows.dwell, rows.weight, rows.extruding, known, levers,
             self.around.axes, splines, sequence, self._effort, self._belts, self._limit, bed,
         )  # fmt: skip
         sequence += product(least_squares(problem).T, splines.by_column).T
@@ -112,17 +112,17 @@ class StopSolver:
         """Return the splines of a stop.
 
         before, after: how many it may use on either side; movable: whether its own place may
-        change; n: samples of the hold.
+        change; n: samples of the dwell.
         """
-        k, hold = len(self._reach), min(n, HOLD_ROWS)
+        k, dwell = len(self._reach), min(n, DWELL_ROWS)
         usable = [range(k - before, k), [k] if movable else [], range(k + 1, k + 1 + after)]
         columns = np.concatenate(usable).astype(np.int64)
-        N = np.zeros((BESIDE + hold + BESIDE + 4, 2 * k + 1))
+        N = np.zeros((BESIDE + dwell + BESIDE + 4, 2 * k + 1))
         N[2 : 2 + BESIDE, :k] = self._N_before
-        N[2 + BESIDE : 2 + BESIDE + hold, k] = 1.0
-        N[2 + BESIDE + hold : -2, k + 1 :] = self._N_after
+        N[2 + BESIDE : 2 + BESIDE + dwell, k] = 1.0
+        N[2 + BESIDE + dwell : -2, k + 1 :] = self._N_after
         limit = np.full(len(N) - 2, self._limit)
-        limit[BESIDE:-BESIDE] *= AT_HOLD
+        limit[BESIDE:-BESIDE] *= AT_DWELL
         by_p = self.around.by_splines(n, node)
         return Splines.from_matrices(N[:, columns], by_p[..., columns], limit)
 

@@ -1,8 +1,8 @@
 """The plant around a stop: the nozzle by the known command, and by the command's splines.
 
-The command next to a stop is the known one plus splines before the hold, a shift of the hold's own
-place, and splines after it. Every filter is linear, so its output at the judged samples is a known
-part plus a matrix times the weights ``p`` of these. Symbols are those of ``model.stop``.
+The command next to a stop is the known one plus splines before the dwell, a shift of the dwell's
+own place, and splines after it. Every filter is linear, so its output at the judged samples is a
+known part plus a matrix times the weights ``p`` of these. Symbols are those of ``model.stop``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from hframe_post.model.stop_cost import BESIDE, BEYOND, judged
 class AroundStops:
     """The plant's motion around stops.
 
-    N_before, N_after (BESIDE, k): the splines on either side of a hold, in the order of time.
-    axes (couplings, 2): where each coupling answers, and the command. ahead: samples of the command
-    after a sample that the nozzle's place depends on.
+    N_before, N_after (BESIDE, k): the splines on either side of a dwell, in the order of time.
+    axes (couplings, 2): where each coupling responds, and the command. ahead: samples of the
+    command after a sample that the nozzle's place depends on.
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
@@ -44,7 +44,7 @@ class AroundStops:
     def known(self, before: Response, command: Array, path: Array, n: int) -> tuple[Array, Array]:
         """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
-        before: the response to all earlier commands; command: from BESIDE samples before a hold of
+        before: the response to all earlier commands; command: from BESIDE samples before a dwell of
         n samples to BESIDE + BEYOND + ahead after it; path (r, 2): at the judged samples.
         """
         at, outputs = (each[judged(n) + self.ahead] for each in before.imagined(command))
@@ -61,7 +61,7 @@ class AroundStops:
         return int(np.argmin(np.abs(self._places - x)))
 
     def _by_splines(self, n: int, node: int) -> Array:
-        """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a hold of n."""
+        """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a dwell of n."""
         plant = self._plant.at(float(self._places[node])) if self._plant.along_x else self._plant
         k, end = self._N_before.shape[1], BESIDE + n
         commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND + self.ahead))

@@ -183,7 +183,7 @@ class _Stage:
     ) -> Array:
         """Return the target by eq. 19, with the lever arm of Remark 2.1, as far as it is known."""
         start, known = self._fed - coupled.late, min(map(len, commands))
-        if last:  # the commands stand still after their end
+        if last:  # the commands are at rest after their end
             commands = [_longer(each, coupled.late) for each in commands]
             known += coupled.late
         commands = [each[self._fed : known] for each in commands]
@@ -224,7 +224,7 @@ class _Axis:
         return x_dm
 
     def finish(self) -> Array:
-        """Return the rest of the command; the target stands still after its end."""
+        """Return what is left of the command; the target is at rest after its end."""
         n = len(self._target) - self._lpfbs.lead
         if not n:
             return np.zeros(0)
@@ -256,7 +256,7 @@ class _AlongX:
         return self._windows(max(len(self._target) - following, 0) // window.stride)
 
     def finish(self) -> Array:
-        """Return the rest of the command; the target stands still after its end."""
+        """Return what is left of the command; the target is at rest after its end."""
         n, window = len(self._target) - self._solvers.lead, self._solvers.window
         if not n:
             return np.zeros(0)

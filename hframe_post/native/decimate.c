@@ -41,7 +41,7 @@ INSIDE int64_t key(const struct decimation *d, int32_t at, int64_t place, double
 }
 
 /* Compute what the chord costs that replaces both at a vertex. */
-INSIDE void judge(const struct decimation *d, int32_t at)
+INSIDE void price(const struct decimation *d, int32_t at)
 {
     struct vertex *v = d->vertices + at;
     const double *a = d->points + COLUMNS * v->before, *b = d->points + COLUMNS * at,
@@ -52,7 +52,7 @@ INSIDE void judge(const struct decimation *d, int32_t at)
     v->key = key(d, at, v->key & (((int64_t)1 << PLACES) - 1), v->joint, samples);
 }
 
-/* Make vertices of all n samples, and judge those between. places, far (n): room. */
+/* Make vertices of all n samples, and price those between. places, far (n): room. */
 INSIDE void begin(const struct decimation *d, int64_t n, int32_t *places, double *far)
 {
     double e_weight2 = d->e_weight2;
@@ -117,13 +117,13 @@ INSIDE int64_t to_check(const struct decimation *d, const int32_t *gone, int64_t
     for (int64_t i = 0; i < count; i++) {
         int32_t before = d->vertices[gone[i]].before, after = d->vertices[gone[i]].after;
         if (before > judged) {
-            judge(d, before);
+            price(d, before);
             add(&list, d->vertices[before].before);
             add(&list, before);
         }
         if (after == last)
             break;
-        judge(d, judged = after);
+        price(d, judged = after);
         add(&list, after);
         if (d->vertices[after].after < last)
             add(&list, d->vertices[after].after);

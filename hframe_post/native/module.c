@@ -34,6 +34,7 @@
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \
+    EACH(move_at_rest)                                                                        \
     EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
@@ -45,7 +46,6 @@
     EACH(responses)                                                                           \
     EACH(safe)                                                                                \
     EACH(sliding_sums)                                                                        \
-    EACH(stand)                                                                               \
     EACH(too_thick)
 
 enum { MOST_ARGUMENTS = 32 };

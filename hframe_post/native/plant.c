@@ -43,7 +43,7 @@ static int64_t filtered(const double *sections, int64_t count, double *state, co
 LOOP(filtered, FLOATS(0, COEFFICIENTS * COUNT(1)), COUNT(1), OUT_FLOATS(2, STATES * COUNT(1)),
      FLOATS(3, COUNT(4)), COUNT(4), OUT_FLOATS(5, COUNT(4)))
 
-struct couplings { /* in memory one after the other; axes (count, 3): of the answer, of the command,
+struct couplings { /* in memory one after the other; axes (count, 3): of the response, of the command,
                       and of the lever arm or -1 */
     struct cascade before;
     const int64_t *sections, *axes;
@@ -67,7 +67,7 @@ static inline void couple(const struct couplings *all, double u, double v, doubl
     }
 }
 
-/* Add to added (n) what the couplings make of commands u, v (n), which all answer in one axis. path
+/* Add to added (n) what the couplings make of commands u, v (n), which all respond in one axis. path
  * (n, 2), u and v are relative to the origin. */
 static int64_t coupled(const double *sections, int64_t total, double *state, const int64_t *counts,
                        int64_t filters, const int64_t *axes, const double *centre, int64_t count,
@@ -82,7 +82,7 @@ static int64_t coupled(const double *sections, int64_t total, double *state, con
     return n;
 }
 
-/* motion (n, columns): the nozzle under a command (n, 2) from a standstill at origin, and what the
+/* motion (n, columns): the nozzle under a command (n, 2) from rest at origin, and what the
  * first couplings' filters give. The filters: Gxx, Gyy and those of the couplings. */
 static int64_t response(const double *sections, int64_t total, double *state, const int64_t *counts,
                         int64_t filters, const int64_t *axes, const double *centre, int64_t count,

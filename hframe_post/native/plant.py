@@ -22,7 +22,7 @@ LANES = 4  # responses that are computed together; C refuses any other number
 class Couplings:
     """What filters add to the nozzle, times lever arms.
 
-    axes (c, 3): of the answer, of the command, and of the lever arm or -1, where it is 1; centres
+    axes (c, 3): of the response, of the command, and of the lever arm or -1, where it is 1; centres
     (c,): places where lever arms are 0, mm.
     """
 
@@ -67,7 +67,7 @@ def coupled(
     filters: Sections, couplings: Couplings, origin: Array, path: Array,
     commands: tuple[Array, Array],
 ) -> Array:  # fmt: skip
-    """Return what couplings that answer in one axis add there, (n,).
+    """Return what couplings that respond in one axis add there, (n,).
 
     filters: those of the couplings. commands: in x and in y, (n,); path (n, 2): tells the lever
     arms. Both are relative to the origin (2,).
@@ -83,7 +83,7 @@ def coupled(
 
 
 def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
-    """Return what couplings that answer in one axis add at places (n, 2), by their outputs (n,)."""
+    """Return what couplings that respond in one axis add at places (n, 2), by outputs (n,)."""
     added = np.zeros(len(place))
     for k, output in enumerate(outputs):
         added += couplings.lever(k, place) * output
@@ -93,7 +93,7 @@ def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
 def response(
     filters: Sections, couplings: Couplings, origin: Array, command: Array, motion: Array
 ) -> Array:
-    """Return the nozzle's motion under a command (n, 2) from a standstill at origin (2,).
+    """Return the nozzle's motion under a command (n, 2) from rest at origin (2,).
 
     filters: Gxx, Gyy and those of the couplings. motion (n, 2 + m): takes x, y of the nozzle and
     the outputs of the first m couplings' filters.

@@ -68,7 +68,7 @@ def klipper_feeds(
 ) -> tuple[Integers, Array]:
     """Return F (k,) by which Klipper takes the time T (k,) for segments, and what it takes.
 
-    at (k + 1, 4): x, y, z, e at their ends; rest (k + 1,): whether it stands there; before: cruise
+    at (k + 1, 4): x, y, z, e at their ends; rest (k + 1,): whether it rests there; before: cruise
     speed of the segment that precedes; after: greatest speed at the last end. limits (8,): velocity
     and acceleration, those in z, those of filament; corner velocity of filament, junction
     deviation. F is whole, in units of which a mm/s has ``per_feed``.
@@ -117,7 +117,7 @@ class Ramped:
     ) -> Ramped:
         """Return the segments of moves delta (k, 4) in x, y, z, e.
 
-        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper stands at
+        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper rests at
         each end; limits (8,): see ``klipper_feeds``; after: greatest speed at the last.
         """
         velocity, acceleration, z_velocity, z_acceleration, *of_e = limits.tolist()

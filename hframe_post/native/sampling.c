@@ -145,7 +145,7 @@ LOOP(follow, FLOATS(0, COUNT(2) + 1), FLOATS(1, COLUMNS * (COUNT(2) + 1)),
 /* way: length, speed at the start, acceleration, peak speed, how long it speeds up and slows down, and
  * seconds in all. Places xyze (n, 4) after ``first``, first + 1, … samples of a move between the ends
  * (2, 4), which is done after ``samples``. */
-static int64_t stand(const double *way, const double *ends, int64_t first, int64_t n, int64_t samples,
+static int64_t move_at_rest(const double *way, const double *ends, int64_t first, int64_t n, int64_t samples,
                      double interval, double *xyze)
 {
     double length = way[0], v_s = way[1], a = way[2], peak = way[3], up = way[4], down = way[5],
@@ -161,5 +161,5 @@ static int64_t stand(const double *way, const double *ends, int64_t first, int64
     return n;
 }
 
-LOOP(stand, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4), REAL(5),
+LOOP(move_at_rest, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4), REAL(5),
      OUT_FLOATS(6, COLUMNS * COUNT(3)))

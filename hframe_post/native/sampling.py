@@ -70,7 +70,7 @@ def phases(t: Array, j: Array, speed: Array, s: Array, start: float) -> tuple[Ar
         return room[: 6 * p].reshape(6, p), float(last[0])
     a, v, steps = integrate(t, j, speed[:-1])
     end = start + np.cumsum(np.cumsum(t, axis=1)[:, -1])
-    wait = np.zeros(len(end))  # standstill after runs so far, to whole samples
+    wait = np.zeros(len(end))  # rest after runs so far, to whole samples
     for run in np.flatnonzero(speed[1:] == 0.0):  # few: corners without speed
         arrival = end[run] + wait[run]
         wait[run:] += max(samples_until(arrival) - arrival / TS, 0.0) * TS
@@ -100,7 +100,7 @@ def _exclusive(cumulative: Array) -> Array:
 def path_lengths(table: Array, first: int, n: int, end: float) -> Array:
     """Return the path length (n,) at samples first, first + 1, …, within 0 … ``end``.
 
-    table (6, p): see ``phases``. Between two phases the path stands where the earlier one ended.
+    table (6, p): see ``phases``. Between two phases the path rests where the earlier one ended.
     """
     if (compiled := kernel("path_lengths")) is not None:
         s = np.empty(n)
@@ -131,12 +131,12 @@ def follow(lengths: Array, points: Array, s: Array) -> tuple[Array, Integers]:
     return start + share[:, None] * (points[move + 1] - start), move
 
 
-def stand(way: Array, ends: Array, first: int, n: int, samples: int) -> Array:
+def move_at_rest(way: Array, ends: Array, first: int, n: int, samples: int) -> Array:
     """Return x, y, z, e (n, 4) after ``first``, first + 1, … samples of a move in z and e.
 
     way: see ``distance``; ends (2, 4): where it begins and ends; samples: when it is done.
     """
-    if (compiled := kernel("stand")) is not None:
+    if (compiled := kernel("move_at_rest")) is not None:
         xyze = np.empty((n, 4))
         compiled(way, ends, first, n, samples, TS, xyze)
         return xyze

@@ -17,7 +17,7 @@ static int64_t motion_segments(const double *places, const int64_t *ends, int64_
                                int64_t *dwell)
 {
     int64_t count = 0, from = 0, done = -still;
-    int extrudes = 0; /* whether what stands still extrudes with the segment before */
+    int extrudes = 0; /* whether what is at rest extrudes with the segment before */
     (void)n;
     for (int c = 0; c < COLUMNS; c++)
         at[c] = start[c];

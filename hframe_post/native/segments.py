@@ -7,7 +7,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.native import kernel
 
-DWELL = 24  # samples; a longer standstill is a dwell, a shorter one joins the next segment
+DWELL = 24  # samples; a longer rest is a dwell, a shorter one joins the next segment
 
 
 def motion_segments(

@@ -33,7 +33,7 @@ struct problem {
     const uint8_t *extruding;  /* (r) */
     const vector *known;       /* (r) */
     const double *levers;      /* (couplings, r) */
-    const int64_t *axes;       /* (couplings, 2): where each answers, and the command */
+    const int64_t *axes;       /* (couplings, 2): where each responds, and the command */
     int64_t couplings;
     const double *by_p;        /* (2 + couplings, r, k): outputs of x, y and the couplings */
     const int64_t *first;      /* (k) */
@@ -87,7 +87,7 @@ INSIDE void unit(double x, double y, double short2, const vector otherwise, vect
     out[1] = length2 > short2 ? y / length : otherwise[1];
 }
 
-INSIDE int held(const struct problem *q, int64_t row)
+INSIDE int dwells(const struct problem *q, int64_t row)
 {
     return row >= q->held_from && row < q->held_to;
 }
@@ -155,7 +155,7 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
         const double *x = output(q, 0, row), *y = output(q, 1, row);
         const double *t = room->t[row], *known = q->known[row], *place = q->path[q->index[row]];
         double normal = sqrt(room->weight[row]);
-        double along = (held(q, row) ? 1.0 : sqrt(q->to.along)) * normal;
+        double along = (dwells(q, row) ? 1.0 : sqrt(q->to.along)) * normal;
         while (begun < k && q->first[begun] <= row)
             begun++;
         for (int side = 0; side < 2; side++) {
@@ -303,7 +303,8 @@ INSIDE double cost_of(int64_t n, const struct room *room, const double *p)
 
 /* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
  * the accelerations, and of what is outside. */
-INSIDE void judge(const struct problem *q, struct room *room, const vector *p, double most[3])
+INSIDE void measure_bounds(const struct problem *q, struct room *room, const vector *p,
+                           double most[3])
 {
     most[0] = most[1] = most[2] = 0.0;
     for (int64_t r = 0; r < q->q - 2; r++) {
@@ -358,7 +359,7 @@ INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
     for (int64_t trial = 0; trial < q->trials; trial++) {
         add_bounds(q, room);
         solve(2 * q->k, room, tried[0]);
-        judge(q, room, (const vector *)tried, most);
+        measure_bounds(q, room, (const vector *)tried, most);
         double excess = greater(most[0], 1.0) + most[2];
         double hard = greater(most[1] / (q->to.hardest * q->full_limit), 1.0) + most[2];
         double cost = cost_of(2 * q->k, room, tried[0]) + q->to.excess_cost * (excess - 1.0);
@@ -382,7 +383,7 @@ INSIDE double seek_feet(const struct problem *q, struct room *room, const vector
     for (int64_t row = 0; row < q->r; row++) {
         vector at, step;
         double *foot = room->foot[row];
-        if (q->extruding[row] != extruding || held(q, row))
+        if (q->extruding[row] != extruding || dwells(q, row))
             continue;
         moved(q, row, p, at);
         nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, q->to.short2, foot, step);
@@ -394,13 +395,13 @@ INSIDE double seek_feet(const struct problem *q, struct room *room, const vector
     return most;
 }
 
-/* The pieces around the rows outside the hold. Return whether there is room for them. */
+/* The pieces around the rows outside the dwell. Return whether there is room for them. */
 INSIDE int cut_path(const struct problem *q, struct pieces *pieces)
 {
     int64_t n = 0, next = 0; /* piece, and its place in the path */
     for (int64_t row = 0; row < q->r; row++) {
         int64_t from = q->index[row] - NEAREST;
-        if (held(q, row))
+        if (dwells(q, row))
             continue;
         for (next = next < from ? from : next; next < from + PIECES; next++, n++) {
             const vector *path = q->path + next;
@@ -420,7 +421,7 @@ INSIDE void begin(const struct problem *q, struct room *room)
 {
     static const vector ahead = {1.0, 0.0};
     for (int64_t row = 0; row < q->r; row++) {
-        const vector *path = q->path + q->index[row], *next = path + !held(q, row);
+        const vector *path = q->path + q->index[row], *next = path + !dwells(q, row);
         unit(next[0][0] - path[0][0], next[0][1] - path[0][1], q->to.short2, ahead, room->direction[row]);
         room->weight[row] = q->weight[row];
         for (int axis = 0; axis < 2; axis++) {

@@ -33,7 +33,7 @@ CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 
 @dataclass(frozen=True, slots=True)
 class Splines:
-    """The usable ones of all splines and the hold.
+    """The usable ones of all splines and the dwell.
 
     N (q, k): the command by p, from two samples before to two after; by_column (k, q): the same;
     D (q − 2, k): its second differences; bands (q, 2): each row of N has nonzero values from one
@@ -68,16 +68,16 @@ class Splines:
 class Problem:
     """A stop's least squares at r judged samples, the rows.
 
-    path (n, 2): of a stretch; index (r,): the rows' places in it; held: which are in the hold,
-    where the path stands; weight (r,); extruding (r,): which count as printed. known (r, 2): the
-    nozzle without p; levers (couplings, r); axes (couplings, 2): where these answer, and their
+    path (n, 2): of a stretch; index (r,): the rows' places in it; dwell: those in the dwell, where
+    the path is at rest; weight (r,); extruding (r,): which count as printed. known (r, 2): the
+    nozzle without p; levers (couplings, r); axes (couplings, 2): where these respond, and their
     command; command (q, 2): without p; effort (2,); belts (2, 2): from x, y; full_limit: of theirs,
     where nothing lowers it; bed (2, 2): least and greatest command.
     """
 
     path: Array
     index: Integers
-    held: slice
+    dwell: slice
     weight: Array
     extruding: Flags
     known: Array
@@ -112,7 +112,7 @@ def least_squares(problem: Problem) -> Array:
         EXCESS_COST, SHORT2, CLEARANCE,
     ])  # fmt: skip
     fits = compiled(
-        q.path, q.index, len(q.index), q.held.start, q.held.stop, q.weight, q.extruding, q.known,
+        q.path, q.index, len(q.index), q.dwell.start, q.dwell.stop, q.weight, q.extruding, q.known,
         q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
         splines.N, splines.D, splines.bands, splines.limit, bounds, NEAREST, SEARCHES,
         EMPHASES, TRIALS, rules, np.empty(ROOM), p,
@@ -159,7 +159,7 @@ class _Path:
     @classmethod
     def from_problem(cls, problem: Problem) -> _Path:
         around = problem.path[problem.index[:, None] + np.arange(-NEAREST, NEAREST + 1)]
-        around[problem.held] = around[problem.held, NEAREST, None]
+        around[problem.dwell] = around[problem.dwell, NEAREST, None]
         start, step = around[:, :-1], np.diff(around, axis=1)
         length2 = np.square(step[..., X]) + np.square(step[..., Y])
         direction = _unit(step[:, NEAREST], np.array([1.0, 0.0]))
@@ -185,7 +185,7 @@ def _squares(problem: Problem, weight: Array, place: Array, foot: Array, t: Arra
     (x, y, *outputs), k = problem.splines.by_p, len(problem.splines.first)
     normal = np.sqrt(weight)
     along = np.full(len(weight), np.sqrt(ALONG))
-    along[problem.held] = 1.0
+    along[problem.dwell] = 1.0
     along *= normal
     J = np.empty((len(weight), 2, 2 * k + 1))  # and the residual
     for row, to, n_x, n_y in (

@@ -17,8 +17,8 @@ static int64_t most(const int64_t *place, const int64_t *from)
     return one > other ? one : other;
 }
 
-/* Mark in stops the first and the last sample of each standstill of more than ``idle`` samples. */
-static void mark_standstill(const struct steps *s, int64_t idle, uint8_t *stops)
+/* Mark in stops the first and the last sample of each rest of more than ``idle`` samples. */
+static void mark_rests(const struct steps *s, int64_t idle, uint8_t *stops)
 {
     for (int64_t i = 1, first = 0; i <= s->n + 1; i++) {
         if (i <= s->n && s->path[i] == s->path[first])
@@ -133,7 +133,7 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
         path[i + 1] = path[i] + most(to, to - MOTORS);
         stops[i + 1] = 0;
     }
-    mark_standstill(&s, idle, stops);
+    mark_rests(&s, idle, stops);
     for (int motor = 0; motor < MOTORS; motor++)
         mark_turns(&s, motor, stall, one, marks, stops);
     int64_t k = chain(&s, apart, stops, ends);

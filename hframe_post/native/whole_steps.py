@@ -7,7 +7,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernel
 
-IDLE = 24  # samples without a step, more of which are a standstill
+IDLE = 24  # samples without a step, more of which are a rest
 
 
 def motor_steps(cells: Integers, matrix: Array) -> Integers:
@@ -27,7 +27,7 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
     steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
-    the machine stands or a motor turns before, and their leading motor makes ``least`` steps or
+    the machine rests or a motor turns before, and their leading motor makes ``least`` steps or
     none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
     n = len(steps)
@@ -95,7 +95,7 @@ def _chain(following: Integers) -> Integers:
 def _superfluous(ends: Integers, places: Integers, least: int, last: bool) -> Integers:
     """Return which ends to drop so that segments of too few steps join a neighbour.
 
-    They join the segment before, or the one after if the one before is too short or stands still,
+    They join the segment before, or the one after if the one before is too short or at rest,
     if less steps there and back cancel out with the one after, or if that is too short, too: else a
     row of them would all join the one before. The last end stays if motion ends there. Of short
     segments in a row every other one is handled: call again.

@@ -17,7 +17,7 @@ MOST_POINTS = 1500  # of a line; no screen shows more
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class Curve:
     """A line through x, y (n,); NaN in y is a gap. colour: None for one of the page's own.
 
     strong: thick, above the others; dashed: for models, in contrast to measurements.
@@ -38,7 +38,7 @@ class Chart:
     title: str
     x: str
     y: str
-    lines: Sequence[Line]
+    lines: Sequence[Curve]
     log: tuple[bool, bool] = (False, False)
 
 
@@ -95,7 +95,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
     return {"title": chart.title, "x": chart.x, "y": chart.y, "log": chart.log, "lines": lines}
 
 
-def _points(line: Line, log: tuple[bool, bool]) -> dict[str, Any]:
+def _points(line: Curve, log: tuple[bool, bool]) -> dict[str, Any]:
     """Return a line's points rounded to four digits; of too many, evenly spread ones."""
     valid = np.isfinite(line.x) & ((line.x > 0.0) | (not log[0]))
     x, y = line.x[valid], line.y[valid]

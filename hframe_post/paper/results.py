@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.compensation.compensate import compensate
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands, planned, prepared, sampled
+from hframe_post.conversion.pipeline import SampleStream, planned, prepared, sampled
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -215,7 +215,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
     options = Options("racking", strategies, limits="printer")
-    commands = Commands(lines, printer, options, compensator=compensator).computed()
+    commands = SampleStream(lines, printer, options, compensator=compensator).computed()
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(predict(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

@@ -83,16 +83,21 @@ class Paces:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class PieceStart:
     """Where a print, or a piece of it, begins. floor: greatest z of its first layers."""
 
     place: Place = field(default_factory=Place)
     floor: float = -math.inf
 
 
-def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Iterator[Item]:
+def pace(items: Iterable[Item], paces: Paces, start: PieceStart | None = None) -> Iterator[Item]:
     """Yield the items with the speeds and limits of ``paces``. start: place of the first item."""
-    pacer, waiting, moves, count = _Pacer(paces, start or Start()), list[Item](), list[Moves](), 0
+    pacer, waiting, moves, count = (
+        _Pacer(paces, start or PieceStart()),
+        list[Item](),
+        list[Moves](),
+        0,
+    )
     for item in items:
         count += 1
         if isinstance(item, Moves):
@@ -108,7 +113,7 @@ def pace(items: Iterable[Item], paces: Paces, start: Start | None = None) -> Ite
 class Labeller:
     """Tells which kind of feature and which layer each move belongs to."""
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, start: PieceStart) -> None:
         self._place, self._floor = replace(start.place), start.floor
         self._kind = NAMES.index(kind(start.place.feature))
 
@@ -117,8 +122,8 @@ class Labeller:
             self._kind = NAMES.index(kind(self._place.feature))
 
     @property
-    def start(self) -> Start:
-        return Start(replace(self._place), self._floor)
+    def start(self) -> PieceStart:
+        return PieceStart(replace(self._place), self._floor)
 
     def classify(self, moves: Moves, first_layers: int) -> tuple[Integers, Integers, Flags]:
         """Return each move's kind (an index into NAMES), its layer, and whether a first one, (n,).
@@ -158,7 +163,7 @@ class Labeller:
 
 
 class _Pacer:
-    def __init__(self, paces: Paces, start: Start) -> None:
+    def __init__(self, paces: Paces, start: PieceStart) -> None:
         self._paces, self._labeller = paces, Labeller(start)
         of_kinds = [paces.kinds.get(name) for name in NAMES]
         unlimited = Pace(math.inf, math.inf, 1.0)

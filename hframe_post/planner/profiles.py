@@ -1,4 +1,4 @@
-"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes standing moves.
+"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes moves at rest.
 
 Only this module uses Ruckig.
 """
@@ -6,23 +6,63 @@ Only this module uses Ruckig.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
-from hframe_post.arrays import TS, Array, E, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.sampling import misses, ramps, samples_until, stand
+from hframe_post.native.sampling import misses, move_at_rest, ramps, samples_until
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.types import Plan, Standing
+from hframe_post.stream.types import MoveAtRest, Plan
 
 ALMOST = 0.999  # share of a limit that counts as all of it
+# mm in which Ruckig is asked, again where the first fails. It checks in absolute numbers, which
+# rounding fails at great accelerations in mm: it finds no profile, or one as slow as a ramp. A
+# power of two changes no digit
+UNITS = (1.0, 16.0)
 
 Profile = tuple[Array, Array]  # durations and jerks of the seven phases of every run, both (r, 7)
+
+
+class _Runs(NamedTuple):
+    """Runs of several plans, (r,) each: speeds at both ends, and limits."""
+
+    v0: Array
+    v1: Array
+    length: Array
+    cruise: Array
+    acceleration: Array
+    braking: Array
+
+    @classmethod
+    def from_plans(cls, plans: Sequence[Plan], deceleration: float) -> _Runs:
+        def joined(parts: Iterable[Array]) -> Array:
+            return np.concatenate(list(parts))
+
+        most = joined(plan.acceleration for plan in plans)
+        return cls(
+            joined(plan.speed[:-1] for plan in plans),
+            joined(plan.speed[1:] for plan in plans),
+            joined(np.diff(plan.s[plan.ends]) for plan in plans),
+            joined(plan.cruise for plan in plans),
+            most,
+            np.minimum(most, deceleration),
+        )
+
+    def without_choice(self, acceleration: Array) -> Flags:
+        """Flag runs at one speed, or with as much acceleration as a ramp over all of them needs."""
+        one_speed = (self.v0 == self.v1) & (self.v0 >= ALMOST * self.cruise)
+        most = np.where(self.v1 < self.v0, self.braking, self.acceleration)
+        return np.asarray(one_speed | (acceleration >= ALMOST * most))
+
+    def missed_by(self, t: Array, j: Array) -> Flags:
+        return misses(t, j, self.v0, self.length)
 
 
 class Profiler:
@@ -43,44 +83,35 @@ class Profiler:
         """
         if not plans:
             return []
-        length = np.concatenate([s[1:] - s[:-1] for s in (plan.s[plan.ends] for plan in plans)])
-        v0, v1 = (
-            np.concatenate([plan.speed[part] for plan in plans])
-            for part in (slice(None, -1), slice(1, None))
-        )
-        cruise = np.concatenate([plan.cruise for plan in plans])
-        most = np.concatenate([plan.acceleration for plan in plans])
-        t, j, acceleration = ramps(v0, v1, length, self._jerk)
-        one_speed = (v0 == v1) & (v0 >= ALMOST * cruise)
-        braking = np.minimum(most, self._deceleration)
-        forced = one_speed | (acceleration >= ALMOST * np.where(v1 < v0, braking, most))
-        columns = np.stack([v0, v1, length, cruise, most, -braking], axis=1)
-        chosen_t, chosen_j = t.copy(), j.copy()
-        free = np.flatnonzero(~forced)
-        # Ruckig checks in absolute numbers, which rounding fails at great accelerations in mm: it
-        # finds no profile, or one as slow as a ramp. Then it is asked again in a longer unit. A
-        # power of two changes no digit.
-        ramp = (1.0 - 1e-9) * t.sum(axis=1)
-        for unit in (1.0, 16.0):
-            if not len(free):
-                break
-            self._input.max_jerk = [self._jerk / unit]
-            solved = [self._solve(*row) for row in (columns[free] / unit).tolist()]
-            chosen_t[free], chosen_j[free] = (np.array(p) for p in zip(*solved, strict=True))
-            chosen_j[free] *= unit
-            slow = (ramp[free] > 0.0) & (chosen_t[free].sum(axis=1) >= ramp[free])
-            free = free[slow | misses(chosen_t[free], chosen_j[free], v0[free], length[free])]
-        wrong = misses(chosen_t, chosen_j, v0, length)
+        runs = _Runs.from_plans(plans, self._deceleration)
+        ramp_t, ramp_j, acceleration = ramps(runs.v0, runs.v1, runs.length, self._jerk)
+        t, j = ramp_t.copy(), ramp_j.copy()
+        self._search(runs, np.flatnonzero(~runs.without_choice(acceleration)), t, j)
+        wrong = runs.missed_by(t, j)
         if wrong.any():
-            chosen_t[wrong], chosen_j[wrong] = t[wrong], j[wrong]
-            wrong = misses(chosen_t, chosen_j, v0, length)
+            t[wrong], j[wrong] = ramp_t[wrong], ramp_j[wrong]
+            wrong = runs.missed_by(t, j)
         if wrong.any():
             lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])
             line = lines[int(np.argmax(wrong))]
             raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
         ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
         cuts = [slice(*cut) for cut in pairwise([0, *ends])]
-        return [(chosen_t[cut], chosen_j[cut]) for cut in cuts]
+        return [(t[cut], j[cut]) for cut in cuts]
+
+    def _search(self, runs: _Runs, chosen: Integers, t: Array, j: Array) -> None:
+        """Replace the ramps t, j (r, 7) of the chosen runs by Ruckig's profiles."""
+        ramp = (1.0 - 1e-9) * t.sum(axis=1)
+        problems = np.stack([*runs[:-1], -runs.braking], axis=1)
+        for unit in UNITS:
+            if not len(chosen):
+                break
+            self._input.max_jerk = [self._jerk / unit]
+            solved = [self._solve(*row) for row in (problems[chosen] / unit).tolist()]
+            t[chosen], j[chosen] = (np.array(p) for p in zip(*solved, strict=True))
+            j[chosen] *= unit
+            slow = (ramp[chosen] > 0.0) & (t[chosen].sum(axis=1) >= ramp[chosen])
+            chosen = chosen[slow | runs.missed_by(t, j)[chosen]]
 
     def _solve(
         self, v0: float, v1: float, length: float, cruise: float, most: float, least: float
@@ -99,10 +130,10 @@ class Profiler:
 
 
 @dataclass(frozen=True, slots=True)
-class StandingProfile:
-    """How the firmware, which has no limit on jerk, makes one move while x and y stand still.
+class ProfileAtRest:
+    """How the firmware, which has no limit on jerk, makes one move while x and y are at rest.
 
-    trapezoid: of z, or of the filament if z stands too; samples: until the next whole one.
+    trapezoid: of z, or of the filament if z rests too; samples: until the next whole one.
     """
 
     trapezoid: Trapezoid
@@ -110,8 +141,8 @@ class StandingProfile:
 
     @classmethod
     def from_move(
-        cls, move: Standing, limits: Limits, entry: float = 0.0, leaving: float = 0.0
-    ) -> StandingProfile:
+        cls, move: MoveAtRest, limits: Limits, entry: float = 0.0, leaving: float = 0.0
+    ) -> ProfileAtRest:
         """Return the fastest profile that the limits allow.
 
         entry, leaving: speeds of z at its ends, mm/s, lowered to what a move so short can have.
@@ -127,14 +158,14 @@ class StandingProfile:
         ends = min(entry, most), min(leaving, most)
         trapezoid = Trapezoid(length, cruise, acceleration, *ends)
         samples = samples_until(trapezoid.seconds)
-        if any(ends):  # no standstill next to it can fill up the last sample
+        if any(ends):  # no rest next to it can fill up the last sample
             trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, samples)
 
-    def places(self, move: Standing, first: int, n: int) -> Array:
+    def places(self, move: MoveAtRest, first: int, n: int) -> Array:
         """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
         ends = np.array([move.start, move.end])
-        return stand(self.trapezoid.row, ends, first, n, self.samples)
+        return move_at_rest(self.trapezoid.row, ends, first, n, self.samples)
 
 
 class TravelRetraction:
@@ -146,7 +177,7 @@ class TravelRetraction:
 
     @classmethod
     def if_it_fits(
-        cls, move: Standing, travel: Plan, limits: Limits, acceleration: float
+        cls, move: MoveAtRest, travel: Plan, limits: Limits, acceleration: float
     ) -> TravelRetraction | None:
         """Return the retraction, or None if ``move`` is none or the travel is too short for it."""
         length = move.start[E] - move.end[E]

@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.planner.lookahead import Lookahead
-from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Plan, Standing
+from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough, Plan
 
 
 class SlicedTime:
@@ -35,9 +35,9 @@ class SlicedTime:
             self._queue.append(self._limited(item))
             while (plan := self._queue.take_final()) is not None:
                 self.seconds += self._duration(plan)
-        elif isinstance(item, Standing):
+        elif isinstance(item, MoveAtRest):
             self._stop()
-            self.seconds += self._standing(item)
+            self.seconds += self._at_rest(item)
         elif isinstance(item, Passthrough):
             if item.handling is not Handling.CARRY:
                 self._stop()
@@ -70,7 +70,7 @@ class SlicedTime:
         top = np.minimum(cruise, reached)
         return float(_seconds(d, v_s, v_e, top, a).sum())
 
-    def _standing(self, move: Standing) -> float:
+    def _at_rest(self, move: MoveAtRest) -> float:
         limits, delta = self._rules.limits, np.abs(np.subtract(move.end, move.start))
         z = delta[Z] > 0.0
         d, v, a = (

@@ -23,7 +23,7 @@ EVERY = 16  # samples, a power of two and a multiple of those at which errors ar
 RINGS = 3.0  # times the mean time of a squared response after which it has decayed
 SETTLED = 1e-4  # share of its largest deviation below which a response has settled
 NOWHERE = 1e-9  # mm; a nozzle so near to the path has no direction from it
-TINY = 1e-300  # mm, of a path that stands
+TINY = 1e-300  # mm, of a path at rest
 
 
 @dataclass(frozen=True)

@@ -55,20 +55,20 @@ class _Nozzles:
 
     def __init__(self, responses: Responses) -> None:
         self._responses, self._early = responses, responses.late
-        self._waiting, self._standing = deque[Samples](), list[Array]()
+        self._waiting, self._last = deque[Samples](), list[Array]()
         self._motion = np.zeros((0, 0, 0, 2))  # of plants and commands at the waiting samples
 
     def feed(self, chunk: Samples) -> Iterator[_Predicted]:
         self._waiting.append(chunk)
         if len(chunk):
-            self._standing = [command[-1:] for command in chunk.commands.values()]
+            self._last = [command[-1:] for command in chunk.commands.values()]
         self._run(list(chunk.commands.values()))
         yield from self._known()
 
     def finish(self) -> Iterator[_Predicted]:
-        """Yield the rest; the commands stand still after their end."""
+        """Yield what is left; the commands rest after their end."""
         late = self._responses.late
-        self._run([np.repeat(place, late, axis=0) for place in self._standing] if late else [])
+        self._run([np.repeat(place, late, axis=0) for place in self._last] if late else [])
         yield from self._known()
 
     def _run(self, commands: list[Array]) -> None:

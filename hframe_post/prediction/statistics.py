@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hframe_post.arrays import Array, E, Flags, Integers
 from hframe_post.model.error_range import SUMS, ErrorRange, error_range
 from hframe_post.stream.features import Place
-from hframe_post.stream.types import Mark, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples
 
 # Bins of the percentiles: the leading bits of a float64, which grow with its value, so that no
 # logarithm is needed. 128 bins are an octave.
@@ -49,7 +49,7 @@ class Labels:
         for event in chunk.events:
             if isinstance(event, Mark):
                 text = event.text
-            elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
+            elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                 text = event.action.text
             else:
                 continue

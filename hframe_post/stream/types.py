@@ -57,17 +57,17 @@ class Moves:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """A move in which x and y stand still: a retraction or a lift. start, end: x, y, z, e."""
+class MoveAtRest:
+    """A move made while x and y are at rest: a retraction or a lift. start, end: x, y, z, e."""
 
     line: int
     start: Position
     end: Position
     speed: float
 
-    def __reduce__(self) -> tuple[type[Standing], tuple[int, Position, Position, float]]:
+    def __reduce__(self) -> tuple[type[MoveAtRest], tuple[int, Position, Position, float]]:
         """Pickle the fields alone: a print has thousands of these."""
-        return Standing, (self.line, self.start, self.end, self.speed)
+        return MoveAtRest, (self.line, self.start, self.end, self.speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class Passthrough:
     cause: str = ""
 
 
-Item = Moves | Standing | Passthrough
+Item = Moves | MoveAtRest | Passthrough
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +130,11 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Halt:
+class SpanEnd:
     """A place where the command comes to rest on the path: what follows is computed separately."""
 
 
-Planned = Plan | Standing | Passthrough | Halt
+Planned = Plan | MoveAtRest | Passthrough | SpanEnd
 
 
 def _never(_: bytes) -> bool:
@@ -142,13 +142,13 @@ def _never(_: bytes) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Rests:
-    """Rules for stops: how many samples of standstill the command gets, and where it needs none.
+class StopRules:
+    """Rules for stops: how many samples of rest the path gets, and where it needs none.
 
-    before, after: samples around what happens at rest. long_rest: samples instead of both where it
+    before, after: samples of rest around a dwell. long_rest: samples instead of both where it
     takes ``long_from`` samples or longer, and at the ends of a stretch.
     lift_speed: mm/s of z between a lift and motion in x and y that directly precedes or follows it,
-    if neither needs samples of standstill; 0: z comes to rest there.
+    if neither needs samples of rest; 0: z comes to rest there.
     needs_rest: whether motion must start from rest after a pass-through line.
     retract_acceleration: mm/s² with which filament is retracted during the travel that follows, if
     it lasts long enough; 0: retract before it.
@@ -165,15 +165,15 @@ class Rests:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """A standstill of the path for ``samples`` from ``index`` on; the command may move."""
+    """Rest of the path for ``samples`` from ``index`` on; the command may move."""
 
     index: int
     samples: int
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
-    """``samples`` from ``index`` on in which the machine does ``action`` while x and y stand still.
+class Dwell:
+    """``samples`` from ``index`` on in which the command dwells and the machine does ``action``.
 
     exact: duration (s) that the machine takes; samples·TS is the next millisecond. entry, leaving:
     speeds of z (mm/s) that are certain where motion in x and y directly precedes and follows.
@@ -181,7 +181,7 @@ class Pause:
 
     index: int
     samples: int
-    action: Standing | Passthrough
+    action: MoveAtRest | Passthrough
     exact: float = 0.0
     entry: float = 0.0
     leaving: float = 0.0
@@ -199,7 +199,7 @@ class SlowStraight:
     end: Position
 
 
-Event = Mark | Rest | Pause | SlowStraight
+Event = Mark | Rest | Dwell | SlowStraight
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +210,7 @@ class Samples:
     index, which is in [first, first + n] (first + n: after the last sample). commands:
     strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
     ends_stretch: the machine may move on its own after these samples, or a ``SlowStraight`` or a
-    long ``Pause`` leaves out samples between these and the next.
+    long ``Dwell`` leaves out samples between these and the next.
     """
 
     first: int

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.arrays import Array, E
-from hframe_post.planner.pacing import NAMES, Labeller, Start
+from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
@@ -28,7 +28,7 @@ SHARE = 0.03  # of a print to keep; up to twice as much is kept
 class Piece:
     """Items between two standstills. seconds: by feature, at the file's feed rates."""
 
-    start: Start
+    start: PieceStart
     items: tuple[Item, ...]
     seconds: dict[str, float]
 
@@ -97,7 +97,7 @@ def _add(total: defaultdict[str, float], seconds: dict[str, float]) -> None:
 
 def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
     """Yield the print in pieces. Lines that the machine must take at rest are between them."""
-    labeller = Labeller(Start())
+    labeller = Labeller(PieceStart())
     start, collected, seconds = labeller.start, list[Item](), defaultdict[str, float](float)
 
     def ended() -> Iterator[Piece]:

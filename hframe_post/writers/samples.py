@@ -42,7 +42,7 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
         response, early = Response(loaded, first.xyze[0, :Z]), loaded.ahead
         for chunk, wide, _ in with_neighbours(chain([first], filled), 0, loaded.ahead):
             command, following = chunk.commands[strategy], wide.commands[strategy]
-            missing = len(command) + loaded.ahead - len(following)  # at the end, where it stands
+            missing = len(command) + loaded.ahead - len(following)  # at the end, where it rests
             following = np.concatenate([following, np.repeat(following[-1:], missing, axis=0)])
             response.run(following[:early])
             early = 0

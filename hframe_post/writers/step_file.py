@@ -201,7 +201,7 @@ class StepFile:
 
     def __iter__(self) -> Iterator[Positions]:
         """Yield the positions. Raises StepFileError, which names the line, and OSError."""
-        reader = _Reader(self)
+        reader = _StepReader(self)
         with decompressing(self.path) as file:
             _piece(file, self.head, self.path)
             rest = b""
@@ -244,7 +244,7 @@ def _piece(file: IO[bytes], size: int, path: Path) -> bytes:
         raise StepFileError(f"cannot be unpacked: {error}", path) from None
 
 
-class _Reader:
+class _StepReader:
     """Rows → positions, with the last tick and position remembered."""
 
     def __init__(self, file: StepFile) -> None:

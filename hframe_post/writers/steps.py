@@ -3,12 +3,12 @@
 Rules:
  1. Between samples the command is a monotone cubic. A motor steps where it
     crosses the middle between two whole steps, on the next tick. Sample i is where the command
-    stands at the end of millisecond i.
+    is at the end of millisecond i.
  2. A motor steps once a tick at most, and ``direction_setup`` after its last step when it
     turns. A step that comes too soon is late, never lost; a command faster than the clock is
     an error.
  3. Positions are whole steps from the origin of the coordinates: rounding never adds up.
- 4. At a line that needs standstill, all steps before it have been made, and none after it.
+ 4. At a line that needs rest, all steps before it have been made, and none after it.
 
 Symbols of the cubic:
 
@@ -38,7 +38,7 @@ from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.types import Handling, Mark, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Handling, Mark, Passthrough, Samples
 from hframe_post.writers.step_file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
 GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
@@ -63,7 +63,7 @@ class StepCounts:
     ticks: int = 0
 
 
-class Stepper:
+class StepGenerator:
     """Stage that turns a strategy's command into steps, and ``counts`` them.
 
     Keeps the samples whose intervals are not finished, and steps that are not yet in order.
@@ -103,7 +103,7 @@ class Stepper:
             if isinstance(event, Mark):
                 tick = max(self._tick(event.index), self._floor)
                 self._notes.append(Note(tick, HANDLINGS[Handling.CARRY], event.text))
-            elif isinstance(event, Pause) and isinstance(event.action, Passthrough):
+            elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                 at = event.index - chunk.first
                 yield from self._take(u[done:at], chunk, done)
                 done = at
@@ -137,7 +137,7 @@ class Stepper:
             yield from self._emit(self._tick(self._index + 1))
 
     def _rest(self, index: int) -> Iterator[Item]:
-        """Yield everything up to sample ``index``, before which the machine stands."""
+        """Yield everything up to sample ``index``, before which the machine is at rest."""
         if self._known:
             self._advance(self._u[-1:], self._line[-1:])
             self._u, self._line = self._u[1:], self._line[1:]
@@ -257,7 +257,7 @@ def _solved(c1: Array, c2: Array, c3: Array, level: Array, close: float) -> Arra
     """Return s (k,) in 0 … 1 at which the rising cubics c1·s + c2·s² + c3·s³ reach ``level``.
 
     Uses Newton's method from the parabola with the same start and end. Where that does not
-    converge (mostly next to a standstill), it halves the interval.
+    converge (mostly next to a stop), it halves the interval.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         s = 2.0 * level / (c1 + np.sqrt(c1 * c1 + 4.0 * (c2 + c3) * level))

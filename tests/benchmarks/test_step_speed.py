@@ -15,13 +15,13 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers import step_file
 from hframe_post.writers.step_file import Header, StepFileWriter
-from hframe_post.writers.steps import Stepper
+from hframe_post.writers.steps import StepGenerator
 from tests.benchmarks.timing import fastest
 from tests.conftest import SAMPLES
 
@@ -33,7 +33,7 @@ def prism(paper: Printer, compensator: Compensator) -> list[Samples]:
     """The commands of half an hour of print."""
     blocks: list[Samples] = []
     with (SAMPLES / "prism.gcode").open("rb") as lines:
-        commands = Commands(lines, paper, Options("racking"), compensator=compensator)
+        commands = SampleStream(lines, paper, Options("racking"), compensator=compensator)
         for block in commands.computed():
             blocks.append(block)
             if block.end > 1_800_000:
@@ -50,7 +50,7 @@ def writing(
     header = Header(kind, "", "", "", table.clock_hz, lengths, paper.kinematics.matrix)
 
     def run() -> tuple[bytes, StepFileWriter]:
-        stepper, writer = Stepper("racking", paper.kinematics, table), StepFileWriter(header)
+        stepper, writer = StepGenerator("racking", paper.kinematics, table), StepFileWriter(header)
         pieces = writer.write(stepper.step(prism))
         return b"".join(piece for piece in pieces if isinstance(piece, bytes)), writer
 

@@ -119,7 +119,7 @@ def test_verbose_logs_stages_and_their_time() -> None:
     done = run(RECTANGLE, "-n", "-v", "-q")
     lines = re.findall(r"^ +([0-9.]+) s +(\S+)(.*)$", done.stderr.decode(), re.MULTILINE)
     stages = [stage for _, stage, more in lines if "of the processor" in more]
-    assert stages[:5] == ["read", "plan", "sample", "compensate", "stand"]
+    assert stages[:5] == ["read", "plan", "sample", "compensate", "dwell"]
     assert [float(at) for at, *_ in lines] == sorted(float(at) for at, *_ in lines)
     assert run(RECTANGLE, "-n", "-q").stderr == b""
 

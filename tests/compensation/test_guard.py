@@ -26,7 +26,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
-from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 from tests.quantities import below
 from tests.random_paths import walk
 
@@ -310,8 +310,8 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
     path[:, 0] += np.interp(np.arange(1000), [350, 400, 450, 500], [0.0, 0.25, 0.25, 0.5])
     path[:, 1] += np.interp(np.arange(1000), [340, 355], [0.0, 0.1])
     action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    held = replace(chunk(path, path), events=(Pause(420, 20, action),))
-    result, clamp = clamped(held, LIMITS)
+    dwelling = replace(chunk(path, path), events=(Dwell(420, 20, action),))
+    result, clamp = clamped(dwelling, LIMITS)
     assert clamp.clamped.samples > 0
     np.testing.assert_array_equal(result[419:440], path[419:440])
 
@@ -321,7 +321,7 @@ def test_a_clamp_leaves_corners_that_the_path_turns_at_once() -> None:
     path = standing(800)
     path[:, 0] += 0.2 * np.clip((np.arange(800) - 402.0) / 10.0, 0.0, 1.0)  # 20 mm/s from rest
     action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    held = replace(chunk(path, path), events=(Pause(390, 10, action),))
+    held = replace(chunk(path, path), events=(Dwell(390, 10, action),))
     safe = join([*Clamp(*LIMITS).limit([held], "racking")])
     assert list(Guard(*LIMITS, clamped=True).check([safe], "racking"))
     with pytest.raises(LimitError, match="belt acceleration"):

@@ -11,7 +11,7 @@ import pytest
 from hframe_post import native
 from hframe_post.arrays import Array, Flags, X, Y
 from hframe_post.compensation.compensate import compensate, settling_samples
-from hframe_post.compensation.stops import StopSolvers, hold_at_stops
+from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
@@ -390,7 +390,7 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     compensator = prepared(printer)
     names = ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
-    return join(list(hold_at_stops(commands, StopSolvers(compensator, names, printer))))
+    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, printer))))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import LONGEST, StopSolvers, hold_at_stops, rests
+from hframe_post.compensation.stops import LONGEST, StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -22,7 +22,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
-from hframe_post.stream.types import Pause, Rest, Samples
+from hframe_post.stream.types import Dwell, Rest, Samples
 from tests.gcode_tools import HEAD, strokes
 
 NAMES = ("fbs", "racking")
@@ -36,14 +36,14 @@ def paper() -> Printer:
 def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
     raw = (line.encode() + b"\n" for line in lines)
     items = read(raw, ReadOptions.from_printer(printer, "printer"))
-    waits = rests(printer.compensation.stops, strategy)
+    waits = stop_rules(printer.compensation.stops, strategy)
     return list(sample(plan(items, printer.limits), printer.limits, waits))
 
 
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     compensator = prepared(printer)
     commands = compensate(chunks, compensator, NAMES)
-    return list(hold_at_stops(commands, StopSolvers(compensator, NAMES, printer)))
+    return list(dwell_at_stops(commands, StopSolvers(compensator, NAMES, printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -56,7 +56,7 @@ def standstills(block: Samples) -> list[tuple[int, int]]:
     return [
         (max(e.index - 1 - block.first, 0), e.index + e.samples - block.first)
         for e in block.events
-        if isinstance(e, Pause)
+        if isinstance(e, Dwell)
     ]
 
 
@@ -139,7 +139,7 @@ def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
     assert not any(isinstance(e, Rest) for chunk in chunks for e in chunk.events)
     compensator = prepared(paper)
     commands = compensate(chunks, compensator, ("none",))
-    for chunk in hold_at_stops(commands, StopSolvers(compensator, ("none",), paper)):
+    for chunk in dwell_at_stops(commands, StopSolvers(compensator, ("none",), paper)):
         np.testing.assert_array_equal(chunk.commands["none"], chunk.xyze[:, :2])
 
 
@@ -206,8 +206,8 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     compensator = prepared(paper)
     commanded = list(compensate(planned(lines, paper), compensator, NAMES))
     at_stops = StopSolvers(compensator, NAMES, paper)
-    whole = whole_stretches(hold_at_stops(commanded, at_stops))
-    pieces = list(hold_at_stops(cut(commanded, n), at_stops))
+    whole = whole_stretches(dwell_at_stops(commanded, at_stops))
+    pieces = list(dwell_at_stops(cut(commanded, n), at_stops))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
     for one, other in zip(whole_stretches(pieces), whole, strict=True):
         assert one.events == other.events
@@ -225,12 +225,12 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
 
     def counted() -> Iterable[Samples]:
         nonlocal taken
-        for chunk in sample(plan(items, paper.limits), paper.limits, rests("fast", "racking")):
+        for chunk in sample(plan(items, paper.limits), paper.limits, stop_rules("fast", "racking")):
             taken += len(chunk)
             yield chunk
 
     returned = 0
-    for chunk in hold_at_stops(
+    for chunk in dwell_at_stops(
         compensate(counted(), compensator, ("racking",)),
         StopSolvers(compensator, NAMES[1:], paper),
     ):

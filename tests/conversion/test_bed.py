@@ -15,7 +15,7 @@ from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands, prepared
+from hframe_post.conversion.pipeline import SampleStream, prepared
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Lpfbs
@@ -130,7 +130,7 @@ def test_lags_and_delays_stay(paper: Printer) -> None:
 
 def errors(printer: Printer, filament: float) -> tuple[float, float]:
     """Return the RMS contour error, mm, on the bed itself: of the first and of the last quarter."""
-    chunks = [c for c in Commands(iter(laps()), printer, FBS).computed() if len(c)]
+    chunks = [c for c in SampleStream(iter(laps()), printer, FBS).computed() if len(c)]
     xyze, command = (
         np.concatenate(parts)
         for parts in ([c.xyze for c in chunks], [c.commands["fbs"] for c in chunks])
@@ -160,7 +160,7 @@ def test_the_last_layers_are_as_good_as_the_first(slinger: Printer, fixed: Print
 
 def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
     last, ended, changes = None, False, 0
-    for chunk in Commands(iter(laps()), slinger, FBS).computed():
+    for chunk in SampleStream(iter(laps()), slinger, FBS).computed():
         if len(chunk):
             command = chunk.commands["fbs"]
             if ended and last is not None:

@@ -14,7 +14,7 @@ import pytest
 from hframe_post.conversion import conversions, spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.spans import Beginning, Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read
@@ -22,7 +22,7 @@ from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Halt, Plan, Planned, Standing
+from hframe_post.stream.types import MoveAtRest, Plan, Planned, SpanEnd
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
@@ -58,11 +58,11 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
     items = planned(cube(), paper)
     cut = [(span.beginning, list(span.items)) for span in Spans(items)]
     assert len(cut) > 5
-    assert [part.pop() for _, part in cut[:-1]] == [Halt()] * (len(cut) - 1)
+    assert [part.pop() for _, part in cut[:-1]] == [SpanEnd()] * (len(cut) - 1)
     assert [id(item) for _, part in cut for item in part] == [id(item) for item in items]
     assert cut[0][0].place is None
     for beginning, part in cut[1:]:
-        assert isinstance(part[0], Standing)
+        assert isinstance(part[0], MoveAtRest)
         assert beginning.place == part[0].start
 
 
@@ -80,7 +80,7 @@ def test_a_pickled_span_is_the_same(paper: Printer) -> None:
                 np.testing.assert_array_equal(getattr(other, name), getattr(item, name))
         else:
             assert other == item
-    empty = Span(Beginning(), (Halt(),))
+    empty = Span(Beginning(), (SpanEnd(),))
     assert pickle.loads(pickle.dumps(empty)) == empty
 
 
@@ -116,7 +116,7 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
 
 @pytest.mark.usefixtures("short")
 def test_commands_of_spans_are_one_stream(paper: Printer) -> None:
-    chunks = list(Commands(iter(cube()), paper, OPTIONS).computed())
+    chunks = list(SampleStream(iter(cube()), paper, OPTIONS).computed())
     assert all(a.end == b.first for a, b in pairwise(chunks))
     command = np.concatenate([chunk.commands["racking"] for chunk in chunks])
     path = np.concatenate([chunk.xyze[:, :2] for chunk in chunks])

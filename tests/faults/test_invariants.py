@@ -14,7 +14,7 @@ from hframe_post.arrays import Z
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.files import Target, convert
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
@@ -114,7 +114,7 @@ def test_filament_that_is_not_where_it_was(
 
 
 def test_steps_and_samples_count_their_filament_too() -> None:
-    commands = Commands(iter(LINES), PRINTER, Options("racking"))
+    commands = SampleStream(iter(LINES), PRINTER, Options("racking"))
     assert sum(len(chunk) for chunk in commands)
     filament = 2.0 + 2.0 + 0.7 + 4.0
     commands.check_filament(filament)

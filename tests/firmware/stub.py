@@ -18,7 +18,7 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
-from hframe_post.firmware.motion import Dwelling, MotionRules
+from hframe_post.firmware.motion import MotionRules, NextTo
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.ramps import whole_feeds
 from hframe_post.printer.firmware_tables import FirmwareTable
@@ -55,7 +55,7 @@ class StubMotion(MotionRules):
     ) -> Array:
         return np.asarray(lengths(np.diff(at[:, :E], axis=0)) / v)
 
-    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
         waited = max(round(seconds, 3), 0.0)
         return (b"G4 P%d\n" % round(1e3 * waited), waited) if waited else None
 

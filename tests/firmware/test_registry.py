@@ -42,17 +42,21 @@ def test_motion_is_that_of_the_profiles_firmware() -> None:
 
 def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:
     paper, marlin = load("paper"), load("paper-marlin")
-    corner = motion(paper, 0.014).rests.lift_speed
+    corner = motion(paper, 0.014).stop_rules.lift_speed
     assert 2.0 < corner < paper.limits.square_corner_velocity
     gentle = replace(paper, limits=replace(paper.limits, square_corner_velocity=1.0))
-    assert motion(gentle, 0.014).rests.lift_speed == 0.0
-    assert motion(paper, None).rests.lift_speed == motion(marlin, 0.014).rests.lift_speed == 0.0
+    assert motion(gentle, 0.014).stop_rules.lift_speed == 0.0
+    assert (
+        motion(paper, None).stop_rules.lift_speed
+        == motion(marlin, 0.014).stop_rules.lift_speed
+        == 0.0
+    )
 
 
 def test_only_klipper_retracts_in_motion() -> None:
     moving = motion(load("paper"), 0.014, retract_moving=True)
-    assert moving.rests.retract_acceleration == pytest.approx(300.0)
-    assert motion(load("paper"), 0.014).rests.retract_acceleration == 0.0
+    assert moving.stop_rules.retract_acceleration == pytest.approx(300.0)
+    assert motion(load("paper"), 0.014).stop_rules.retract_acceleration == 0.0
     with pytest.raises(HframeError, match="Marlin does not retract in motion"):
         motion(load("paper-marlin"), 0.014, retract_moving=True)
 

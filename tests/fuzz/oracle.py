@@ -19,7 +19,7 @@ import numpy as np
 from hframe_post.arrays import Z
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.state import Extrusion
 from hframe_post.identification.recordings import accelerometer, excitation
@@ -220,7 +220,7 @@ def check_arcs(seed: int) -> tuple[str, bytes, bytes]:
     """
     text, known = arcs(Random(seed))
     lines = text.splitlines(keepends=True)
-    commands = Commands(iter(lines), printer("klipper"), Options("none")).computed()
+    commands = SampleStream(iter(lines), printer("klipper"), Options("none")).computed()
     chunks = [(c.line, c.xyze[:, : Z + 1]) for c in commands]
     check_same_print(text, converted(text, "klipper", Options("racking", clamp=True)), "klipper")
     line, xyz = (np.concatenate(part) for part in zip(*chunks, strict=True))

@@ -14,7 +14,7 @@ from hframe_post.gcode import batching, lines
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, ReadOptions
 from hframe_post.printer.settings import Travel
-from hframe_post.stream.types import Handling, Item, Moves, Passthrough, Standing
+from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, items, moves
 
 KLIPPER = FIRMWARES["klipper"].dialect
@@ -58,10 +58,10 @@ def test_filament_without_a_path_is_extruded_at_rest(
     if not compiled:
         monkeypatch.setattr(native, "built", lambda: None)
     text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
-    found = [i for i in items(*text) if isinstance(i, Moves | Standing)]
-    assert [type(i).__name__ for i in found] == ["Moves", "Standing", "Moves"]
+    found = [i for i in items(*text) if isinstance(i, Moves | MoveAtRest)]
+    assert [type(i).__name__ for i in found] == ["Moves", "MoveAtRest", "Moves"]
     _, fed, further = found
-    assert isinstance(fed, Standing)
+    assert isinstance(fed, MoveAtRest)
     assert isinstance(further, Moves)
     assert fed.start[:3] == fed.end[:3] == (5.0, 1.0, 1.0)
     assert fed.end[3] - fed.start[3] == pytest.approx(6.0)

@@ -21,7 +21,7 @@ from hframe_post.gcode.commands import MOTION_WORDS
 from hframe_post.gcode.lexer import Line, command, numbers, uncommented
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
-from hframe_post.stream.types import Moves, Standing
+from hframe_post.stream.types import MoveAtRest, Moves
 from tests.conftest import SAMPLES
 from tests.slices import SLICES
 
@@ -108,7 +108,7 @@ def test_moves_end_where_pygcode_ends(name: str, unit: str) -> None:
     for item in read(read_lines, ReadOptions(KLIPPER)):
         if isinstance(item, Moves):
             ends.update(zip(item.line.tolist(), item.points[1:, :3].tolist(), strict=True))
-        elif isinstance(item, Standing):
+        elif isinstance(item, MoveAtRest):
             ends[item.line] = list(item.end[:3])
     machine, scale = Machine(), 25.4 if unit == "G20" else 1.0
     for number, line in enumerate(lines, 3):

@@ -18,7 +18,7 @@ from hframe_post.firmware.registry import FIRMWARES, firmware_named
 from hframe_post.gcode import batching, curves
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
-from hframe_post.stream.types import Handling, Mark, Moves, Passthrough, Standing
+from hframe_post.stream.types import Handling, Mark, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
 
 KLIPPER = FIRMWARES["klipper"].dialect
@@ -122,7 +122,7 @@ def test_set_velocity_limit() -> None:
 
 def test_retraction_and_lift_stand_still() -> None:
     found = items(*HOME, "G1 X5", "G1 E-2 F2700", "G1 Z1 F600", "G1 X6")
-    standing = [item for item in found if isinstance(item, Standing)]
+    standing = [item for item in found if isinstance(item, MoveAtRest)]
     assert [(s.end[2], s.end[3], s.speed) for s in standing] == [(0, -2, 45), (1, -2, 10)]
 
 

@@ -10,7 +10,7 @@ from hframe_post.gcode.extrusion import DEFAULT_DURATION
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Retraction
-from hframe_post.stream.types import Item, Moves, Passthrough, Standing
+from hframe_post.stream.types import Item, MoveAtRest, Moves, Passthrough
 
 OWN = Retraction(length=0.8, speed=40.0, return_speed=30.0, extra=0.1)
 HOME = ["G28", "G90", "M82", "G0 X0 Y0 Z0 F6000", "G10", "G11", "G0 X9 F6000"]
@@ -23,7 +23,7 @@ def found(
     """Filament and speed of what stands; G10, G11 and the like that pass; all items."""
     options = ReadOptions(FIRMWARES[firmware].dialect, retraction=own)
     items = list(read([line.encode() + b"\n" for line in lines], options))
-    stand = [(round(i.end[E] - i.start[E], 9), i.speed) for i in items if isinstance(i, Standing)]
+    stand = [(round(i.end[E] - i.start[E], 9), i.speed) for i in items if isinstance(i, MoveAtRest)]
     passed = [i.text for i in items if isinstance(i, Passthrough) and i.text[:2] == b"G1"]
     return stand, passed, items
 

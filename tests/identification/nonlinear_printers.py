@@ -18,7 +18,7 @@ from scipy import linalg, signal
 
 from hframe_post.arrays import TS, Array, Complex, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.identification.recordings import strokes
 from hframe_post.identification.recordings.sweep import runs as sweeps
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -270,7 +270,7 @@ def lines(path: str) -> list[bytes]:
 def printed(path: str, strategy: str = "none", model: Plant | None = None) -> Print:
     """Return one of PATHS, compensated by a model."""
     own = profile() if model is None else replace(profile(), plant=model)
-    commands = Commands(lines(path), own, Options(strategy, clamp=True), (strategy,))
+    commands = SampleStream(lines(path), own, Options(strategy, clamp=True), (strategy,))
     chunks = [chunk for chunk in commands.computed() if len(chunk)]
     return Print(
         np.concatenate([chunk.xyze[:, :Z] for chunk in chunks]),

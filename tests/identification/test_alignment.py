@@ -145,7 +145,7 @@ def test_motor_steps_do_not_disturb_the_clock(
 @pytest.mark.parametrize("lead", [0.0, 1.5])
 @pytest.mark.parametrize("axis", [X, Y])
 def test_short_rests_are_enough(paper: Printer, axis: int, lead: float) -> None:
-    """Rests of 0.1 s, into which the answers to the marks ring on."""
+    """Rests of 0.1 s, into which the responses to the marks ring on."""
     swept = sweep()
     swept = swept[900 : len(swept) - 900]
     sensor = Sensor(drift=0.005, lead=lead)

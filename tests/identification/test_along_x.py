@@ -21,7 +21,7 @@ from hframe_post.identification.estimation.along_x import (
 )
 from hframe_post.identification.estimation.axes import fit_known_start
 from hframe_post.identification.gather import Gathered
-from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
@@ -163,7 +163,8 @@ def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
     found = identify(
-        recorded(machine, chip, seed, 60.0), Settings(BAND, racks=profile.kinematics.racks)
+        recorded(machine, chip, seed, 60.0),
+        MeasurementSettings(BAND, racks=profile.kinematics.racks),
     )
     assert found.refusal is None
     assert set(found.along_x) == {"Gxx", "Gyy", "Gxtheta"}

@@ -14,8 +14,8 @@ from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.by_eye.form import Filled, filled, form
 from hframe_post.identification.by_eye.racking import (
     LEVER,
-    Blocks,
     Comb,
+    CombReading,
     PrintedRacking,
     half_waves_by_block,
     printed_racking,
@@ -140,7 +140,7 @@ def test_a_form_is_read_as_it_was_written() -> None:
 X = PrintedMode(38.0, 0.06, 0.03, 0.015)
 
 
-def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
+def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> CombReading:
     """Return what an owner reads on a comb that shows waves down to ``seen_from`` mm."""
     path, _ = comb.path()
     theta = FiniteFilter(true.response(X), 0).run(path - path[0])
@@ -153,7 +153,7 @@ def seen_on(comb: Comb, true: PrintedRacking, seen_from: float) -> Blocks:
     places = waves[most][1]
     count = int(min(max(seen[most] - 1.0, 1.0), 5.0))
     distance = round(float(places[2 * count] - places[0]), 1)
-    return Blocks(comb, tuple(seen[1:]), most, distance, count)
+    return CombReading(comb, tuple(seen[1:]), most, distance, count)
 
 
 @pytest.mark.parametrize(("hz", "gain"), [(62.0, 5e-8), (43.0, 1e-7)])
@@ -189,14 +189,14 @@ def test_klipper_travels_the_wall_as_assumed(tmp_path: Path) -> None:
 def test_racking_that_hardly_shows_is_not_guessed() -> None:
     comb = Comb(20.0, 12, 80.0, 7500.0)
     weak = seen_on(comb, PrintedRacking(5e-8, 62.0, 0.08, 140.0, 0.0), 0.015)
-    for its, x in (
-        (Blocks(comb, (0.0,) * 11, 0, 0.0, 0.0), X),
-        (Blocks(comb, (0.5,) * 11, 0, 0.0, 0.0), X),
-        (Blocks(comb, (2.0, *(0.0,) * 10), 1, 0.0, 0.0), X),  # but on a single block
+    for reading, x in (
+        (CombReading(comb, (0.0,) * 11, 0, 0.0, 0.0), X),
+        (CombReading(comb, (0.5,) * 11, 0, 0.0, 0.0), X),
+        (CombReading(comb, (2.0, *(0.0,) * 10), 1, 0.0, 0.0), X),  # but on a single block
         (weak, replace(X, uncertainty=0.3)),
         (replace(weak, seen=(9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0)), X),
     ):
-        assert printed_racking(its, x, 140.0, 0.015) is None
+        assert printed_racking(reading, x, 140.0, 0.015) is None
 
 
 def test_racking_follows_acceleration() -> None:
@@ -213,7 +213,7 @@ def test_the_form_of_an_h_bot_asks_for_racking() -> None:
     counts = list(range(1, wall.blocks))
     text = empty.replace(f"seen = {[0] * (wall.blocks - 1)}", f"seen = {counts}")
     found = filled(text.replace("measured = [0, 0, 0]", "measured = [2, 7.5, 3]"), "a.toml")
-    assert found.blocks == Blocks(wall, tuple(map(float, counts)), 2, 7.5, 3.0)
+    assert found.blocks == CombReading(wall, tuple(map(float, counts)), 2, 7.5, 3.0)
     with pytest.raises(HframeError, match="seen needs a number for each block"):
         filled(text.replace("seen = [1, ", "seen = ["), "a.toml")
     with pytest.raises(HframeError, match="and measured three numbers"):

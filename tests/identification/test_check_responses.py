@@ -20,7 +20,7 @@ from hframe_post.identification.checking.run import runs
 from hframe_post.identification.recordings.accelerometer import Recording, oriented
 from hframe_post.identification.verification import motion as verification
 from hframe_post.identification.verification.drifted import drifted
-from hframe_post.identification.verification.verdict import judge
+from hframe_post.identification.verification.verdict import compare_runs
 from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse, transfer_function
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.edit import with_plant
@@ -202,7 +202,7 @@ def verified(machine: Machine, printer: Printer) -> list[tuple[Array, Recording]
 @pytest.mark.parametrize("lead", [0, 32])
 def test_verify_measures_the_reduction(lead: int) -> None:
     both = verified(MACHINE, profile(lead))
-    found = judge(profile(lead), *both)
+    found = compare_runs(profile(lead), *both)
     (plain, _), (compensated, _) = both
     true = 1.0 - traced(MACHINE, plain, compensated) / traced(MACHINE, plain, plain)
     assert found.fault is None

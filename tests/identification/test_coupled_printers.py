@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.arrays import TS, X, Y
 from hframe_post.identification.gather import Gathered
-from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.pages import identification_page
 from hframe_post.identification.report import IdentificationReport
 from tests.coupled_printers import PLACES, another_day, drawn_coupled, runs_of_days
@@ -23,7 +23,7 @@ from tests.resonance_recordings import drawn_sensor
 from tests.simulator import Axis, Machine, Mode
 
 AXIS = Axis((Mode(40.0, 0.1),))  # of no account: only the kinematics are
-SETTINGS = Settings((3.0, 100.0), racks=False)
+SETTINGS = MeasurementSettings((3.0, 100.0), racks=False)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from hframe_post.identification.gather import along_printer, from_folders
 from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.orientation import QUIET
-from hframe_post.identification.responses.measured import Settings
+from hframe_post.identification.responses.measured import MeasurementSettings
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse
@@ -189,7 +189,7 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
         "40, accel_per_hz 75"
     )
     assert used.notes[0].startswith("its time stamps wander by up to 2")
-    groups = uncalibrated_responses(gathered.runs, Settings((3.0, 38.0), racks=False))
+    groups = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 38.0), racks=False))
     for axis, name in enumerate("xy"):
         ((response,),) = ([run.response for run in group.runs] for group in [groups[axis]])
         slow = response.within((10.0, 20.0))

@@ -10,7 +10,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.identification.gather import from_folders
-from hframe_post.identification.identify import Run, Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.excitation import command_csv
 from hframe_post.identification.recordings.known_start import KnownStart
 from hframe_post.identification.recordings.strokes import runs
@@ -39,7 +39,7 @@ def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
     machine, chip, _ = drawn(4)
     exact = machine.exact()
     (run,) = recorded(machine, chip, 4, 30.0)
-    groups = stroke_responses([run], Settings(BAND, racks=False))
+    groups = stroke_responses([run], MeasurementSettings(BAND, racks=False))
     for axis, G in enumerate((exact.Gxx, exact.Gyy)):
         found = groups[axis].runs[0]
         omega = 2.0 * np.pi * TS * found.response.hz
@@ -59,7 +59,7 @@ def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
 def test_linear_printers_are_compensated_as_after_a_sweep(seed: int) -> None:
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
-    settings = Settings(BAND, racks=profile.kinematics.racks)
+    settings = MeasurementSettings(BAND, racks=profile.kinematics.racks)
     by_strokes = identify(recorded(machine, chip, seed, 60.0), settings)
     by_sweep = identify(swept(machine, chip, *places(machine), seed), settings)
     first, second = (

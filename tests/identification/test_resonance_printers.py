@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from hframe_post.identification.identify import Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, identify
 from tests.random_printers import judged, printer
 from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_printer, runs_of_tests
 
@@ -22,7 +22,7 @@ def test_modes_and_rectangle(seed: int) -> None:
     racks = machine.kinematics == "hbot"
     motion = tuple(MOTIONS)[seed // 3 % 3]
     runs = runs_of_tests(machine, chip, motion, seed, PLACES if racks else (140.0,), (140.0,))
-    found = identify(runs, Settings((3.0, 100.0), racks=racks))
+    found = identify(runs, MeasurementSettings((3.0, 100.0), racks=racks))
     assert found.refusal is None
     for name, axis in (("Gxx", machine.x), ("Gyy", machine.y)):
         modes = [hz for hz, _ in found.fits[name].modes]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.identify import Run, Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import Recording
 from tests.random_printers import identified, swept
 from tests.resonance_recordings import START, X, klipper, recorded
@@ -55,7 +55,7 @@ def test_a_second_sensor_tells_whether_the_bed_rocks_as_well(
     bed = recording(Axis((replace(on_bed, share=0.03),)), 1) if on_bed else None
     clock = START - float(nozzle.t[0]), 0.0
     run = Run("x", test.command(), nozzle, calibrated=False, rough_clock=clock, second=bed)
-    rocking = identify([run], Settings((3.0, 100.0), racks=False)).fits["Gxx"].rocking
+    rocking = identify([run], MeasurementSettings((3.0, 100.0), racks=False)).fits["Gxx"].rocking
     assert rocking is not None
     assert rocking.hz == pytest.approx(10.0, rel=0.05)
     assert rocking.shared is shared

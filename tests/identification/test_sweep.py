@@ -11,7 +11,7 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.identification.recordings.excitation import peaks
-from hframe_post.identification.recordings.sweep import Run, gcode, positions, runs, summary
+from hframe_post.identification.recordings.sweep import SweepRun, gcode, positions, runs, summary
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
@@ -35,7 +35,7 @@ def short(tmp_path: Path) -> Path:
     return path
 
 
-def text(printer: Printer, planned: list[Run], chips: tuple[str, ...] = ("adxl345",)) -> str:
+def text(printer: Printer, planned: list[SweepRun], chips: tuple[str, ...] = ("adxl345",)) -> str:
     pieces = gcode(printer, planned, chips, 10.0)
     return b"".join(p.line if isinstance(p, DeferredLine) else p for p in pieces).decode()
 

@@ -13,7 +13,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identified import Identified
-from hframe_post.identification.identify import Run, Settings, identify
+from hframe_post.identification.identify import MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
@@ -65,7 +65,7 @@ def taken(test: ResonanceTest, seed: int, mounting: int, machine: Machine = MACH
 
 def found(*tests: ResonanceTest, mounting: int = 3) -> Identified:
     runs = [run(taken(test, k, mounting), k) for k, test in enumerate(tests, 1)]
-    return identify(runs, Settings((3.0, 100.0), racks=False))
+    return identify(runs, MeasurementSettings((3.0, 100.0), racks=False))
 
 
 def check_modes(result: Identified, name: str, axis: Axis) -> None:
@@ -151,7 +151,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
     gathered = from_folders([tmp_path], KlipperConfig(config), travel)
     assert [one.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
-    group = uncalibrated_responses(gathered.runs, Settings((3.0, 100.0), racks=False))[0]
+    group = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 100.0), racks=False))[0]
     hz = group.runs[0].response.hz
     true = np.abs(MACHINE.exact().Gxx.response(2.0 * np.pi * TS * hz))
     band = (hz > 15.0) & (hz < 75.0)
@@ -179,7 +179,7 @@ def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> N
                    header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
     travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
     runs = from_folders([tmp_path], KlipperConfig(config), travel).runs
-    groups = uncalibrated_responses(runs, Settings((3.0, 100.0), racks=False))
+    groups = uncalibrated_responses(runs, MeasurementSettings((3.0, 100.0), racks=False))
     hz = np.linspace(15.0, 70.0, 56)
     for axis, entry in ((0, MACHINE.exact().Gxx), (1, MACHINE.exact().Gyy)):
         true = entry.response(2.0 * np.pi * TS * hz)
@@ -195,7 +195,7 @@ def test_a_mode_that_x_and_y_share_is_found_where_it_is_no_clear_peak() -> None:
     printer = Coupled((42.0, 58.0), (0.05, 0.05), np.radians(20.0))
     result = identify(
         [coupled_run(printer, direction) for direction in (X, Y)],
-        Settings((3.0, 100.0), racks=False),
+        MeasurementSettings((3.0, 100.0), racks=False),
     )
     for name in ("Gxx", "Gyy"):
         modes = result.fits[name].modes
@@ -226,11 +226,11 @@ def test_one_axis_alone_leaves_the_other_exact() -> None:
 def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> None:
     other = replace(MACHINE, x=replace(HEAD, modes=(Mode(45.0, 0.06, 0.85), HEAD.modes[1])))
     runs = [run(taken(short(X), 1, 3), 1), run(taken(short(X), 2, 3, other), 2)]
-    result = identify(runs, Settings((3.0, 100.0), racks=False))
+    result = identify(runs, MeasurementSettings((3.0, 100.0), racks=False))
     assert 0.1 < result.repetitions["Gxx"].share < 0.4
     assert result.model_error == pytest.approx(2.0 / 46.0, rel=0.5)
     same = [run(taken(short(X), seed, 3), seed) for seed in (1, 2)]
-    result = identify(same, Settings((3.0, 100.0), racks=False))
+    result = identify(same, MeasurementSettings((3.0, 100.0), racks=False))
     assert result.repetitions["Gxx"].share < 0.05
     assert result.model_error == pytest.approx(0.02)
 
@@ -238,7 +238,9 @@ def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> 
 def test_a_printer_too_stiff_to_ring_is_taken_as_such() -> None:
     """Its resonance lies above what the test excites."""
     stiff = Machine(Axis((Mode(240.0, 0.1),)), BED, kinematics="corexy")
-    result = identify([run(taken(short(X), 1, 3, stiff), 1)], Settings((3.0, 100.0), racks=False))
+    result = identify(
+        [run(taken(short(X), 1, 3, stiff), 1)], MeasurementSettings((3.0, 100.0), racks=False)
+    )
     hz = np.linspace(3.0, 60.0, 30)
     model = result.plant(0.0).Gxx.response(2.0 * np.pi * TS * hz)
     true = stiff.exact().Gxx.response(2.0 * np.pi * TS * hz)
@@ -251,4 +253,4 @@ def test_a_recording_of_something_else_is_refused() -> None:
     noise = np.random.default_rng(0).normal(0.0, 2000.0, made.recording.a.shape)
     given = run(replace(made, recording=replace(made.recording, a=noise)), 1)
     with pytest.raises(IdentificationError, match=r"^test: the recording does not follow"):
-        identify([given], Settings((3.0, 100.0), racks=False))
+        identify([given], MeasurementSettings((3.0, 100.0), racks=False))

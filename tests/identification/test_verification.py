@@ -15,7 +15,7 @@ from hframe_post.errors import HframeError
 from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.motion import runs
-from hframe_post.identification.verification.verdict import Verdict, judge
+from hframe_post.identification.verification.verdict import Verdict, compare_runs
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
@@ -42,7 +42,7 @@ def verdict(machine: Playing, profile: Printer, chip: Chip = CHIP) -> tuple[Verd
     both = runs(profile)
     recorded = [oriented(chip.record(machine, run.command, 5 + k), quiet=0.5)
              for k, run in enumerate(both)]  # fmt: skip
-    found = judge(profile, (both[0].command, recorded[0]), (both[1].command, recorded[1]))
+    found = compare_runs(profile, (both[0].command, recorded[0]), (both[1].command, recorded[1]))
     plain, compensated = (traced(machine, both[0].command, run.command) for run in both)
     return found, 1.0 - compensated / plain
 

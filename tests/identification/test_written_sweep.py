@@ -18,7 +18,7 @@ from hframe_post.identification.recordings.clock_sync import (
     moving_samples,
 )
 from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.recordings.sweep import Run
+from hframe_post.identification.recordings.sweep import SweepRun
 from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -49,8 +49,8 @@ def ender(planner: str = "2.1", acceleration: float = 1500.0, jerk: bool = False
     )
 
 
-def at(axis: int, *place: float) -> Run:
-    return Run("run", axis, (place[0], place[1]), np.zeros((1, 2)))
+def at(axis: int, *place: float) -> SweepRun:
+    return SweepRun("run", axis, (place[0], place[1]), np.zeros((1, 2)))
 
 
 def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:

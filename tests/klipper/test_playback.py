@@ -13,7 +13,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.gcode.state import LimitSource
@@ -72,7 +72,7 @@ def lines_played(
     lines: list[bytes], folder: Path, options: Options, printer: Printer | None = None
 ) -> Played:
     printer = printer or profile.load("paper")
-    blocks = list(Commands(iter(lines), printer, options).computed())
+    blocks = list(SampleStream(iter(lines), printer, options).computed())
     output = GcodeConversion(iter(lines), printer, options)
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
     file = folder / "converted.gcode"
@@ -178,7 +178,7 @@ def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
     coupled = replace(paper, plant=coupled_plant(2), invented=False)
     decoupled = replace(coupled, plant=coupled.plant.decoupled())
     lines, options = rectangle(coupled), Options("racking", limits="printer", clamp=True)
-    path = np.concatenate([c.xyze[:, :2] for c in Commands(lines, coupled, options).computed()])
+    path = np.concatenate([c.xyze[:, :2] for c in SampleStream(lines, coupled, options).computed()])
     errors = []
     for printer in (decoupled, coupled):
         run = lines_played(lines, tmp_path, options, printer)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.native.ramps import whole_feeds
@@ -87,7 +87,7 @@ def built(printer: Printer, **how: object) -> Build:
 def intended(lines: list[bytes], printer: Printer) -> Array:
     """Return the command (n, 2) that is to be played."""
     options = Options(printer.compensation.strategy)
-    blocks = Commands(iter(lines), printer, options).computed()
+    blocks = SampleStream(iter(lines), printer, options).computed()
     return np.concatenate([b.commands[options.strategy] for b in blocks])
 
 
@@ -248,7 +248,7 @@ def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
 
     monkeypatch.setattr(MarlinMotion, "feeds", plainly)
     monkeypatch.setattr(MarlinMotion, "durations", lambda self, at, v, *_: 0.0 * v)
-    monkeypatch.setattr("hframe_post.writers.stream.pace.CATCH_UP", 0.0)
+    monkeypatch.setattr("hframe_post.writers.stream.timing.CATCH_UP", 0.0)
     first, late, _ = played(laps(), marlin).track()
     assert abs(drift(first, late)) > 20.0
 
@@ -341,7 +341,7 @@ def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[b
     assert f"{predicted['with_steps']:.1f} µm RMS, of which whole steps leave" in report.as_text()
     one = played(lines, marlin)
     first, late, _ = one.track()
-    whole = join([b for b in Commands(iter(lines), marlin, options).computed() if len(b)])
+    whole = join([b for b in SampleStream(iter(lines), marlin, options).computed() if len(b)])
     n, part = len(whole), slice(int(first[0]), int(first[-1]) + WINDOW)
     t = np.arange(n) * TS + np.interp(np.arange(n), first + WINDOW / 2, late)
     both = {"exact": whole.commands["racking"][part], "played": one.at(t)[part]}

@@ -11,7 +11,7 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.ramps import StreamLimits
@@ -126,7 +126,7 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     right_plant = printer.plant
     wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-    command = join(list(Commands(iter(lines), printer, Options("fbs")).computed()))
+    command = join(list(SampleStream(iter(lines), printer, Options("fbs")).computed()))
     errors = [
         np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
         for plant in (right_plant, wrong_plant)

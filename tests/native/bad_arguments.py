@@ -158,7 +158,7 @@ def right() -> dict[str, Arguments]:
             floats(5, 4), floats(5, 2), 5, floats(2, 2), floats(8), floats(2, 2), 1e-3, floats(4),
         ],
         "sliding_sums": [floats(3), 3, floats(2 + 40), 40, floats(40)],
-        "stand": [floats(7), floats(2, 4), 0, 5, 4, 1e-3, floats(5, 4)],
+        "move_at_rest": [floats(7), floats(2, 4), 0, 5, 4, 1e-3, floats(5, 4)],
         "too_thick": [
             floats(9, 4), 9, numbers(3, 6, 8), 3, 0.4, 0.1, 2.4, zeros(3), floats(1), floats(2, 3),
         ],

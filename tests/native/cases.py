@@ -127,7 +127,7 @@ def samples(rng: Rng) -> Iterator[Call]:
     yield sampling.follow, s, rng.normal(0.0, 100.0, (n + 1, 4)), places
 
 
-def standing_moves(rng: Rng) -> Iterator[Call]:
+def moves_at_rest(rng: Rng) -> Iterator[Call]:
     """Retractions and lifts, from rest or not."""
     length, acceleration = float(rng.uniform(0.01, 5.0)), float(rng.choice([100.0, 2000.0]))
     most = min(40.0, math.sqrt(length * acceleration / 2.0))
@@ -136,7 +136,7 @@ def standing_moves(rng: Rng) -> Iterator[Call]:
     lifts, count = rng.random() < 0.5, sampling.samples_until(way.seconds)
     z, e = (0.3 + length, 9.5) if lifts else (0.3, 10.0 - length)
     ends = np.array([[1.0, 2.0, 0.3, 10.0], [1.0, 2.0, z, e]])
-    yield sampling.stand, way.row, ends, 1, count, count
+    yield sampling.move_at_rest, way.row, ends, 1, count, count
 
 
 # ---------------------------------------------------------------------- prediction, compensation
@@ -263,15 +263,15 @@ def solver(coupled: bool) -> StopSolver:
 
 def stops(rng: Rng) -> Iterator[Call]:
     """At speeds and next to edges of the bed that need the bounds."""
-    a, hold = 250, int(rng.choice([0, 1, 2, 30, 70, 1000]))
+    a, dwell = 250, int(rng.choice([0, 1, 2, 30, 70, 1000]))
     step = np.repeat(rng.normal(0.0, rng.choice([0.01, 0.1, 0.3]), (40, 2)), 20, axis=0)
     step += rng.normal(0.0, 0.01, step.shape) * rng.choice([0.0, 1.0])
-    step[a : a + hold] = 0.0
-    path = np.concatenate([np.cumsum(step, axis=0), np.tile(step.sum(axis=0), (hold, 1))])
+    step[a : a + dwell] = 0.0
+    path = np.concatenate([np.cumsum(step, axis=0), np.tile(step.sum(axis=0), (dwell, 1))])
     around = Surroundings(path, rng.choice([0.5, 100.0], 2), rng.random(len(path)) < rng.random())
     before, after = rng.integers(0, 101, 2).tolist()
-    movable = hold > 0 and rng.random() < 0.5
-    stop = Stop(a, a + hold, before, after, movable, a + hold + after + 1)
+    movable = dwell > 0 and rng.random() < 0.5
+    stop = Stop(a, a + dwell, before, after, movable, a + dwell + after + 1)
     own = solver(bool(rng.random() < 0.5))
     known = own.around.at_rest(np.zeros(2), around.origin)
     known.run(path[: a - 100])
@@ -291,7 +291,7 @@ def motions(rng: Rng) -> Iterator[Call]:
 
 
 def thick_segments(rng: Rng) -> Iterator[Call]:
-    """Some segments extrude ten times as much as the others, and some stand still."""
+    """Some segments extrude ten times as much as the others, and some are at rest."""
     ends = np.cumsum(rng.integers(1, 40, size(rng, 60)))
     steps = rng.uniform(0.0, 0.1, (int(ends[-1]) + 1, 4)) * (1.0, 1.0, 0.0, 0.04)
     lays = rng.random() < rng.choice([0.0, 0.3, 1.0])
@@ -350,7 +350,7 @@ def joined_blocks(rng: Rng) -> Iterator[Call]:
 
 
 def moves_in_steps(rng: Rng) -> Iterator[Call]:
-    """Some blocks stand in x and y, some in all, and some turn straight back."""
+    """Some blocks rest in x and y, some in all, and some turn straight back."""
     k, deviation = size(rng, 40), float(rng.choice([0.3, np.inf]))
     moves = rng.normal(0.0, 1.0, (k, 4)) * (rng.random((k, 4)) < rng.choice([0.5, 0.9]))
     moves[rng.random(k) < 0.2] = moves[0] * rng.choice([1.0, -1.0])
@@ -361,7 +361,7 @@ def moves_in_steps(rng: Rng) -> Iterator[Call]:
 
 
 def motor_steps(rng: Rng) -> Iterator[Call]:
-    """Motors chatter about their places, turn a few steps apart, and stand."""
+    """Motors chatter about their places, turn a few steps apart, and rest."""
     n = size(rng, 600)
     speed = rng.uniform(0.0, 4.0) * np.sin(np.arange(n)[:, None] * rng.uniform(0.0, 0.3, 2))
     steps = np.rint(speed + rng.normal(0.0, rng.choice([0.1, 0.6]), (n, 2))).astype(np.int64)
@@ -396,7 +396,7 @@ CASES: dict[Case, tuple[str, ...]] = {
     runs: ("phases",),
     changes_of_speed: ("ramps", "misses"),
     samples: ("path_lengths", "follow"),
-    standing_moves: ("stand",),
+    moves_at_rest: ("move_at_rest",),
     nozzles: ("count_turns", "deviation", "moving"),
     drawn_lines: ("line_pieces",),
     pieces: ("joined_pieces",),

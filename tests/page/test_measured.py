@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.page.measured import MOST_POINTS, Card, Chart, Line, Section, page
+from hframe_post.page.measured import MOST_POINTS, Card, Chart, Curve, Section, page
 from tests.chromium import Browser
 from tests.page.pages import check_readable, data_of
 
@@ -16,8 +16,8 @@ HZ = np.geomspace(3.0, 100.0, 5000)
 
 
 def built(name: str = "my printer") -> bytes:
-    resonance = Line("x = 80 mm", HZ, 1.0 / np.abs(1.0 - (HZ / 30.0) ** 2 + 0.1j * HZ / 30.0))
-    gap = Line(name, np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]), "var(--ink)", strong=True)
+    resonance = Curve("x = 80 mm", HZ, 1.0 / np.abs(1.0 - (HZ / 30.0) ** 2 + 0.1j * HZ / 30.0))
+    gap = Curve(name, np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]), "var(--ink)", strong=True)
     charts = [
         Chart("Magnitude", "frequency, Hz", "1", [resonance], (True, True)),
         Chart(name, "time, s", "mm", [gap], (False, False)),

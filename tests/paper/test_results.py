@@ -137,7 +137,7 @@ def test_eq_18_minimises_both_errors_at_once(plant: Plant) -> None:
 def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     """Both controls are then the inverse of the lifted system, eq. 21.
 
-    The inverse needs a plant that answers at once: the model's delay of one sample is taken
+    The inverse needs a plant that responds at once: the model's delay of one sample is taken
     out, and the path is short because the inverse of a non-minimum-phase zero grows.
     """
 

@@ -21,10 +21,10 @@ from hframe_post.stream.types import (
     Handling,
     Item,
     Mark,
+    MoveAtRest,
     Moves,
     Passthrough,
     Plan,
-    Standing,
 )
 from tests.planner.planning import (
     INF,
@@ -324,7 +324,7 @@ def test_pass_through_line_at_rest_is_unchanged() -> None:
 @pytest.mark.parametrize(
     "item",
     [
-        Standing(3, (5, 0, 0, 0), (5, 0, 0, -1), 30.0),
+        MoveAtRest(3, (5, 0, 0, 0), (5, 0, 0, -1), 30.0),
         Passthrough(3, b"M400", Handling.REST, STATE),
         Passthrough(3, b"G28", Handling.RELEASE, STATE),
     ],

@@ -21,17 +21,17 @@ from hframe_post.planner.profiles import Profiler
 from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
+    Dwell,
     Handling,
     Item,
     Mark,
+    MoveAtRest,
     Moves,
     Passthrough,
-    Pause,
     Plan,
     Rest,
-    Rests,
     Samples,
-    Standing,
+    StopRules,
 )
 from tests.planner.planning import (
     LIMITS,
@@ -50,7 +50,7 @@ from tests.planner.planning import (
     seeds,
 )
 
-RESTS = Rests(before=7, after=3, long_rest=5)
+RESTS = StopRules(before=7, after=3, long_rest=5)
 FIRST = 1 + RESTS.long_rest  # samples from where the first motion starts
 DRIFT = 1.5e-6  # mm; what a run may miss its end by
 BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almost nothing
@@ -59,7 +59,7 @@ BACK = 1e-5  # mm by which Ruckig may step back where speed and length are almos
 def sampled(
     items: Iterable[Item],
     limits: Limits = LIMITS,
-    rests: Rests = RESTS,
+    rests: StopRules = RESTS,
     size: int = SAMPLES_PER_CHUNK,
 ) -> list[Samples]:
     return list(sample(plan(items, limits), limits, rests, size))
@@ -227,9 +227,9 @@ def test_marks_are_at_the_first_sample_from_their_vertex_on(seed: int, n: int) -
 def test_marked_vertex_just_before_a_stop_leaves_the_end_exact() -> None:
     """The last move is so short that the mark before it falls on the sample of the stop."""
     item = moves(line((10, 0, 0, 1), (0.0005, 0, 0, 0.001)), marks=(Mark(1, b";TYPE:SKIN"),))
-    blocks = sampled([item, Standing(9, (10.0005, 0, 0, 1.001), (10.0005, 0, 0, 0), 30.0)])
+    blocks = sampled([item, MoveAtRest(9, (10.0005, 0, 0, 1.001), (10.0005, 0, 0, 0), 30.0)])
     xyze, events = whole(blocks)
-    (pause,) = (e for e in events if isinstance(e, Pause))
+    (pause,) = (e for e in events if isinstance(e, Dwell))
     np.testing.assert_array_equal(xyze[pause.index - 1], [10.0005, 0, 0, 1.001])
 
 
@@ -242,7 +242,7 @@ def test_pass_through_line_at_rest_is_at_the_present_sample() -> None:
 
 # ---------------------------------------------------------------------- rests and pauses
 
-RETRACT = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
+RETRACT = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
 YIELD = Passthrough(5, b"G28", Handling.RELEASE, STATE)
 DWELL = Passthrough(6, b"G4 P12.5", Handling.REST, STATE, seconds=0.0125)
 
@@ -257,14 +257,14 @@ def test_motion_and_pauses_have_standstill_between_them() -> None:
     assert first == Rest(1, RESTS.long_rest)
     assert isinstance(before, Rest)
     assert before.samples == RESTS.before
-    assert isinstance(pause, Pause)
+    assert isinstance(pause, Dwell)
     assert pause.index == before.index + RESTS.before
     assert pause.action is RETRACT
 
 
 def test_nothing_is_added_where_the_command_needs_none() -> None:
-    xyze, events = whole(sampled([there(), DWELL, there(50.0)], rests=Rests()))
-    assert [type(e) for e in events] == [Pause]
+    xyze, events = whole(sampled([there(), DWELL, there(50.0)], rests=StopRules()))
+    assert [type(e) for e in events] == [Dwell]
     rested, with_rests = whole(sampled([there(), DWELL, there(50.0)]))
     added = sum(e.samples for e in with_rests if isinstance(e, Rest))
     assert added == RESTS.long_rest + RESTS.before + RESTS.after
@@ -273,10 +273,10 @@ def test_nothing_is_added_where_the_command_needs_none() -> None:
 
 def test_pauses_in_a_row_have_one_rest_around_them() -> None:
     xyze, events = whole(sampled([there(), RETRACT, DWELL, there(50.0)]))
-    assert [type(e) for e in events] == [Rest, Rest, Pause, Pause, Rest]
+    assert [type(e) for e in events] == [Rest, Rest, Dwell, Dwell, Rest]
     first, second, after = events[2:]
-    assert isinstance(first, Pause)
-    assert isinstance(second, Pause)
+    assert isinstance(first, Dwell)
+    assert isinstance(second, Dwell)
     assert isinstance(after, Rest)
     assert after.samples == RESTS.after
     assert second.index == first.index + first.samples
@@ -287,7 +287,7 @@ def test_pauses_in_a_row_have_one_rest_around_them() -> None:
 def test_machine_stands_during_rests() -> None:
     xyze, events = whole(sampled([there(), DWELL, there(50.0)]))
     for event in events:
-        if isinstance(event, Rest | Pause):
+        if isinstance(event, Rest | Dwell):
             # (0, 0) before the first motion, (50, 0) later
             expected = 0.0 if event.index == 1 else 50.0
             part = xyze[event.index : event.index + event.samples]
@@ -297,11 +297,11 @@ def test_machine_stands_during_rests() -> None:
 
 def test_nothing_is_added_before_the_first_motion() -> None:
     events = whole(sampled([RETRACT]))[1]
-    assert [type(e) for e in events] == [Pause]
+    assert [type(e) for e in events] == [Dwell]
 
 
 def test_dwell_lasts_whole_samples_and_keeps_its_exact_time() -> None:
-    (pause,) = (e for e in whole(sampled([there(), DWELL]))[1] if isinstance(e, Pause))
+    (pause,) = (e for e in whole(sampled([there(), DWELL]))[1] if isinstance(e, Dwell))
     assert (pause.samples, pause.exact) == (13, 0.0125)
 
 
@@ -316,20 +316,20 @@ def test_released_machine_ends_its_stretch_and_starts_from_where_the_file_says()
 
 # ---------------------------------------------------------------------- lifts
 
-LIFT = Standing(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
+LIFT = MoveAtRest(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
 LABEL = b"; printing object a"
 PASSING = replace(RESTS, lift_speed=2.0 / SPARED, needs_rest=LABEL.__eq__)
 
 
-def lift_of(items: Iterable[Item], rests: Rests = PASSING) -> tuple[Pause, Array, list[object]]:
+def lift_of(items: Iterable[Item], rests: StopRules = PASSING) -> tuple[Dwell, Array, list[object]]:
     xyze, events = whole(sampled(items, rests=rests))
-    (lift,) = (e for e in events if isinstance(e, Pause) and e.action is LIFT)
+    (lift,) = (e for e in events if isinstance(e, Dwell) and e.action is LIFT)
     return lift, xyze[lift.index - 1 : lift.index + lift.samples, Z], events
 
 
 def test_a_lift_passes_from_motion_and_into_it() -> None:
     lift, z, events = lift_of([there(), LIFT, there(50.0)])
-    assert [type(e) for e in events] == [Rest, Pause]  # that at the beginning
+    assert [type(e) for e in events] == [Rest, Dwell]  # that at the beginning
     assert lift.entry == lift.leaving == pytest.approx(2.0)
     speed = np.diff(z) / TS
     assert 2.0 <= speed[0] <= 3.0  # and half a millisecond of 1000 mm/s² beside it
@@ -368,7 +368,7 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
     (pause,) = (
         e
         for e in whole(sampled([there(), primed, there(50.0)], rests=PASSING))[1]
-        if isinstance(e, Pause)
+        if isinstance(e, Dwell)
     )
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
 
@@ -385,7 +385,7 @@ def test_a_short_lift_passes_no_faster_than_it_can() -> None:
     (pause,) = (
         e
         for e in whole(sampled([there(), short, there(50.0)], rests=PASSING))[1]
-        if isinstance(e, Pause)
+        if isinstance(e, Dwell)
     )
     assert 0.0 < pause.entry == pause.leaving < 2.0
 
@@ -396,18 +396,18 @@ MOVING = replace(RESTS, retract_acceleration=300.0)
 
 
 def with_retraction(
-    length: float, rests: Rests = MOVING, size: int = 100
+    length: float, rests: StopRules = MOVING, size: int = 100
 ) -> tuple[Array, list[object]]:
     """Return samples and events of: print, retract, travel 50 mm at 100 mm/s, print."""
     e = 2.0 - length
-    back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
+    back = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
     after = moves([(50, 0, 0.2, e), (100, 0, 0.2, e), (100, 50, 0.2, e + 3.0)])
     return whole(sampled([there(), back, *cut(after, size)], rests=rests))
 
 
 def test_a_retraction_during_travel_takes_all_of_its_filament() -> None:
     xyze, events = with_retraction(0.8)
-    assert not [e for e in events if isinstance(e, Pause)]
+    assert not [e for e in events if isinstance(e, Dwell)]
     e, x = xyze[:, E], xyze[:, 0]
     rate = np.diff(e) / TS
     travel = (x[1:] > 50.0) & (xyze[1:, 1] == 0.0)
@@ -416,32 +416,32 @@ def test_a_retraction_during_travel_takes_all_of_its_filament() -> None:
     assert e[np.argmax(xyze[:, 1] > 0.0) - 1] == pytest.approx(1.2)  # before it prints again
     assert e[-1] == pytest.approx(4.2)
     stood, with_pause = with_retraction(0.8, RESTS)
-    assert len([e for e in with_pause if isinstance(e, Pause)]) == 1
+    assert len([e for e in with_pause if isinstance(e, Dwell)]) == 1
     assert len(xyze) < len(stood) - 30
     np.testing.assert_array_equal(xyze[-1], stood[-1])
 
 
 def test_a_retraction_is_made_at_rest_where_the_travel_is_too_short_or_follows_no_motion() -> None:
     _, events = with_retraction(30.0)
-    assert len([e for e in events if isinstance(e, Pause)]) == 1
-    back = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
+    assert len([e for e in events if isinstance(e, Dwell)]) == 1
+    back = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
     for before in (list[Item](), [there(), DWELL], [there(), LIFT]):
         _, events = whole(sampled([*before, back, there(50.0)], rests=MOVING))
-        assert [e for e in events if isinstance(e, Pause) and e.action is back]
+        assert [e for e in events if isinstance(e, Dwell) and e.action is back]
 
 
 def test_filament_is_primed_at_rest() -> None:
-    primed = Standing(4, (50, 0, 0.2, 2), (50, 0, 0.2, 2.8), 45.0)
+    primed = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, 2.8), 45.0)
     _, events = whole(sampled([there(), primed, there(50.0)], rests=MOVING))
-    assert [e for e in events if isinstance(e, Pause)]
+    assert [e for e in events if isinstance(e, Dwell)]
 
 
-def standing(start: Array, end: Array, speed: float) -> tuple[Pause, Array]:
-    action = Standing(1, tuple(start.tolist()), tuple(end.tolist()), speed)
+def standing(start: Array, end: Array, speed: float) -> tuple[Dwell, Array]:
+    action = MoveAtRest(1, tuple(start.tolist()), tuple(end.tolist()), speed)
     blocks = sampled([action])
     xyze, events = whole(blocks)
     pause = events[0]
-    assert isinstance(pause, Pause)
+    assert isinstance(pause, Dwell)
     return pause, xyze[pause.index : pause.index + pause.samples]
 
 
@@ -503,14 +503,16 @@ def test_standing_move_keeps_its_axis_limits(distance: float, axis: int, speed: 
 
 
 def test_chunks_stay_short_however_long_the_machine_stands() -> None:
-    feeds = [Standing(k, (0, 0, 0, 900.0 * k), (0, 0, 0, 900.0 * (k + 1)), 60.0) for k in range(9)]
+    feeds = [
+        MoveAtRest(k, (0, 0, 0, 900.0 * k), (0, 0, 0, 900.0 * (k + 1)), 60.0) for k in range(9)
+    ]
     sizes = [len(block) for block in sampled(feeds)]
     assert sum(sizes) > 4 * SAMPLES_PER_CHUNK
     assert max(sizes) < 2 * SAMPLES_PER_CHUNK
 
 
 def test_chunks_stay_short_however_long_one_move_lasts_at_rest() -> None:
-    lift = Standing(1, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.0, 0.0), 3.0)
+    lift = MoveAtRest(1, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.0, 0.0), 3.0)
     sizes = [len(block) for block in sampled([lift], size=500)]
     assert sum(sizes) > 3000, "samples"
     assert max(sizes) <= 500 + FIRST, "samples in a chunk"
@@ -536,7 +538,7 @@ def mixed() -> list[Item]:
         at = points[-1]
         start = (float(at[0]), float(at[1]), float(at[2]), float(at[3]))
         end = (start[0], start[1], start[2] + 0.2, start[3] - 0.3 * k)
-        items += [Standing(k, start, end, 20.0), DWELL, carried(b";LAYER")]
+        items += [MoveAtRest(k, start, end, 20.0), DWELL, carried(b";LAYER")]
         at = np.array(end)
         if k == 1:
             items.append(YIELD)
@@ -588,11 +590,11 @@ def test_chunks_are_contiguous_finite_and_read_only() -> None:
 def test_filament_and_places_of_rest_are_those_of_the_file() -> None:
     items = mixed()
     xyze, events = whole(sampled(items))
-    stands = [item for item in items if isinstance(item, Standing)]
-    pauses = [e for e in events if isinstance(e, Pause) and isinstance(e.action, Standing)]
+    stands = [item for item in items if isinstance(item, MoveAtRest)]
+    pauses = [e for e in events if isinstance(e, Dwell) and isinstance(e.action, MoveAtRest)]
     assert [p.action for p in pauses] == stands
     for pause in pauses:
-        assert isinstance(pause.action, Standing)
+        assert isinstance(pause.action, MoveAtRest)
         np.testing.assert_array_equal(xyze[pause.index - 1, :2], pause.action.start[:2])
         np.testing.assert_array_equal(xyze[pause.index + pause.samples - 1], pause.action.end)
     assert xyze[-1, E] == stands[-1].end[E]

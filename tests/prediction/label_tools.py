@@ -7,11 +7,11 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import Labels
 from hframe_post.stream.types import (
+    Dwell,
     Handling,
     Mark,
     ModalState,
     Passthrough,
-    Pause,
     Samples,
 )
 
@@ -26,7 +26,7 @@ def block(
     xyze = np.zeros((len(e), 4))
     xyze[:, 3] = e
     events = tuple(
-        Pause(first + k, 0, Passthrough(1, text, Handling.REST, STATE))
+        Dwell(first + k, 0, Passthrough(1, text, Handling.REST, STATE))
         if paused
         else Mark(first + k, text)
         for k, text in comments

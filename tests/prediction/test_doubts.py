@@ -11,7 +11,7 @@ import pytest
 from hframe_post import native
 from hframe_post.arrays import Array, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant, nozzle
@@ -120,7 +120,7 @@ def as_measured(drift: float) -> Printer:
 
 def predicted(printer: Printer) -> tuple[ContourErrors, Samples]:
     """Return the error of a rectangle, and the commands that make it."""
-    commands = Commands(rectangle(printer), printer, Options("fbs", ("fbs",), clamp=True))
+    commands = SampleStream(rectangle(printer), printer, Options("fbs", ("fbs",), clamp=True))
     chunks = list(commands)
     (chunk,) = [each for each in chunks if len(each) > 1000]
     return commands.report().contour["fbs"], chunk

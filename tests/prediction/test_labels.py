@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hframe_post.prediction.statistics import BEFORE, TRAVEL, Labels
 from hframe_post.stream.chunks import part
 from hframe_post.stream.types import (
-    Pause,
+    Dwell,
+    MoveAtRest,
     Samples,
-    Standing,
 )
 from tests.prediction.label_tools import block, names, printing
 
@@ -97,7 +97,7 @@ def test_comments_between_stops_count_like_those_in_motion() -> None:
     comments = [(1, b";LAYER:2"), (2, b";TYPE:FILL")]
     marked, paused = (names([block(printing(4), *comments, paused=p)]) for p in (False, True))
     assert marked == paused
-    retraction = Pause(0, 0, Standing(1, (0, 0, 0, 1), (0, 0, 0, 0), 30.0))
+    retraction = Dwell(0, 0, MoveAtRest(1, (0, 0, 0, 1), (0, 0, 0, 0), 30.0))
     still = Samples(0, np.ones((1, 4)), np.zeros(1, np.int64), (retraction,))
     assert names([still]) == ([BEFORE], [BEFORE])
 

@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.arrays import Array, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.native.line_width import line_pieces
 from hframe_post.prediction.line_width import PIECE
 from hframe_post.printer.settings import Printer
@@ -90,7 +90,7 @@ def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
 @pytest.mark.paper
 def test_compensation_keeps_the_line_even(paper: Printer) -> None:
     """The rectangle on an exact model, without pressure: 22 % without compensation."""
-    commands = Commands(rectangle(paper), paper, Options("racking", ("none", "racking")))
+    commands = SampleStream(rectangle(paper), paper, Options("racking", ("none", "racking")))
     assert len(list(commands))
     width = commands.report().width
     assert 0.20 < width["none"].rms < 0.24

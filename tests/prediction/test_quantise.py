@@ -13,7 +13,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.prediction.predict import quantise, stepped
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.types import Handling, ModalState, Passthrough, Pause, Samples
+from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 
 STEPS = Steps(belt=0.0206, z=0.0025, e=0.0024, clock_hz=40_000.0)
 STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
@@ -97,7 +97,7 @@ def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
     line = Passthrough(1, b"G28", Handling.RELEASE, STATE)
     for number, n in enumerate(sizes):
         xy = command[first : first + n]
-        events = (Pause(first + n, 0, line),) if number == yields else ()
+        events = (Dwell(first + n, 0, line),) if number == yields else ()
         xyze, lines = np.pad(xy, ((0, 0), (0, 2))), np.zeros(n, np.int64)
         commands = {"racking": xy, "none": xy + 0.003}
         cut.append(Samples(first, xyze, lines, events, commands, number == yields))

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array
 from hframe_post.stream.chunks import branches, join, part, smaller, stretches, with_neighbours
 from hframe_post.stream.types import (
+    Dwell,
     Event,
     Handling,
     Mark,
     ModalState,
     Passthrough,
-    Pause,
     Samples,
     frozen,
 )
@@ -150,7 +150,7 @@ def test_neighbours_are_given_as_soon_as_they_are_known(after: int, read: int) -
 
 def yielding(block: Samples, handling: Handling = Handling.RELEASE) -> Samples:
     action = Passthrough(1, b"G28", handling, STATE)
-    events: tuple[Event, ...] = (*block.events, Pause(block.end, 0, action))
+    events: tuple[Event, ...] = (*block.events, Dwell(block.end, 0, action))
     return replace(block, events=events, ends_stretch=handling is Handling.RELEASE)
 
 

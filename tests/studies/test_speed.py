@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
@@ -70,7 +70,7 @@ def test_less_error_takes_more_time_and_both_less_than_the_file(
 
 def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, float]]:
     """Convert again; return the seconds, and the 95th percentile of the error (mm) by feature."""
-    commands = Commands(cube(), fast.printer, fast.options)
+    commands = SampleStream(cube(), fast.printer, fast.options)
     labels, errors = Labels(), dict[str, ErrorStatistics]()
     for judgement in judge(commands, plant, every):
         layer, feature = (numbers[judgement.at] for numbers in labels.number(judgement.chunk))

@@ -20,14 +20,14 @@ from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.printer.profile import load
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import (
+    Dwell,
     Event,
     Handling,
     Mark,
     ModalState,
+    MoveAtRest,
     Passthrough,
-    Pause,
     Samples,
-    Standing,
     frozen,
 )
 from hframe_post.writers.stream.gcode import GcodeWriter
@@ -89,14 +89,14 @@ def stream(parts: list[tuple[str, int]], seed: int = 0) -> Samples:
             )
             if kind == "wait":
                 made = np.tile(at, (n, 1))
-                action: Standing | Passthrough = Passthrough(
+                action: MoveAtRest | Passthrough = Passthrough(
                     0, b"G4 P%d" % n, Handling.REST, STATE, n * TS
                 )
-                events.append(Pause(index, n, action, n * TS))
+                events.append(Dwell(index, n, action, n * TS))
             else:
                 made = np.linspace(at, end, 41)[1:]
-                action = Standing(0, tuple(at.tolist()), tuple(end.tolist()), 30.0)
-                events.append(Pause(index, 40, action, 0.0395))
+                action = MoveAtRest(0, tuple(at.tolist()), tuple(end.tolist()), 30.0)
+                events.append(Dwell(index, 40, action, 0.0395))
         if len(made):
             rows.append(made)
             at, index = made[-1], index + len(made)
@@ -183,7 +183,7 @@ def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Parts) -> N
     released = Passthrough(7, b"M600", Handling.RELEASE, STATE)
     moving, onward = stream([("move", 300)]), stream([("move", 300)], seed=9)
     end = len(moving)
-    first = Samples(0, moving.xyze, moving.line, (Pause(end, 0, released),), moving.commands, True)
+    first = Samples(0, moving.xyze, moving.line, (Dwell(end, 0, released),), moving.commands, True)
     second = Samples(end, onward.xyze, onward.line, (), onward.commands, True)
     lines = text([first, second], klipper)[0].splitlines()
     row = lines.index(b"M600")

@@ -16,7 +16,7 @@ from hframe_post.model.plant import Filter
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Handling, Pause, Samples
+from hframe_post.stream.types import Dwell, Handling, Samples
 from hframe_post.writers.samples import COLUMNS, as_csv, tabulate, write_npz
 from tests.step_tools import block, line
 
@@ -62,7 +62,7 @@ def test_printer_that_does_not_rack_has_no_theta(commands: Callable[[str], Sampl
 
 def test_prediction_starts_anew_after_a_yield(paper: Printer) -> None:
     moving = np.column_stack([np.linspace(100, 101, 50), np.full(50, 50.0), np.zeros((50, 2))])
-    home = Pause(50, 0, line(b"G28", Handling.RELEASE))
+    home = Dwell(50, 0, line(b"G28", Handling.RELEASE))
     second = moving + np.array([50.0, 0.0, 0.0, 0.0])
     first, again = tabulate([block(moving, 0, (home,)), block(second, 50)], "none", paper.plant)
     np.testing.assert_array_equal(column(again, "x_d"), column(first, "x_d") + 50.0)

@@ -14,7 +14,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.types import Event, Handling, Mark, Pause, Standing
+from hframe_post.stream.types import Dwell, Event, Handling, Mark, MoveAtRest
 from hframe_post.writers import steps
 from tests.step_tools import Stepping, block, line, stepped
 
@@ -183,7 +183,7 @@ def moving(start: float, stop: float, n: int) -> Array:
 def test_waiting_passes_as_time_and_lines_at_rest_part_the_steps() -> None:
     there, back = at_rest_around(moving(0, 5, 50)), at_rest_around(moving(5, 0, 50))
     path = np.concatenate([there, np.tile(there[-1], (20, 1)), back])
-    wait = Pause(len(there), 20, line(b"G4 P20", Handling.REST, 0.02), 0.02)
+    wait = Dwell(len(there), 20, line(b"G4 P20", Handling.REST, 0.02), 0.02)
     done = stepped([block(path, events=(wait,))], TABLE)
     (note,) = done.notes
     assert (note.tick, note.handling, note.text) == (len(there) * PER_SAMPLE, "rest", b"G4 P20")
@@ -198,7 +198,7 @@ def test_step_that_is_late_still_comes_before_a_line_at_rest() -> None:
     path = np.zeros((6, 4))
     path[1:, 0] = [0.3, 0.6, 0.59, 0.585, 0.585]
     table = Steps(0.02, 0.0025, 0.0024, 40_000.0, 1.5e-3)
-    wait = Pause(6, 0, line(b"M400", Handling.REST))
+    wait = Dwell(6, 0, line(b"M400", Handling.REST))
     after = block(path[::-1].copy(), 6)
     done = stepped([block(path, events=(wait,)), after], table)
     at = done.notes[0].tick
@@ -211,16 +211,16 @@ def test_step_that_is_late_still_comes_before_a_line_at_rest() -> None:
 def test_lift_is_stepped_in_z() -> None:
     path = np.zeros((40, 4))
     path[10:30, 2], path[30:, 2] = np.linspace(0, 0.3, 20), 0.3
-    lift = Standing(5, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.3, 0.0), 15.0)
-    done = stepped([block(path, events=(Pause(10, 20, lift, 0.02),))], TABLE)
+    lift = MoveAtRest(5, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.3, 0.0), 15.0)
+    done = stepped([block(path, events=(Dwell(10, 20, lift, 0.02),))], TABLE)
     assert done.counts.net.tolist() == [0, 0, 120, 0]
     assert not done.notes
 
 
 def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:
     first, second = at_rest_around(moving(0, 5, 50)), at_rest_around(moving(100, 90, 50))
-    home = Pause(len(first), 0, line(b"G28", Handling.RELEASE))
-    end = Pause(len(first) + len(second), 0, line(b"", Handling.RELEASE))
+    home = Dwell(len(first), 0, line(b"G28", Handling.RELEASE))
+    end = Dwell(len(first) + len(second), 0, line(b"", Handling.RELEASE))
     blocks = [block(first, events=(home,)), block(second, len(first), (Mark(60, b";a"), end))]
     done = stepped(blocks, TABLE)
     assert [start.position[0] for start in done.starts] == [0, 5000]
@@ -238,7 +238,7 @@ def test_steps_do_not_depend_on_how_the_stream_is_cut(
 ) -> None:
     path = swinging(300)
     marks = tuple(Mark(k, b"%d" % k) for k in range(0, 300, 7))
-    wait = Pause(150, 0, line(b"M400", Handling.REST))
+    wait = Dwell(150, 0, line(b"M400", Handling.REST))
     events: tuple[Event, ...] = tuple(sorted([*marks, wait], key=lambda event: event.index))
     whole = stepped([block(path, events=events)], TABLE)
     monkeypatch.setattr(steps, "SAMPLES_AT_ONCE", size)

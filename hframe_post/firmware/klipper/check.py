@@ -21,7 +21,7 @@ CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
 
 
-class Difference(NamedTuple):
+class ConfigDifference(NamedTuple):
     """A difference of printer.cfg from the profile, and whether it is wrong.
 
     key: of the profile, if `setup` finds its value in printer.cfg.
@@ -62,12 +62,12 @@ def check(
         yield Finding(False, warning)
 
 
-def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
     has = config.text("printer", "kinematics")
     needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
     if has != needs:
         text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
-        yield Difference(True, "printer", "kinematics", text, "kinematics.type")
+        yield ConfigDifference(True, "printer", "kinematics", text, "kinematics.type")
 
 
 def _speed_and_acceleration(config: KlipperConfig) -> tuple[float, float]:
@@ -117,7 +117,7 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
     return pairs
 
 
-def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
     for key, wanted, section, option, default in _repeated(config, printer):
         has = config.number(section, option, default)
         if config.missing and not config.text(section, option):
@@ -125,23 +125,23 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         if math.isnan(has):
             line = f"'{option}: {wanted:g}', the profile's {key}"
             text = f"has no {option}, so Klipper chooses it: add {line}"
-            yield Difference(False, section, option, text)
+            yield ConfigDifference(False, section, option, text)
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
             text = f"{option}: {has:g}{given}, but {key} = {wanted:g}"
-            yield Difference(True, section, option, text, key)
+            yield ConfigDifference(True, section, option, text, key)
 
 
-def _steps(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+def _steps(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
     expected = printer.steps.belt if printer.steps is not None else math.nan
     for motor in ("stepper_x", "stepper_y") if printer.steps is not None else ():
         step = config.step(motor)
         if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
             text = f"steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
-            yield Difference(True, motor, "rotation_distance", text, "steps.belt")
+            yield ConfigDifference(True, motor, "rotation_distance", text, "steps.belt")
 
 
-def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
+def _travel(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
     for axis in "xyz":
         low, high = getattr(printer.travel, axis)
         section = f"stepper_{axis}"
@@ -153,12 +153,12 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[Difference]:
         ):
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
-                yield Difference(True, section, option, text, f"travel.{axis}")
+                yield ConfigDifference(True, section, option, text, f"travel.{axis}")
 
 
 def _above(
     config: KlipperConfig, printer: Printer, chosen: Collection[str]
-) -> Iterator[Difference]:
+) -> Iterator[ConfigDifference]:
     """Yield limits above those that `setup` derives from max_velocity and max_accel."""
     speed, acceleration = (Known(value, "") for value in _speed_and_acceleration(config))
     belts = motors(printer.kinematics.type, speed, acceleration, corner_in(config))
@@ -180,7 +180,7 @@ def _above(
             if above:
                 has = config.text("printer", option)
                 text = f"{option}: {has}, but the profile has {' and '.join(above)}, {who}"
-                yield Difference(who != "as you chose", "printer", option, text)
+                yield ConfigDifference(who != "as you chose", "printer", option, text)
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:

@@ -12,13 +12,13 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import labels_object, table_of
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.klipper.segments import sparser, thinned
-from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Rejoined, Stroke, Way
+from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Rejoined, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Rests
+from hframe_post.stream.types import StopRules
 
 NUDGE = 0.001  # mm
 MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
@@ -58,7 +58,7 @@ class KlipperMotion(MotionRules):
         return self.table.lines_per_second
 
     @property
-    def rests(self) -> Rests:
+    def stop_rules(self) -> StopRules:
         """Return how lifts and retractions pass into motion.
 
         A lift passes no faster than a square corner of the user's, and comes to rest where every
@@ -68,9 +68,9 @@ class KlipperMotion(MotionRules):
         share = 0.3
         moving = share * self.limits.extruder_corner_velocity / TS if self.retract_moving else 0.0
         if self.tolerance is None:
-            return Rests(retract_acceleration=moving)
+            return StopRules(retract_acceleration=moving)
         corner = self.limits.lift_corner
-        return Rests(
+        return StopRules(
             lift_speed=corner if corner <= self.users_corner else 0.0,
             needs_rest=labels_object,
             retract_acceleration=moving,
@@ -146,12 +146,12 @@ class KlipperMotion(MotionRules):
                 speed, seconds = lift.cruise, lift.seconds
         return Stroke(speed, seconds, leaving)
 
-    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
+    def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
         """Return G4, next to a lift even for no time.
 
         Without it Klipper would round the corner between lift and motion, and be early.
         """
-        if next_to is not Dwelling.LIFT and seconds < TS / 2.0:
+        if next_to is not NextTo.LIFT and seconds < TS / 2.0:
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited

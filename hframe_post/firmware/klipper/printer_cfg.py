@@ -35,7 +35,7 @@ OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ConfigLine:
     """A line of a file, without its comment. number counts from 1."""
 
     path: Path
@@ -57,7 +57,7 @@ class KlipperConfig:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.missing: list[str] = []
-        self._lines: dict[tuple[str, str], list[Line]] = {}  # of each section and option
+        self._lines: dict[tuple[str, str], list[ConfigLine]] = {}  # of each section and option
         self._files = 0
         text = file_text(path, *LARGEST)
         regular, saved, void = _divided(_lines(path, text))
@@ -72,7 +72,7 @@ class KlipperConfig:
             lost = f"; {self.missing[0]}" if self.missing else ": is it a printer.cfg?"
             raise HframeError(_advice(path, text) or f"{path} has no section [printer]{lost}")
 
-    def _read(self, lines: Sequence[Line], within: tuple[str, ...]) -> None:
+    def _read(self, lines: Sequence[ConfigLine], within: tuple[str, ...]) -> None:
         """Read lines and, where they stand, the includes among them. within: files around them."""
         begun = 0
         for k, line in enumerate(lines):
@@ -84,7 +84,7 @@ class KlipperConfig:
                 self._include(line, header[1].removeprefix("include ").strip(), within)
         self._parse(lines[begun:], self._parser)
 
-    def _include(self, line: Line, pattern: str, within: tuple[str, ...]) -> None:
+    def _include(self, line: ConfigLine, pattern: str, within: tuple[str, ...]) -> None:
         inside = (*within, os.path.abspath(line.path))
         found = sorted(glob.glob(os.path.join(line.path.parent, pattern)))
         files = [Path(name) for name in found if os.path.isfile(name)]
@@ -101,10 +101,10 @@ class KlipperConfig:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
             self._read(_lines(each, file_text(each, *LARGEST)), inside)
 
-    def _parse(self, lines: Sequence[Line], parser: configparser.RawConfigParser) -> None:
+    def _parse(self, lines: Sequence[ConfigLine], parser: configparser.RawConfigParser) -> None:
         if not lines:
             return
-        lines = [Line(line.path, line.number, line.text.partition("#")[0]) for line in lines]
+        lines = [ConfigLine(line.path, line.number, line.text.partition("#")[0]) for line in lines]
         try:
             parser.read_string("\n".join(line.text for line in lines))
         except configparser.Error as error:
@@ -121,7 +121,7 @@ class KlipperConfig:
             elif option := OPTION.match(line.text):
                 self._lines.setdefault((section, option[1].lower()), []).append(line)
 
-    def _add_saved(self, lines: Sequence[Line]) -> None:
+    def _add_saved(self, lines: Sequence[ConfigLine]) -> None:
         saved, places = _parser(), self._lines
         self._lines = {}
         self._parse(lines, saved)
@@ -136,7 +136,7 @@ class KlipperConfig:
     def has(self, section: str) -> bool:
         return self._parser.has_section(section) or (section, "") in self._lines
 
-    def lines(self, section: str, key: str = "") -> list[Line]:
+    def lines(self, section: str, key: str = "") -> list[ConfigLine]:
         """Return the lines that begin a section or an option, the one that holds last."""
         return self._lines.get((section, key), [])
 
@@ -212,12 +212,14 @@ def _parser() -> configparser.RawConfigParser:
     )
 
 
-def _lines(path: Path, text: str) -> list[Line]:
+def _lines(path: Path, text: str) -> list[ConfigLine]:
     rows = text.replace("\r\n", "\n").split("\n")
-    return [Line(path, number, row) for number, row in enumerate(rows, start=1)]
+    return [ConfigLine(path, number, row) for number, row in enumerate(rows, start=1)]
 
 
-def _divided(lines: list[Line]) -> tuple[list[Line], list[Line], Line | None]:
+def _divided(
+    lines: list[ConfigLine],
+) -> tuple[list[ConfigLine], list[ConfigLine], ConfigLine | None]:
     """Return what the owner wrote, what SAVE_CONFIG wrote, and the line that makes this void."""
     head = next((k for k, line in enumerate(lines) if HEADING.match(line.text)), len(lines))
     saved = [line for line in lines[head:] if line.text.strip()]
@@ -225,7 +227,7 @@ def _divided(lines: list[Line]) -> tuple[list[Line], list[Line], Line | None]:
     foreign = (line for line in saved if not line.text.startswith(SAVED))
     if (void := stray or next(foreign, None)) is not None:
         return lines, [], void
-    rows = [Line(line.path, line.number, line.text[len(SAVED) + 1 :]) for line in saved]
+    rows = [ConfigLine(line.path, line.number, line.text[len(SAVED) + 1 :]) for line in saved]
     first = next((k for k, line in enumerate(rows) if SECTION.match(line.text)), len(rows))
     return lines[:head], rows[first:], None
 

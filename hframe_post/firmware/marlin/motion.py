@@ -5,7 +5,7 @@
    its speed. Segments are therefore long enough, and end on whole steps.
 3. The motor with the most steps sets the pace, see ``planner``.
 4. When the queue has run empty, Marlin waits for three blocks before it goes on. So the stream
-   has no dwells of its own: standstill that no line of the file asks for is left out.
+   has no dwells of its own: a dwell that no line of the file asks for is left out.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
-from hframe_post.firmware.motion import SPARED, Dwelling, MotionRules, Stroke, Way
+from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
@@ -66,9 +66,9 @@ class MarlinMotion(MotionRules):
         # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
         return 0 if self.planner.fixed_time else 50
 
-    def dwell(self, seconds: float, next_to: Dwelling) -> tuple[bytes, float] | None:
-        # standstill is left out, and what follows makes up for it
-        return (b"", 0.0) if next_to is Dwelling.MOTION else None
+    def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
+        # a dwell is left out, and what follows makes up for it
+        return (b"", 0.0) if next_to is NextTo.MOTION else None
 
     def entry(self, at: Array, v: float, before: float) -> float:
         return float(self.planner.entry(self._blocks(at), np.array([v]), before)[0])

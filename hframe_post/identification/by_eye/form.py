@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.by_eye.racking import (
-    Blocks,
     Comb,
+    CombReading,
     PrintedRacking,
     printed_racking,
 )
@@ -72,7 +72,7 @@ class Filled:
 
     readings: dict[str, list[Reading]]
     acceleration: float
-    blocks: Blocks | None = None
+    blocks: CombReading | None = None
 
     def modes(self) -> dict[str, PrintedMode]:
         """Return the mode of each axis. Raises IdentificationError, which names the axis."""
@@ -174,7 +174,7 @@ def _reading(band: Band, row: object, name: str) -> Reading:
     return one
 
 
-def _blocks(racking: dict[str, object], source: str) -> Blocks:
+def _blocks(racking: dict[str, object], source: str) -> CombReading:
     message = (
         f"{source}: under [racking], seen needs a number for each block, as many as there were "
         "zeros, and measured three numbers: block, mm, over how many waves"
@@ -185,7 +185,7 @@ def _blocks(racking: dict[str, object], source: str) -> Blocks:
     if of > len(seen):
         raise HframeError(message)
     wall = Comb(left, int(blocks), speed, acceleration)
-    return Blocks(wall, tuple(seen), int(of), distance, waves)
+    return CombReading(wall, tuple(seen), int(of), distance, waves)
 
 
 def _numbers(row: object, count: int, message: str, least: float = 0.0) -> list[float]:

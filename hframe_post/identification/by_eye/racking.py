@@ -69,7 +69,7 @@ class Comb:
 
 
 @dataclass(frozen=True, slots=True)
-class Blocks:
+class CombReading:
     """What was read of a comb: how many waves each block shows but the first, and on the block
     ``of`` (from 0) mm over a number of waves."""
 
@@ -100,7 +100,7 @@ class PrintedRacking:
 
 
 def printed_racking(
-    read: Blocks, x: PrintedMode, middle: float, seen_from: float
+    read: CombReading, x: PrintedMode, middle: float, seen_from: float
 ) -> PrintedRacking | None:
     """Return the racking that explains what was read; None if that is too little to tell.
 
@@ -145,7 +145,7 @@ def half_waves_by_block(comb: Comb, across: Array) -> Iterator[tuple[Array, Arra
         yield heights[steady], along[steady]
 
 
-def _spacing(places: Array, read: Blocks) -> float:
+def _spacing(places: Array, read: CombReading) -> float:
     """Return the squared difference between half waves (k,) and the distance that was read."""
     last = round(2.0 * read.waves)
     if not last or not read.distance:

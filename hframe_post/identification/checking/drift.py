@@ -90,7 +90,7 @@ def drift(model: Linear, recorded: Recorded) -> Drift:
         raise IdentificationError("the motion is too short to show the resonances")
     fine = np.arange(*PEAK_HZ, FINE_HZ)
     main, height = _main(G, fine)
-    found = _Fit(G, part)
+    found = _DriftFit(G, part)
     _check_same_printer(found, main)
     near = np.arange(1.0 - NEAR, 1.0 + NEAR, FINE_HZ / main) * main / found.stretch
     f, h = _peaks(near, np.abs(found.drawn(near)))
@@ -132,7 +132,7 @@ def _peaks(hz: Array, size: Array) -> tuple[Array, Array]:
     return hz[at] + (hz[1] - hz[0]) * shift, here - (before - after) * shift / 4.0
 
 
-def _check_same_printer(found: _Fit, main: float) -> None:
+def _check_same_printer(found: _DriftFit, main: float) -> None:
     """Raise IdentificationError if neither the old nor the stretched response explains the run."""
     share = explained(found.part)
     if share(found.at(1.0)) > UNMOVED:
@@ -147,7 +147,7 @@ def _check_same_printer(found: _Fit, main: float) -> None:
         )
 
 
-class _Fit:
+class _DriftFit:
     """The response that a run shows, with its posterior.
 
     stretch, change (m,): s and Δ. seen: whether they explain more of the run than as many numbers

@@ -37,7 +37,7 @@ LATE = np.arange(-15e-3, 15e-3, 5e-5)  # s by which a recording may begin late
 SMOOTHED_HZ = 0.5  # over which a printer's response hardly changes, even at a resonance
 
 
-def runs(printer: Printer, axes: Sequence[int]) -> list[sweep.Run]:
+def runs(printer: Printer, axes: Sequence[int]) -> list[sweep.SweepRun]:
     """Return a short run for each axis (0: x, 1: y), in the middle of the travel.
 
     Raises HframeError.
@@ -45,7 +45,7 @@ def runs(printer: Printer, axes: Sequence[int]) -> list[sweep.Run]:
     return [_run(printer, axis) for axis in axes]
 
 
-def _run(printer: Printer, axis: int) -> sweep.Run:
+def _run(printer: Printer, axis: int) -> sweep.SweepRun:
     settings = printer.sweep
     end = min(_highest_hz((printer.plant.Gxx, printer.plant.Gyy)[axis]), settings.end_hz)
     rate = (end - settings.start_hz) / SECONDS

@@ -230,7 +230,7 @@ def axis_map(axes: str) -> Array:
 
 
 def at_rest(recording: Recording, quiet: float) -> Array:
-    """Return what a sensor shows, (3,), in the first ``quiet`` seconds, in which it stands."""
+    """Return what a sensor shows, (3,), in the first ``quiet`` seconds, in which it is at rest."""
     count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
     return np.asarray(recording.a[: max(count, 1)].mean(axis=0))
 

@@ -30,7 +30,7 @@ ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ChirpLine:
     """A line f = slope·(t − origin), in Hz, Hz/s and s from the first sample of the recording.
 
     first, last: frequencies between which it is clearly seen, Hz. score: how far it stands out
@@ -44,11 +44,11 @@ class Line:
     score: float
 
 
-def find_line(a: Array, rate: float) -> Line:
+def find_line(a: Array, rate: float) -> ChirpLine:
     """Return the brightest line in a signal (n, k) with ``rate`` samples a second."""
     size, hop = round(FRAME * rate), round(HOP * rate)
     if len(a) < 4 * size:
-        return Line(1.0, 0.0, 0.0, 0.0, 0.0)
+        return ChirpLine(1.0, 0.0, 0.0, 0.0, 0.0)
     frames = sliding_window_view(a, size, axis=0)[::hop] * hann(size, sym=False)
     power = (np.abs(rfft(frames, axis=-1)) ** 2).sum(axis=1).T
     hz = rfftfreq(size, 1.0 / rate)
@@ -59,7 +59,7 @@ def find_line(a: Array, rate: float) -> Line:
     score, slope, origin = _brightest(hz, contrast)
     t = (np.arange(power.shape[1]) * hop + size / 2.0) / rate
     origin += t[0]
-    line = Line(slope, origin, 0.0, 0.0, score)
+    line = ChirpLine(slope, origin, 0.0, 0.0, score)
     for _ in range(ROUNDS):
         line = _fitted(line, t, hz, power, contrast)
     return line
@@ -90,7 +90,7 @@ def _brightest(hz: Array, contrast: Array) -> tuple[float, float, float]:
     return score / len(hz), float(SLOPES[0] * factors[k]), origin * HOP
 
 
-def _fitted(line: Line, t: Array, hz: Array, power: Array, contrast: Array) -> Line:
+def _fitted(line: ChirpLine, t: Array, hz: Array, power: Array, contrast: Array) -> ChirpLine:
     """Return the line through the centres of power near it, by robust least squares."""
     near = NEAR + line.slope * HOP
     seen = []
@@ -120,4 +120,4 @@ def _fitted(line: Line, t: Array, hz: Array, power: Array, contrast: Array) -> L
     if not SLOPES[0] < slope < SLOPES[1]:
         return line
     first, last = (float(f) for f in clear[[0, -1], 2])
-    return Line(float(slope), float(-offset / slope), first, last, line.score)
+    return ChirpLine(float(slope), float(-offset / slope), first, last, line.score)

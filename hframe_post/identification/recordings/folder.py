@@ -38,7 +38,7 @@ EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND 
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class RunMotion:
     """The motion of a run: x and y (m, 2) in mm every 1 ms. run: the last word of its name."""
 
     path: Path
@@ -46,7 +46,7 @@ class Command:
     motion: Array
 
     @classmethod
-    def read(cls, path: Path) -> Command:
+    def read(cls, path: Path) -> RunMotion:
         """Return the command in a file. Raises OSError and IdentificationError."""
         return cls(path, ENDINGS.sub("", path.name).rpartition(".")[2], read_command(path))
 
@@ -85,7 +85,7 @@ class Measurement:
     recording: Recording
     name: RecordingName
     digest: str
-    command: Command | None = None
+    command: RunMotion | None = None
     session: int = 1
 
     @property
@@ -146,7 +146,7 @@ def contents(
 
 def read_files(
     paths: Sequence[Path], columns: Sequence[str] | None = None
-) -> tuple[list[Command], list[Measurement | Aside]]:
+) -> tuple[list[RunMotion], list[Measurement | Aside]]:
     """Return the commands and the recordings in files and folders, not yet paired.
 
     Raises as ``contents``.
@@ -162,8 +162,8 @@ def read_files(
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]
     return (
-        [each for each in read if isinstance(each, Command)],
-        [each for each in read if not isinstance(each, Command)],
+        [each for each in read if isinstance(each, RunMotion)],
+        [each for each in read if not isinstance(each, RunMotion)],
     )
 
 
@@ -198,18 +198,18 @@ def _raise(error: OSError) -> None:
 
 def _read(
     path: Path, label: str, columns: Sequence[str] | None
-) -> list[Command | Measurement | Aside]:
+) -> list[RunMotion | Measurement | Aside]:
     by_file = parsed(path.name)
     if by_file.other:
         return [Aside(label, UNUSABLE[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
-            return [Command.read(path)]
+            return [RunMotion.read(path)]
         tables = read_tables(path, content, columns)
     except (HframeError, OSError) as error:
         return [Aside(label, _reason(path, error))]
-    found: list[Command | Measurement | Aside] = []
+    found: list[RunMotion | Measurement | Aside] = []
     for table in tables:
         which = f"{label}: {table.name}" if len(tables) > 1 else label
         name = parsed(table.name) | by_file if table.name else by_file
@@ -241,7 +241,7 @@ def _reason(path: Path, error: Exception) -> str:
 # ---------------------------------------------------------------------- motions
 
 
-def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside:
+def _with_motion(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside:
     """Return a recording with its command, if it is not one of a test of resonances."""
     name = one.name
     if name.other:
@@ -256,7 +256,7 @@ def _with_motion(one: Measurement, commands: Sequence[Command]) -> Measurement |
     return replace(one, recording=replace(one.recording, started=False))
 
 
-def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | Aside | None:
+def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside | None:
     """Return a recording with the command that its name ends with, or else of the same axis.
 
     A command in the same folder goes before others. None if there is none.
@@ -280,7 +280,7 @@ def _of_command(one: Measurement, commands: Sequence[Command]) -> Measurement | 
     return replace(one, command=best[0], name=replace(one.name, chip=chip))
 
 
-def _cut_off(one: Measurement, command: Command) -> Aside:
+def _cut_off(one: Measurement, command: RunMotion) -> Aside:
     lasts, needed = float(np.ptp(one.recording.t)), TS * len(command.motion)
     cause = f"it lasts {lasts:.1f} s, but its motion, {command.path.name}, {needed:.1f} s"
     return Aside(one.label, f"{cause}: it was cut off, or is of another run")

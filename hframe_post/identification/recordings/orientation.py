@@ -35,7 +35,7 @@ from hframe_post.identification.recordings.clock_sync import (
 )
 
 SLOW_HZ = (2.0, 8.0)  # which any printer follows
-QUIET = 0.5  # s at the start of a recording in which the printer stands still
+QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 LEAST = 0.3  # share of the command that a sensor must show
 
 

@@ -21,7 +21,7 @@ from scipy.signal.windows import hann
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
-from hframe_post.identification.recordings.chirp_line import Line, find_line
+from hframe_post.identification.recordings.chirp_line import ChirpLine, find_line
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
@@ -71,7 +71,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _TestMatch:
     """A test compared with a recording.
 
     start: s on the command's clock; like: share explained; pulses, sweeping: responses to
@@ -153,7 +153,7 @@ def _rate(slope: float, expected: float) -> tuple[float, float]:
     )
 
 
-def _along_line(a: Array, line: Line, seconds: float) -> tuple[Array, Array]:
+def _along_line(a: Array, line: ChirpLine, seconds: float) -> tuple[Array, Array]:
     """Return, at each sample, the line's frequency in Hz and the response's size there, (n,) each.
 
     seconds: over which the size is averaged.
@@ -165,7 +165,7 @@ def _along_line(a: Array, line: Line, seconds: float) -> tuple[Array, Array]:
     return line.slope * since, size
 
 
-def _levels(a: Array, line: Line) -> tuple[Array, Array]:
+def _levels(a: Array, line: ChirpLine) -> tuple[Array, Array]:
     """Return frequencies (k,) and the responses (k,) to pulses there, mm/s² per Hz."""
     hz, size = _along_line(a, line, 1.0)
     keep = (hz >= line.first + 0.5) & (hz <= line.last - 0.5)
@@ -215,7 +215,9 @@ def _low(a: Array, drift: float) -> Array:
     return np.column_stack([np.interp(at, t, column) for column in smooth.T])
 
 
-def _best(low: Array, known: ResonanceTest, line: Line, drift: float, high: float) -> _Fit:
+def _best(
+    low: Array, known: ResonanceTest, line: ChirpLine, drift: float, high: float
+) -> _TestMatch:
     """Return the best comparison among all first frequencies and kinds of pulses."""
     origin = line.origin / (1.0 + drift)
     earliest = -known.hz_per_sec * origin - 0.5 * known.hz_per_sec
@@ -250,7 +252,9 @@ def _strongest(a: Array) -> tuple[Array, Array]:
     return np.asarray(centred @ axis), np.asarray(axis[:, 0])
 
 
-def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float) -> _Fit:
+def _compared(
+    low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float
+) -> _TestMatch:
     """Return the comparison at the best start near the one given, in s."""
     n, first = len(low), round(start / (STEP * TS))
     parts = [_slow(test.pulses())]
@@ -276,7 +280,7 @@ def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start
         by = 0.5 * float((before - after) / (before - 2.0 * top + after))
         late, top = late + by, top - 0.25 * float(before - after) * by
     sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
-    return _Fit(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
+    return _TestMatch(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
 
 
 def _slow(displacement: Array) -> Array:
@@ -289,7 +293,7 @@ def _slow(displacement: Array) -> Array:
 # ---------------------------------------------------------------------- checks and levels
 
 
-def _cut_at_start(line: Line, expected: float) -> IdentificationError:
+def _cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
     begins = -line.slope * line.origin
     return IdentificationError(
         f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was cut "
@@ -299,13 +303,13 @@ def _cut_at_start(line: Line, expected: float) -> IdentificationError:
 
 
 def _rests_before(a: Array, start: float) -> bool:
-    """Return whether the printer of a recording stands before a motion that starts at s."""
+    """Return whether the printer of a recording rests before a motion that starts at s."""
     first = int((start - REST) * RATE)
     moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
     return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
 
 
-def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array) -> None:
+def _check_motion(fit: _TestMatch, line: ChirpLine, hz: Array, level: Array) -> None:
     grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
     if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < LEAST_GROWTH:
         raise IdentificationError(
@@ -319,7 +323,9 @@ def _check_motion(fit: _Fit, line: Line, hz: Array, level: Array) -> None:
         )
 
 
-def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceTest) -> float:
+def _last_hz(
+    a: Array, line: ChirpLine, drift: float, fit: _TestMatch, expected: ResonanceTest
+) -> float:
     """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
     hz, size = _along_line(a, line, END)
     before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
@@ -348,7 +354,7 @@ def _last_hz(a: Array, line: Line, drift: float, fit: _Fit, expected: ResonanceT
     return round(last, 1)
 
 
-def _check_level(fit: _Fit, level: float, expected: ResonanceTest) -> None:
+def _check_level(fit: _TestMatch, level: float, expected: ResonanceTest) -> None:
     """Raise IdentificationError if the sensor moved far less than the axis did.
 
     A test of weak pulses still has its sweeping in full.
@@ -383,7 +389,7 @@ def _check_shaping(hz: Array, level: Array, base: float) -> None:
         )
 
 
-def _with_levels(fit: _Fit, level: float, expected: ResonanceTest) -> ResonanceTest:
+def _with_levels(fit: _TestMatch, level: float, expected: ResonanceTest) -> ResonanceTest:
     """Return the test with levels from the recording where they are not those expected."""
     swept = float(np.linalg.norm(fit.sweeping))
     sweeping_accel, gain = expected.sweeping_accel, 1.0

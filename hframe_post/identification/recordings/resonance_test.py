@@ -4,7 +4,7 @@ Pulses: the acceleration is ±accel_per_hz·f for a quarter of 1/f each, and f g
 times the time that has passed. Since December 2024 a slow square wave of acceleration is added,
 the sweeping, so that the printer never stops for long.
 
-    pulses, today      + − | − + | + − | …   f grows at each |, where the printer stands still
+    pulses, today      + − | − + | + − | …   f grows at each |, where the printer is at rest
     pulses, formerly   + + | − − | + + | …   f grows at each |, where it is fastest
 
 Today's motion swings to one side of the point, the former one around it. Acceleration and speed

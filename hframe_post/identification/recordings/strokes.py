@@ -25,7 +25,7 @@ from hframe_post.conversion.pipeline import planned, sampled
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.folder import STROKES
 from hframe_post.identification.recordings.sweep import (
-    Run,
+    SweepRun,
     allowed,
     check_records,
     named_places,
@@ -53,7 +53,7 @@ MASK = (1 << 64) - 1
 
 def runs(
     printer: Printer, places: Sequence[tuple[float, float]] = (), seconds: float = SECONDS
-) -> list[Run]:
+) -> list[SweepRun]:
     """Return the runs at places (x, y) in mm, by default in the middle; if it racks, three along x.
 
     A run moves both axes. Only where the bed moves, which has a sensor of its own, it moves one.
@@ -66,7 +66,7 @@ def runs(
         prefix = STROKES if len(axes) > 1 else f"{STROKES}-{'xy'[axes[0]]}"
         for name, at in zip(named_places(prefix, chosen), chosen, strict=True):
             motion = frozen(command(printer, at, axes, seconds))
-            made.append(Run(name, axes[0], at, motion, timed=True))
+            made.append(SweepRun(name, axes[0], at, motion, timed=True))
     return made
 
 
@@ -115,7 +115,7 @@ def within_limits(printer: Printer) -> Printer:
     return replace(printer, limits=gentle)
 
 
-def summary(printer: Printer, planned: Sequence[Run]) -> str:
+def summary(printer: Printer, planned: Sequence[SweepRun]) -> str:
     """Return what the owner will see: the time in all, and how hard the strokes are."""
     limits = within_limits(printer).limits
     text = (

@@ -46,12 +46,12 @@ from hframe_post.identification.recordings.excitation import peaks, trajectory
 from hframe_post.printer.firmware_tables import RECORDED
 from hframe_post.printer.settings import Printer, Sweep
 from hframe_post.stream.types import (
+    Dwell,
     Handling,
     ModalState,
+    MoveAtRest,
     Passthrough,
-    Pause,
     Samples,
-    Standing,
     frozen,
 )
 from hframe_post.version import __version__
@@ -64,7 +64,7 @@ MULTIPLE = 3.5  # of a run's acceleration, allowed to Klipper: with 3 it is late
 TEST_RESONANCES = (130.0, 8100.0)  # s for an axis and mm/s² at its end, by Klipper's defaults
 APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
-SETTLED = 2000  # samples of standstill before a recording, in which the sensors are set up
+SETTLED = 2000  # samples of rest before a recording, in which the sensors are set up
 STATE = "hframe_post_sweep"
 USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
 HEAD = """\
@@ -79,7 +79,7 @@ SAVE_GCODE_STATE NAME={state}
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SweepRun:
     """One recording of a sweep.
 
     position: the x and y around which the axis moves, mm. command (n, 2): x and y every 1 ms,
@@ -133,7 +133,7 @@ def within_limits(printer: Printer) -> tuple[Sweep, float]:
     return replace(printer.sweep, amplitude=amplitude), velocity
 
 
-def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list[Run]:
+def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list[SweepRun]:
     """Return one run along the axis (0: x, 1: y) at each place (x, y) in mm.
 
     Raises HframeError, and LimitError if a run would leave the travel.
@@ -143,7 +143,7 @@ def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list
         displacement = trajectory(*within_limits(printer), room(printer, axis, at))
         command = np.tile(at, (len(displacement), 1))
         command[:, axis] += displacement
-        made.append(Run(name, axis, at, frozen(command)))
+        made.append(SweepRun(name, axis, at, frozen(command)))
     return made
 
 
@@ -178,7 +178,7 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
     return left
 
 
-def summary(printer: Printer, planned: list[Run]) -> str:
+def summary(printer: Printer, planned: list[SweepRun]) -> str:
     """Return what the owner will see and hear: the runs, their peaks and the time in all."""
     lines = [f"{run.name}: {run.seconds:.0f} s, {_peaks(run)}" for run in planned]
     axes = sorted({"xy"[run.axis] for run in planned})
@@ -208,19 +208,19 @@ def summary(printer: Printer, planned: list[Run]) -> str:
     return "\n".join(lines)
 
 
-def moves_sensor(printer: Printer, planned: Sequence[Run], chips: Sequence[str]) -> bool:
+def moves_sensor(printer: Printer, planned: Sequence[SweepRun], chips: Sequence[str]) -> bool:
     """Return whether one sensor must be moved from head to bed between runs of x and of y."""
     both = {run.axis for run in planned} == {X, Y}
     sensors = {chip for run in planned for chip in recording_chips(printer, run, chips)}
     return printer.kinematics.bed_moves and both and len(sensors) == 1
 
 
-def _peaks(run: Run) -> str:
+def _peaks(run: SweepRun) -> str:
     d, v, a = peaks(run.command[:, run.axis] - run.position[run.axis])
     return f"at most ±{d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
 
 
-def seconds_of(planned: Sequence[Run]) -> float:
+def seconds_of(planned: Sequence[SweepRun]) -> float:
     """Return the time in all, with the ways between the places but not the one to the first."""
     ways = np.diff([run.position for run in planned], axis=0)
     on_the_way = float(np.hypot(*ways.T).sum()) / APPROACH if len(planned) > 1 else 0.0
@@ -242,7 +242,7 @@ def check_records(printer: Printer) -> None:
 
 
 def gcode(
-    printer: Printer, planned: list[Run], chips: tuple[str, ...], z: float
+    printer: Printer, planned: list[SweepRun], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
     """Yield the G-code of all runs. z: mm.
 
@@ -267,7 +267,7 @@ def gcode(
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 
-def recording_chips(printer: Printer, run: Run, chips: Sequence[str]) -> tuple[str, ...]:
+def recording_chips(printer: Printer, run: SweepRun, chips: Sequence[str]) -> tuple[str, ...]:
     """Return Klipper's names of the accelerometers that record a run.
 
     chips: those that were asked for; else each axis that moves is recorded by its own.
@@ -280,7 +280,7 @@ def recording_chips(printer: Printer, run: Run, chips: Sequence[str]) -> tuple[s
     return tuple(dict.fromkeys(found)) or (USUAL_CHIP,)
 
 
-def _klipper(printer: Printer, planned: list[Run]) -> tuple[KlipperMotion, KlipperCode]:
+def _klipper(printer: Printer, planned: list[SweepRun]) -> tuple[KlipperMotion, KlipperCode]:
     """Return Klipper with limits no higher than the runs need, since a cancel leaves them."""
     motion, code = KlipperMotion.from_printer(printer), KlipperCode.from_printer(printer)
     speed, acceleration = (
@@ -298,7 +298,9 @@ def _klipper(printer: Printer, planned: list[Run]) -> tuple[KlipperMotion, Klipp
     return replace(motion, limits=limits), replace(code, stream=limits, table=table)
 
 
-def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -> Iterator[Samples]:
+def _samples(
+    planned: list[SweepRun], sensors: Sequence[tuple[str, ...]], z: float
+) -> Iterator[Samples]:
     first = 0
     for run, chips in zip(planned, sensors, strict=True):
         x, y = (plain(p, 3) for p in run.position)
@@ -311,7 +313,7 @@ def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -
         events = (
             _passthrough(first, approach, Handling.RELEASE),
             # a move of zero length: the stream, with its limits, begins here, before the motion
-            Pause(first + 1, 0, Standing(0, here, here, APPROACH)),
+            Dwell(first + 1, 0, MoveAtRest(0, here, here, APPROACH)),
             _passthrough(begun, "\n".join(measure), Handling.REST),
             _passthrough(end, "\n".join(_end_of_recording(run, chips)), Handling.REST),
             _passthrough(end, "", Handling.RELEASE),
@@ -325,7 +327,7 @@ def _samples(planned: list[Run], sensors: Sequence[tuple[str, ...]], z: float) -
         first = end
 
 
-def _end_of_recording(run: Run, chips: Sequence[str]) -> Iterator[str]:
+def _end_of_recording(run: SweepRun, chips: Sequence[str]) -> Iterator[str]:
     calls = [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={run.name}" for chip in chips]
     if not run.timed:
         yield from calls
@@ -334,6 +336,6 @@ def _end_of_recording(run: Run, chips: Sequence[str]) -> Iterator[str]:
     yield from ("M400", f"{macro} NAME={run.name}", *calls, macro)
 
 
-def _passthrough(index: int, text: str, handling: Handling) -> Pause:
+def _passthrough(index: int, text: str, handling: Handling) -> Dwell:
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
-    return Pause(index, 0, Passthrough(0, text.encode(), handling, state))
+    return Dwell(index, 0, Passthrough(0, text.encode(), handling, state))

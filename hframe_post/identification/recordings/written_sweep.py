@@ -27,7 +27,13 @@ from hframe_post.firmware.motion import SPARED
 from hframe_post.firmware.registry import firmware
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.gcode.commands import OFF
-from hframe_post.identification.recordings.sweep import APPROACH, LIFT, Run, room, within_limits
+from hframe_post.identification.recordings.sweep import (
+    APPROACH,
+    LIFT,
+    SweepRun,
+    room,
+    within_limits,
+)
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, frozen
 from hframe_post.version import __version__
@@ -64,7 +70,7 @@ class _Moves:
         return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
 
 
-def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
+def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[str]]:
     """Return a run as it is played, and the G-code for it. run: names place and axis; z: mm.
 
     Raises PrinterError if the profile lacks the firmware's table, and LimitError without room or
@@ -90,12 +96,12 @@ def played(printer: Printer, run: Run, z: float) -> tuple[Run, list[str]]:
     along = _motion(play, moves, cells, a)
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, run.axis] += along
-    done = Run(run.name, run.axis, (x, y), frozen(command))
+    done = SweepRun(run.name, run.axis, (x, y), frozen(command))
     ends = (x, y)[run.axis] + cells[1:, run.axis] * play.step
     return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
 
 
-def summary(stem: str, played: list[Run], bed_may_move: bool) -> str:
+def summary(stem: str, played: list[SweepRun], bed_may_move: bool) -> str:
     """Return what the owner does with the files of the runs, whose names begin with ``stem``."""
     lines = [f"{stem}.{run.name}.gcode: {run.seconds + BEFORE + AFTER:.0f} s" for run in played]
     lines.append(
@@ -159,7 +165,7 @@ def _motion(play: WrittenMoves, moves: _Moves, cells: Integers, a: float) -> Arr
 
 
 def _gcode(
-    printer: Printer, play: WrittenMoves, run: Run, at: Array, v: Array, a: float, z: float
+    printer: Printer, play: WrittenMoves, run: SweepRun, at: Array, v: Array, a: float, z: float
 ) -> list[str]:
     """Return the lines of the file. at (k,): where each move ends along the axis."""
     axis, height = "XY"[run.axis], plain(z, 3)

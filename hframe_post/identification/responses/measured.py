@@ -102,11 +102,12 @@ class Run:
 
     @property
     def place(self) -> float:
+        """Return the mean x, mm."""
         return float(self.command[:, X].mean())
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class MeasurementSettings:
     """What `identify` needs to know about the measurement.
 
     racks: whether the kinematics can rack. offset: from the nozzle to its sensor in x and y, mm.
@@ -176,7 +177,7 @@ class RunGroup:
     known_start: bool = False
 
 
-def nozzle_responses(runs: list[Run], settings: Settings) -> RunGroup:
+def nozzle_responses(runs: list[Run], settings: MeasurementSettings) -> RunGroup:
     """Return the responses of runs of one axis.
 
     All runs are rotated by the same angle so that the sensor looks along the swept axis: at low
@@ -220,7 +221,7 @@ def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LineOverPlaces:
     """The straight line over places, (k,) frequencies each.
 
     slope: Gxθ (rad/mm). middle: the mean place, mm. at_middle (k,): H_y there.
@@ -238,7 +239,7 @@ class Line:
     by_place: list[tuple[float, FrequencyResponse]]
 
 
-def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Line:
+def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> LineOverPlaces:
     """Fit the line by least squares to H_y (k,) at two places (mm) or more."""
     first = responses[0]
     p = np.asarray(places)
@@ -262,7 +263,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
         coherence = np.divide(signal, signal + noise, out=np.zeros(len(signal)), where=signal > 0.0)
         return FrequencyResponse(first.hz, value, coherence, power, averages)
 
-    return Line(
+    return LineOverPlaces(
         response(slope, weights**2 @ noise),
         middle,
         at_middle,
@@ -277,7 +278,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
     )
 
 
-def centre(line: Line, Gxx: Complex) -> tuple[float, float]:
+def centre(line: LineOverPlaces, Gxx: Complex) -> tuple[float, float]:
     """Return x_c (mm) and ψ (rad) from the line's offset. Gxx (k,): as measured."""
     weight = np.sqrt(line.slope.power)
     columns = np.column_stack([line.slope.H, Gxx]) * weight[:, None]

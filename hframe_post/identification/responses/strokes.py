@@ -27,15 +27,15 @@ from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
 )
 from hframe_post.identification.responses.measured import (
+    MeasurementSettings,
     Run,
     RunGroup,
     RunResponse,
-    Settings,
     with_common_delay,
 )
 
 
-def stroke_responses(runs: Sequence[Run], settings: Settings) -> dict[int, RunGroup]:
+def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict[int, RunGroup]:
     """Return the responses of the runs of each axis, X or Y. Raises IdentificationError."""
     found: dict[int, list[RunResponse]] = {X: [], Y: []}
     for run in runs:
@@ -56,7 +56,7 @@ def stroke_responses(runs: Sequence[Run], settings: Settings) -> dict[int, RunGr
     }
 
 
-def _responses(run: Run, settings: Settings) -> dict[int, list[FrequencyResponse]]:
+def _responses(run: Run, settings: MeasurementSettings) -> dict[int, list[FrequencyResponse]]:
     """Return what a command in each axis that moves does to x and y."""
     a = run.on_command_clock()[:, :2]
     u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])

@@ -24,10 +24,10 @@ from hframe_post.identification.responses.frequency_response import (
     estimate,
 )
 from hframe_post.identification.responses.measured import (
+    MeasurementSettings,
     Run,
     RunGroup,
     RunResponse,
-    Settings,
     with_common_delay,
 )
 
@@ -46,7 +46,9 @@ class _Located:
     seen: Direction
 
 
-def uncalibrated_responses(runs: Sequence[Run], settings: Settings) -> dict[int, RunGroup]:
+def uncalibrated_responses(
+    runs: Sequence[Run], settings: MeasurementSettings
+) -> dict[int, RunGroup]:
     """Return the responses of the runs of each axis, X or Y, that were recorded.
 
     A run along a diagonal counts for both axes if no run moves one of them alone. Raises
@@ -62,7 +64,7 @@ def uncalibrated_responses(runs: Sequence[Run], settings: Settings) -> dict[int,
     return groups
 
 
-def _located(run: Run, settings: Settings) -> _Located:
+def _located(run: Run, settings: MeasurementSettings) -> _Located:
     try:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
         responses = [_response(found, axis, settings) for axis in np.eye(3)]
@@ -71,12 +73,15 @@ def _located(run: Run, settings: Settings) -> _Located:
         raise IdentificationError(f"{run.name}: {error}") from None
 
 
-def _response(found: SelfAligned, axis: Array, settings: Settings) -> FrequencyResponse:
+def _response(found: SelfAligned, axis: Array, settings: MeasurementSettings) -> FrequencyResponse:
     return estimate(found.command, found.acceleration @ axis).within(settings.band_hz)
 
 
 def _group(
-    axis: int, chosen: Sequence[_Located], located: Sequence[_Located], settings: Settings
+    axis: int,
+    chosen: Sequence[_Located],
+    located: Sequence[_Located],
+    settings: MeasurementSettings,
 ) -> RunGroup:
     responses = [_run_response(axis, one, located, settings) for one in chosen]
     low = max(one.seen.excited_hz for one in chosen)
@@ -91,7 +96,7 @@ def _group(
 
 
 def _run_response(
-    axis: int, one: _Located, located: Sequence[_Located], settings: Settings
+    axis: int, one: _Located, located: Sequence[_Located], settings: MeasurementSettings
 ) -> RunResponse:
     x, y = (_response(one.aligned, seen, settings) for seen in _axes(one, located))
     up = one.aligned.up
@@ -108,7 +113,7 @@ def _run_response(
     return found.scaled(1.0 / share).advanced(one.seen.delay)
 
 
-def _second(one: _Located, settings: Settings) -> Array | None:
+def _second(one: _Located, settings: MeasurementSettings) -> Array | None:
     """Return the size (k,) of a second sensor's response; its clock is that of the first."""
     first, second, found = one.run.nozzle, one.run.second, one.aligned
     if second is None:

@@ -21,7 +21,7 @@ from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.responses.frequency_response import whole_record
 from hframe_post.identification.verification.motion import QUIET
 from hframe_post.identification.verification.pairing import Run
-from hframe_post.identification.verification.verdict import Measured, measured_run
+from hframe_post.identification.verification.verdict import MeasuredRun, measured_run
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 
@@ -64,6 +64,6 @@ def as_text(found: Mapping[str, Drift]) -> str:
     return "\n".join([*lines, "            to correct the profile: hframe-post check"])
 
 
-def _along(run: Measured, axis: int) -> Array:
+def _along(run: MeasuredRun, axis: int) -> Array:
     """Return the measured acceleration (m,) along an axis without couplings, mm/s²."""
     return np.asarray(run.a[:, axis] - run.a_racking[:, axis] - run.a_cross[:, axis])

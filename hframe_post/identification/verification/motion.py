@@ -13,11 +13,11 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.identification.recordings.excitation import alignment_mark
 from hframe_post.identification.recordings.sweep import (
-    Run,
+    SweepRun,
     check_records,
     room,
     within_limits,
@@ -29,7 +29,7 @@ STRATEGIES = {"verify-plain": "none", "verify-compensated": "racking"}  # by the
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
-SHORTEST_STOP, STANDS = 20, 1e-9  # samples and mm per sample of a standstill
+SHORTEST_STOP, AT_REST = 20, 1e-9  # samples and mm per sample at rest
 GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
 QUIET = 1000  # samples of rest before, between and after the parts
 
@@ -53,7 +53,7 @@ def path(printer: Printer) -> list[bytes]:
     return [f"{line}\n".encode() for line in lines]
 
 
-def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
+def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[SweepRun]:
     """Return the plain and the compensated run: of the test motion, or of a print's beginning.
 
     lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
@@ -78,10 +78,10 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Run]:
     )
 
 
-def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[Run]:
+def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[SweepRun]:
     options = Options("racking", limits="printer", clamp=False)
     chunks = list[Samples]()
-    for chunk in Commands(lines, printer, options, tuple(STRATEGIES.values())).computed():
+    for chunk in SampleStream(lines, printer, options, tuple(STRATEGIES.values())).computed():
         if len(chunk):
             chunks.append(chunk)
         if chunk.end > LOOKED_AT:
@@ -97,18 +97,18 @@ def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
         part = _between_stops(commands["verify-compensated"], ends)
     return [
-        Run(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
+        SweepRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
             frozen(_framed(command[part], printer)))
         for run, command in commands.items()
     ]  # fmt: skip
 
 
 def _between_stops(command: Array, ends: Sequence[int]) -> slice:
-    """Return the longest part of at most ``LONGEST`` samples from one standstill to another.
+    """Return the longest part of at most ``LONGEST`` samples from one stop to another.
 
     command (m, 2): mm; ends: samples after which the machine moves on its own.
     """
-    still = (np.abs(np.diff(command, axis=0)) < STANDS).all(axis=1)
+    still = (np.abs(np.diff(command, axis=0)) < AT_REST).all(axis=1)
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
     first, last = edges[::2], edges[1::2]
     stops = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST_STOP]

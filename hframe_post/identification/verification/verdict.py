@@ -137,7 +137,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredRun:
     """A run as measured: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
 
     a_racking, a_cross (m, 2): the parts of a_predicted that are due to racking and to other
@@ -153,7 +153,7 @@ class Measured:
     noise: float
 
 
-def judge(
+def compare_runs(
     printer: Printer, plain: tuple[Array, Recording], compensated: tuple[Array, Recording]
 ) -> Verdict:
     """Compare both runs: each a command (m, 2), mm every 1 ms, and the recording of the nozzle.
@@ -185,7 +185,7 @@ def _rms(values: Array, noise: float = 0.0) -> float:
     return float(np.sqrt(max((values**2).mean() - noise**2, 0.0)))
 
 
-def measured_run(printer: Printer, command: Array, recording: Recording) -> Measured:
+def measured_run(printer: Printer, command: Array, recording: Recording) -> MeasuredRun:
     """Return what a recording shows of a command (m, 2) in mm. Raises IdentificationError."""
     found = aligned(acceleration(command[:, X]), recording, X)
     predicted = nozzle(printer.plant, command[0], command)
@@ -202,7 +202,7 @@ def measured_run(printer: Printer, command: Array, recording: Recording) -> Meas
     noise = float(np.sqrt((quiet**2).mean()))
     direct = nozzle(printer.plant.decoupled(), command[0], command)
     a_racking, a_cross = _curved(predicted - without), _curved(without - direct)
-    return Measured(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
+    return MeasuredRun(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
 
 
 def _curved(places: Array) -> Array:
@@ -210,7 +210,7 @@ def _curved(places: Array) -> Array:
     return np.column_stack([acceleration(places[:, k]) for k in (X, Y)])
 
 
-def _couplings(runs: Sequence[Measured], inside: Flags) -> Iterator[tuple[float, float] | None]:
+def _couplings(runs: Sequence[MeasuredRun], inside: Flags) -> Iterator[tuple[float, float] | None]:
     """Yield racking and other couplings relative to the prediction, and standard deviations.
 
     Found by least squares over both runs; other errors of the model count as noise.

@@ -19,7 +19,7 @@ from hframe_post.errors import GcodeError, one_line
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.lexer import Line, command, numbers
 from hframe_post.gcode.state import AXES
-from hframe_post.studies.comparison.motion_file import Section, sections
+from hframe_post.studies.comparison.motion_file import MoveSection, sections
 
 MAX_DRIFT = 1e-4  # of the time of all motion, to which rounded feed rates may add up
 VERTICES_AT_ONCE = 1 << 16
@@ -129,7 +129,7 @@ def compare(
     )
 
 
-def _sections(lines: Iterable[bytes], dialect: Dialect, name: str) -> Iterator[Section]:
+def _sections(lines: Iterable[bytes], dialect: Dialect, name: str) -> Iterator[MoveSection]:
     try:
         yield from sections(lines, dialect)
     except GcodeError as error:
@@ -140,7 +140,7 @@ def _sections(lines: Iterable[bytes], dialect: Dialect, name: str) -> Iterator[S
 # ---------------------------------------------------------------------- other lines
 
 
-def _closing(a: Section, b: Section, tolerance: Tolerance) -> Difference | None:
+def _closing(a: MoveSection, b: MoveSection, tolerance: Tolerance) -> Difference | None:
     first, second = a.closing, b.closing
     if first is second is None:
         return None
@@ -171,7 +171,9 @@ def _shown(line: Line | None) -> tuple[int | None, str]:
 # ---------------------------------------------------------------------- motion
 
 
-def _motion(a: Section, b: Section, tolerance: Tolerance) -> tuple[float, Difference | None]:
+def _motion(
+    a: MoveSection, b: MoveSection, tolerance: Tolerance
+) -> tuple[float, Difference | None]:
     """Return the largest distance and the earliest difference of the motion in two sections."""
     judged = [(s, _distances(s, other, tolerance)) for s, other in ((a, b), (b, a))]
     largest = max(float(distances.max()) for _, distances in judged)
@@ -187,7 +189,7 @@ def _motion(a: Section, b: Section, tolerance: Tolerance) -> tuple[float, Differ
 
 
 def _drift(
-    a: Section, b: Section, duration: list[float], tolerance: Tolerance
+    a: MoveSection, b: MoveSection, duration: list[float], tolerance: Tolerance
 ) -> Difference | None:
     """Return a difference in time that is small in each section and adds up to too much."""
     late = duration[1] - duration[0]
@@ -197,7 +199,7 @@ def _drift(
     return Difference(how, *_at(a, a.time[-1]), *_at(b, b.time[-1]))
 
 
-def _distances(section: Section, path: Section, tolerance: Tolerance) -> Array:
+def _distances(section: MoveSection, path: MoveSection, tolerance: Tolerance) -> Array:
     """Return the distance (n + 1,) in mm of each vertex to a path at about the same time."""
     there = [np.interp(section.time, path.time, column) for column in path.xyze.T]
     distances = np.sqrt(np.square(section.xyze - np.column_stack(there)).sum(axis=1))
@@ -208,7 +210,7 @@ def _distances(section: Section, path: Section, tolerance: Tolerance) -> Array:
     return np.asarray(distances)
 
 
-def _nearest(places: Array, times: Array, path: Section, slack: float) -> Array:
+def _nearest(places: Array, times: Array, path: MoveSection, slack: float) -> Array:
     """Return the distance (k,) of places (k, 4) to the path within ``slack`` of times (k,)."""
     segments, last = np.diff(path.xyze, axis=0), len(path.line) - 1
     if last < 0 or not len(places):
@@ -231,7 +233,7 @@ def _nearest(places: Array, times: Array, path: Section, slack: float) -> Array:
     return np.asarray(np.minimum.reduceat(distance, start))
 
 
-def _how(a: Section, b: Section, time: float, tolerance: Tolerance) -> str:
+def _how(a: MoveSection, b: MoveSection, time: float, tolerance: Tolerance) -> str:
     """Return in words what is different at this time of the sections' motion."""
     here, there = _place(a, time), _place(b, time)
     at, ever = np.array([time]), float(a.time[-1] + b.time[-1])
@@ -243,12 +245,12 @@ def _how(a: Section, b: Section, time: float, tolerance: Tolerance) -> str:
     return "b is elsewhere: " + ", ".join(f"{AXES[k]} {off[k]:+.4g} mm" for k in shown)
 
 
-def _place(section: Section, time: float) -> Array:
+def _place(section: MoveSection, time: float) -> Array:
     """Return x, y, z, e (4,) at a time of the section's motion."""
     return np.array([np.interp(time, section.time, column) for column in section.xyze.T])
 
 
-def _at(section: Section, time: float) -> tuple[int | None, str]:
+def _at(section: MoveSection, time: float) -> tuple[int | None, str]:
     """Return the source line that is executed at a time, and the position as text."""
     k = int(np.searchsorted(section.time, time, "left")) - 1
     k = min(max(k, 0), len(section.line) - 1)

@@ -22,7 +22,7 @@ from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_W
 from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import AXES, Bed, State
+from hframe_post.gcode.state import AXES, Extent, State
 from hframe_post.native import ramps
 from hframe_post.native.corners import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
@@ -32,7 +32,7 @@ EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class MoveSection:
     """n consecutive moves, and the line that ends them.
 
     line (n,): source lines. time (n + 1,): from the section's start, s, ascending. xyze
@@ -46,14 +46,14 @@ class Section:
     closing: Line | None
 
 
-def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[Section]:
+def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[MoveSection]:
     """Yield the file in sections, streaming. Raises GcodeError.
 
     A dwell (G4) counts as motion that stays in place: its length depends on how motion was cut.
     Comments behind moves are left out, and so are the stamp and the summary of this tool.
     """
     source = Lines(lines, dialect.cr_ends_lines)
-    reader = _Reader(source, dialect)
+    reader = _MotionReader(source, dialect)
     for line in source:
         if b"\0" in line.text:
             raise GcodeError("this is not a text file", line.number)
@@ -64,14 +64,14 @@ def sections(lines: Iterable[bytes], dialect: Dialect) -> Iterator[Section]:
     yield reader.section(None)
 
 
-class _Reader:
+class _MotionReader:
     """Interpreter of lines: each one changes ``state``, and its motion goes to ``rows``."""
 
     def __init__(self, source: Lines, dialect: Dialect) -> None:
         self._dialect = dialect
         self._state = State(dialect, "absolute")
         self._state.known = [True, True, True]  # both files treat an unhomed machine alike
-        self._plain_moves = PlainMoves(source, self._state, Bed(None))
+        self._plain_moves = PlainMoves(source, self._state, Extent(None))
         self._limits: Words = {}  # by SET_VELOCITY_LIMIT so far
         self._begin()
 
@@ -142,7 +142,7 @@ class _Reader:
             self._rows.extend((line.number, self._time, *end))
             self._state.position = end
 
-    def section(self, closing: Line | None) -> Section:
+    def section(self, closing: Line | None) -> MoveSection:
         """Return the motion so far, ended by this line, and begin a new section."""
         table = np.array(self._rows).reshape(-1, 6)
         time, points = table[:, 1].copy(), frozen(table[:, 2:].copy())
@@ -151,7 +151,7 @@ class _Reader:
         if closing is not None and closing.text.upper().startswith(LIMITS.encode()):
             self._limits |= parameters(closing, LIMIT_PARAMETERS)
         self._begin()
-        return Section(table[1:, 0].astype(np.int64), frozen(time), points, closing)
+        return MoveSection(table[1:, 0].astype(np.int64), frozen(time), points, closing)
 
     @property
     def _in_stream(self) -> bool:

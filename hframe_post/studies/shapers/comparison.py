@@ -16,7 +16,7 @@ from hframe_post.arrays import TS
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -57,7 +57,7 @@ def compare_shapers(
     searched = search(printer.plant, paths(lines(), printer, options))
     shapings = {found.x.name: found for found in searched}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
-    source = Commands(lines(), printer, options, tuple(STRATEGIES))
+    source = SampleStream(lines(), printer, options, tuple(STRATEGIES))
     meter = ErrorMeter(plant)
     for _ in meter.samples(shape(source, shapings)):
         pass

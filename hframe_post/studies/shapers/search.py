@@ -148,7 +148,7 @@ def calibrated_with(plant: Plant, *names: str) -> Shaping:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _JudgedShaper:
     """A shaper as Klipper judges it. vibration: share that it leaves; smoothing: mm."""
 
     name: str
@@ -162,7 +162,7 @@ class _Fit:
 
 
 def _calibrated(G: Linear, names: Iterable[str]) -> AxisShaping:
-    best, chosen = None, list[_Fit]()
+    best, chosen = None, list[_JudgedShaper]()
     for name in names:
         fits = _fits(G, name)
         fit = _chosen(fits)
@@ -179,21 +179,21 @@ def _calibrated(G: Linear, names: Iterable[str]) -> AxisShaping:
     return AxisShaping(best.name, best.hz, KLIPPER_DAMPING)
 
 
-def _is_clearly_better(fit: _Fit, best: _Fit) -> bool:
+def _is_clearly_better(fit: _JudgedShaper, best: _JudgedShaper) -> bool:
     """Return whether the score is better by 20 %, or by 5 % with a tenth less smoothing."""
     return 1.2 * fit.score < best.score or (
         1.05 * fit.score < best.score and 1.1 * fit.smoothing < best.smoothing
     )
 
 
-def _chosen(fits: list[_Fit]) -> _Fit:
+def _chosen(fits: list[_JudgedShaper]) -> _JudgedShaper:
     """Return the fit with the best score of those that leave about the least vibration."""
     quietest = min(fits, key=lambda fit: fit.vibration)
     near = [fit for fit in fits if fit.vibration < 1.1 * quietest.vibration + 0.0005]
     return min((quietest, *reversed(near)), key=lambda fit: fit.score)
 
 
-def _fits(G: Linear, name: str) -> list[_Fit]:
+def _fits(G: Linear, name: str) -> list[_JudgedShaper]:
     """Return a shaper at each frequency that Klipper tries, the highest first."""
     hz = KLIPPER_HZ
     measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS)) * hz) / (hz + 0.1)
@@ -206,7 +206,7 @@ def _fits(G: Linear, name: str) -> list[_Fit]:
         tried = shaper(name, f, KLIPPER_DAMPING)
         left = (tried.residual(hz, damping) * measured for damping in KLIPPER_DAMPINGS)
         vibration = max(float(np.maximum(each - floor, 0.0).sum() / loud) for each in left)
-        fits.append(_Fit(name, f, vibration, _smoothing(tried)))
+        fits.append(_JudgedShaper(name, f, vibration, _smoothing(tried)))
     return fits
 
 

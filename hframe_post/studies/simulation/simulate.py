@@ -18,7 +18,7 @@ from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Commands
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report, range_as_text
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.plant import Plant
@@ -246,7 +246,7 @@ def simulate(
 
     Raises HframeError, also if the model predicts an error that no working printer has.
     """
-    source = Commands(lines, printer, replace(options, predict=()), options.strategies)
+    source = SampleStream(lines, printer, replace(options, predict=()), options.strategies)
     parts, uncertainties = Parts(), list[Uncertainty]()
     commands = _rated(source, printer.kinematics, parts)
     picture = Picture(Labels()) if options.picture else None

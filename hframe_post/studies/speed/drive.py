@@ -32,8 +32,8 @@ from hframe_post.studies.speed.trial import (
     Freedom,
     Measure,
     SpeedSettings,
-    Trial,
     TrialMeter,
+    TrialPrint,
     add_layer_times,
     judged,
     measured,
@@ -114,7 +114,7 @@ class Drive:
 
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
-    ) -> Trial:
+    ) -> TrialPrint:
         printer, options = self.configured(settings)
         assert options.paces is not None
         meter = self._meter(settings)
@@ -131,7 +131,7 @@ class Drive:
 
     def try_whole(
         self, settings: SpeedSettings, plants: tuple[Plant, ...], may_clamp: bool
-    ) -> Trial:
+    ) -> TrialPrint:
         """Print the whole file; refuse settings that need a clamp if there may be none."""
         printer, options = self.configured(settings)
         options = replace(self._options, paces=options.paces, clamp=may_clamp)

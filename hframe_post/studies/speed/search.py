@@ -28,7 +28,14 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
-from hframe_post.studies.speed.trial import ADJUSTED, CAUSES, Freedom, Measure, SpeedSettings, Trial
+from hframe_post.studies.speed.trial import (
+    ADJUSTED,
+    CAUSES,
+    Freedom,
+    Measure,
+    SpeedSettings,
+    TrialPrint,
+)
 
 NEAR, LIMIT = 0.87, 0.95  # share of a bound to use up: other printers may have a greater error
 AIM = math.sqrt(NEAR * LIMIT)
@@ -48,7 +55,7 @@ class Bound:
     def limit(self, name: str) -> float:
         return self.kinds.get(name, self.others)
 
-    def shares(self, trial: Trial) -> dict[str, float]:
+    def shares(self, trial: TrialPrint) -> dict[str, float]:
         """Return the share of its bound that each feature uses up on its worst plant."""
         return {name: max(errors) / self.limit(name) for name, errors in trial.errors.items()}
 
@@ -60,7 +67,7 @@ class Fastest:
     printer: Printer
     options: Options
     bound: Bound
-    trial: Trial
+    trial: TrialPrint
     original: Original
 
 
@@ -111,7 +118,7 @@ def search(
 def _fastest_whole(
     drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
     least: LayerTimes, may_clamp: bool,
-) -> Trial:  # fmt: skip
+) -> TrialPrint:  # fmt: skip
     """Return the first print of the whole file within the bound, or raise HframeError."""
     searches = _Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
@@ -172,7 +179,7 @@ class _Searches:
 
     def __init__(self, bound: Bound, max_acceleration: float) -> None:
         self._bound, self._max_acceleration = bound, max_acceleration
-        self.trials: list[Trial] = []
+        self.trials: list[TrialPrint] = []
 
     def corrected(self, feed: dict[str, float]) -> SpeedSettings:
         """Return the last settings with accelerations at which features use up their bounds.
@@ -189,7 +196,7 @@ class _Searches:
         acceleration = {name: known.get(name, least) for name in feed}
         return replace(last.settings, acceleration=acceleration, feed=feed)
 
-    def _point(self, trial: Trial, name: str) -> tuple[float, float]:
+    def _point(self, trial: TrialPrint, name: str) -> tuple[float, float]:
         """Return the logarithms of acceleration and of error; the latter is 0 at the aim."""
         share = self._bound.shares(trial)[name]
         return math.log(trial.settings.acceleration[name]), math.log(max(share, 1e-9) / AIM)

@@ -56,7 +56,7 @@ class SpeedSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class TrialPrint:
     """Outcome of a trial print.
 
     errors: by feature, mm, one for each plant, the model first; seconds: duration; layers: duration
@@ -107,7 +107,7 @@ class TrialMeter:
                     (contour,) = judgement.contour.values()
                     errors.add(contour[here])
 
-    def trial(self, clamped: int, refused: str = "") -> Trial:
+    def trial(self, clamped: int, refused: str = "") -> TrialPrint:
         """Return the outcome; features of fewer than 50 samples have no error."""
         errors = {
             name: [measured(errors, self._measure) for errors in statistics]
@@ -115,7 +115,9 @@ class TrialMeter:
             if statistics[0].count >= 50
         }
         seconds = self._samples * TS
-        return Trial(self._settings, errors, seconds, self._layers, self._limited, clamped, refused)
+        return TrialPrint(
+            self._settings, errors, seconds, self._layers, self._limited, clamped, refused
+        )
 
     def _causes(self, chunk: Samples, labels: Labels, layer: Integers, feature: Integers) -> Array:
         """Return the seconds of a chunk by feature and cause, (NAMES, CAUSES)."""

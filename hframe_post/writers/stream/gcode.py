@@ -4,7 +4,7 @@ The command becomes a polyline in time, with segments as the firmware wants them
 are rounded to 0.001 mm, or finer if asked, and filament to 0.00001 mm, and written as differences
 of rounded absolute values, so that no rounding adds up. Feed rates allow for the firmware's ramps
 inside every segment, so that it takes the segment's time; the next segments make up for what it
-is late by, as far as rounding tells. A retraction, a lift or a wait is one line at standstill.
+is late by, as far as rounding tells. A retraction, a lift or a wait is one line at rest.
 
 Three passes make the text, each a generator:
 
@@ -27,10 +27,10 @@ from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.native.digits import TOO_LONG, least_too_long, motion_lines
 from hframe_post.stream.types import Position, Samples
-from hframe_post.writers.stream.machine import Machine, Settings, StandingMove, Text
-from hframe_post.writers.stream.pace import Pace, TimedCommand, TimedMotion, TimedMove
+from hframe_post.writers.stream.machine import LimitChange, Machine, PlacedMove, Text
 from hframe_post.writers.stream.print_time import DeferredLine, Output
 from hframe_post.writers.stream.segments import Units
+from hframe_post.writers.stream.timing import TimedCommand, TimedMotion, TimedMove, Timing
 
 TEXT_AT_ONCE = 1 << 16  # bytes
 
@@ -69,7 +69,7 @@ class GcodeWriter:
 
     strategy: whose command is written; finer: digits of coordinates and F beyond those that a
     print needs. place, offset: x, y, z, e and the user's G92 where this stream continues another;
-    without a place the machine is under the user's limits. steady: see ``Pace``.
+    without a place the machine is under the user's limits. steady: see ``Timing``.
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class GcodeWriter:
         self._units = Units(finer)
         at = self._units.place(place) if place is not None else None
         self._machine = Machine(strategy, rules, code, self._units, at, offset)
-        self._pace = Pace(rules, self._units, steady)
+        self._timing = Timing(rules, self._units, steady)
         self._lines = 0
 
     def write(self, chunks: Iterable[Samples]) -> Iterator[Output]:
         """Yield the text in order; ``summary`` counts what was yielded so far."""
-        timed = self._pace.timed(self._machine.commands(chunks))
+        timed = self._timing.timed(self._machine.commands(chunks))
         for output in _joined(_as_text(timed, self._units)):
             self._lines += 1 if isinstance(output, DeferredLine) else output.count(b"\n")
             yield output
@@ -98,7 +98,7 @@ class GcodeWriter:
     @property
     def lag(self) -> float:
         """Return the seconds by which the machine is late so far, as far as rounding tells."""
-        return self._pace.lag
+        return self._timing.lag
 
     @property
     def summary(self) -> GcodeSummary:
@@ -134,7 +134,7 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
         match command:
             case Text():
                 yield command.output
-            case Settings():
+            case LimitChange():
                 yield command.text
                 feed, revert = 0, b""
             case TimedMove(move, stroke):
@@ -168,7 +168,7 @@ def _motion(motion: TimedMotion, feed: int, revert: bytes, units: Units) -> Iter
     yield rows[written:]
 
 
-def _standing_line(move: StandingMove, feed: int, units: Units) -> bytes:
+def _standing_line(move: PlacedMove, feed: int, units: Units) -> bytes:
     """Return the line of a retraction or a lift; empty where nothing moves."""
     start, end, decimals = move.start, move.end, units.decimals
     words = ["G1"]

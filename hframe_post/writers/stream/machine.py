@@ -1,4 +1,4 @@
-"""First pass: samples → typed commands, by where the machine stands and whose limits hold."""
+"""First pass: samples → typed commands, by where the machine is and whose limits hold."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.gcode.lexer import Line, command
 from hframe_post.stream.types import (
+    Dwell,
     Handling,
     Mark,
+    MoveAtRest,
     Passthrough,
-    Pause,
     Samples,
     SlowStraight,
-    Standing,
 )
 from hframe_post.writers.stream.print_time import Output, passed_on
 from hframe_post.writers.stream.segments import (
@@ -47,8 +47,8 @@ class Motion(NamedTuple):
     """Segments (k,) in which something moves.
 
     at (k + 1, 4): places, in output units; T (k,): seconds that each is to last; dwell (k,):
-    samples of standstill before each; between: lines, each with the segment that it precedes.
-    stops: whether the machine stands after the last; after: greatest speed, mm/s, at its end.
+    samples of dwell before each; between: lines, each with the segment that it precedes.
+    stops: whether the machine rests after the last; after: greatest speed, mm/s, at its end.
     """
 
     at: Integers
@@ -59,29 +59,29 @@ class Motion(NamedTuple):
     after: float
 
 
-class StandingMove(NamedTuple):
+class PlacedMove(NamedTuple):
     """A retraction or a lift, from place to place."""
 
-    pause: Pause
+    dwell: Dwell
     speed: float
     lifts: bool
     start: Place
     end: Place
 
 
-class Stop(NamedTuple):
-    """The machine stands, for this many samples more if they are not 0."""
+class MotionEnd(NamedTuple):
+    """The machine is at rest, and dwells for this many samples more."""
 
     samples: int = 0
 
 
-class Settings(NamedTuple):
+class LimitChange(NamedTuple):
     """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
 
     text: bytes
 
 
-Command = Text | Motion | StandingMove | Stop | Settings
+OutputCommand = Text | Motion | PlacedMove | MotionEnd | LimitChange
 
 
 class Machine:
@@ -105,12 +105,12 @@ class Machine:
         self._at, self._offset = at, offset
         self._inside = at is not None  # the stream's limits and modes hold
         self._buffer = SampleBuffer()
-        self._skip = 0  # samples of a pause in the next chunks
+        self._skip = 0  # samples of a dwell in the next chunks
         self._end = 0  # of the last chunk
-        self._still = 0  # samples of standstill since the last segment
+        self._still = 0  # samples of dwell since the last segment
         self.ledger = Ledger(at[E] if at is not None else 0)
 
-    def commands(self, chunks: Iterable[Samples]) -> Iterator[Command]:
+    def commands(self, chunks: Iterable[Samples]) -> Iterator[OutputCommand]:
         """Yield the commands in order."""
         if self._inside:
             yield self._count()
@@ -118,7 +118,7 @@ class Machine:
             yield from self._chunk(chunk)
         yield from self._stop()
 
-    def _chunk(self, chunk: Samples) -> Iterator[Command]:
+    def _chunk(self, chunk: Samples) -> Iterator[OutputCommand]:
         self._skip = max(self._skip - (chunk.first - self._end), 0)  # those left out
         self._end = chunk.end
         done = min(self._skip, len(chunk))
@@ -131,10 +131,10 @@ class Machine:
                 self._buffer.add_mark(event)
                 if not self._buffer:
                     yield from self._marks(event.index)
-            elif isinstance(event, Pause):
+            elif isinstance(event, Dwell):
                 yield from self._take(chunk, done, at)
                 yield from self._stop(self._speed_into(event))
-                yield from self._pause(event)
+                yield from self._dwell(event)
                 done = min(at + event.samples, len(chunk))
                 self._skip = at + event.samples - done
             elif isinstance(event, SlowStraight):
@@ -143,7 +143,7 @@ class Machine:
                 yield from self._slow_straight(event)
         yield from self._take(chunk, done, len(chunk))
 
-    def _slow_straight(self, slow: SlowStraight) -> Iterator[Command]:
+    def _slow_straight(self, slow: SlowStraight) -> Iterator[OutputCommand]:
         """Yield a straight whose samples are left out, as one segment."""
         if batch := self._buffer.batch(last=False):
             yield from self._motion(batch)
@@ -160,40 +160,40 @@ class Machine:
         self._still = 0
         yield Motion(at, T, np.zeros(1, np.int64), (), False, math.inf)
 
-    def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[Command]:
+    def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[OutputCommand]:
         if start >= stop:
             return
         xy, xyze = chunk.commands[self._strategy], chunk.xyze
         if self._at is None:  # the first sample may have extruded on its way here
             (x, y), z = xy[start].tolist(), float(xyze[start, Z])
             self._at = self._units.place((x, y, z, self.ledger.filament))
-        stand = self._units.mm(self._at)
+        here = self._units.mm(self._at)
         while start < stop:
             if len(self._buffer) == SAMPLES_AT_ONCE and (batch := self._buffer.batch(last=False)):
                 yield from self._motion(batch)
             rows = slice(start, stop)
-            start += self._buffer.add(xy[rows], xyze[rows], chunk.first + start, stand)
+            start += self._buffer.add(xy[rows], xyze[rows], chunk.first + start, here)
 
-    def _stop(self, speed: float = 0.0) -> Iterator[Command]:
-        """Yield what is buffered, up to standstill or to a lift that begins at a speed, mm/s."""
+    def _stop(self, speed: float = 0.0) -> Iterator[OutputCommand]:
+        """Yield what is buffered, up to rest or to a lift that begins at a speed, mm/s."""
         if batch := self._buffer.batch(last=True):
             yield from self._motion(batch, speed)
         if not speed:
-            yield Stop()
+            yield MotionEnd()
         yield from self._marks()
 
-    def _marks(self, index: int | None = None) -> Iterator[Command]:
+    def _marks(self, index: int | None = None) -> Iterator[OutputCommand]:
         for mark in self._buffer.marks_up_to(index):
             yield from self._passed_on(mark)
 
-    def _speed_into(self, pause: Pause) -> float:
-        """Return the speed, mm/s, at which motion passes into a pause; 0: it stops."""
-        if not isinstance(move := pause.action, Standing):
+    def _speed_into(self, dwell: Dwell) -> float:
+        """Return the speed, mm/s, at which motion passes into a dwell; 0: it stops."""
+        if not isinstance(move := dwell.action, MoveAtRest):
             return 0.0
-        way, planned = (move.start, move.end), (pause.entry, pause.leaving)
+        way, planned = (move.start, move.end), (dwell.entry, dwell.leaving)
         return self._rules.corners(way, move.speed, planned)[0]
 
-    def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[Command]:
+    def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[OutputCommand]:
         """Yield the commands for a batch, whose motion may end at a speed, mm/s."""
         assert self._at is not None
         still = self._still
@@ -212,7 +212,7 @@ class Machine:
             for mark in batch.marks:
                 yield from self._passed_on(mark)
         if batch.last and self._still:
-            yield Stop(self._still if self._inside else 0)
+            yield MotionEnd(self._still if self._inside else 0)
             self._still = 0
 
     def _between(self, batch: Batch, made: Segments, still: int) -> tuple[tuple[int, Text], ...]:
@@ -228,10 +228,10 @@ class Machine:
         if self._inside and (coded := command(Line(0, mark.text))) is not None:
             yield Text(self._code.modes_after(coded.name))
 
-    def _pause(self, pause: Pause) -> Iterator[Command]:
-        action = pause.action
-        if isinstance(action, Standing):
-            yield from self._standing(pause, action)
+    def _dwell(self, dwell: Dwell) -> Iterator[OutputCommand]:
+        action = dwell.action
+        if isinstance(action, MoveAtRest):
+            yield from self._move_at_rest(dwell, action)
             return
         releases = action.handling is Handling.RELEASE
         if releases:
@@ -239,15 +239,15 @@ class Machine:
         if action.text or not releases:
             yield Text(action.text + b"\n", self._code.labels_object(action.text))
 
-    def _standing(self, pause: Pause, move: Standing) -> Iterator[Command]:
+    def _move_at_rest(self, dwell: Dwell, move: MoveAtRest) -> Iterator[OutputCommand]:
         yield from self._enter()
         assert self._at is not None
         start, (_, _, z, e) = self._at, self._units.place(move.end)
         self._at = start[X], start[Y], z, e
-        self.ledger.moved([pause.index], e - start[E])
-        yield StandingMove(pause, move.speed, move.end[Z] != move.start[Z], start, self._at)
+        self.ledger.moved([dwell.index], e - start[E])
+        yield PlacedMove(dwell, move.speed, move.end[Z] != move.start[Z], start, self._at)
 
-    def _enter(self) -> Iterator[Command]:
+    def _enter(self) -> Iterator[OutputCommand]:
         """Yield the change to the stream's limits if the user's hold, and a new count of E."""
         assert self._at is not None
         entering, self._inside = not self._inside, True
@@ -267,13 +267,13 @@ class Machine:
         assert self._at is not None
         return np.array(self._units.mm(self._at))
 
-    def _release(self, action: Passthrough) -> Settings:
+    def _release(self, action: Passthrough) -> LimitChange:
         end: list[bytes] = []
         if self._inside and self._at is not None:
             end = self._code.end(action.state, self._where)
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
-        return Settings(b"".join(line + b"\n" for line in end))
+        return LimitChange(b"".join(line + b"\n" for line in end))
 
 
 class Ledger:

@@ -69,7 +69,7 @@ class Batch(NamedTuple):
     """Samples (n,) that are written together.
 
     first: index of the first; points (n + 1, 4): x, y, z, e in mm, beginning where the machine
-    stands before them; marks: the lines that pass before one of them; last: motion ends here.
+    is before them; marks: the lines that pass before one of them; last: motion ends here.
     """
 
     first: int
@@ -111,15 +111,15 @@ class SampleBuffer:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, xy: Array, xyze: Array, index: int, stand: Position) -> int:
+    def add(self, xy: Array, xyze: Array, index: int, here: Position) -> int:
         """Add samples from ``index`` on, and return how many there was room for.
 
-        xy (n, 2): the command; xyze (n, 4): the path, for z and e; stand: the machine's place
+        xy (n, 2): the command; xyze (n, 4): the path, for z and e; here: the machine's place
         before them if motion begins.
         """
         if not self._count:
             self._index = index
-            self._points[0] = stand if self._before is None else self._before
+            self._points[0] = here if self._before is None else self._before
         first = 1 + self._count
         n = min(len(xy), SAMPLES_AT_ONCE - self._count)
         points = self._points[first : first + n]
@@ -157,11 +157,11 @@ class SampleBuffer:
 
 
 class Segments(NamedTuple):
-    """Segments (k,) in which something moves, and the standstill around them.
+    """Segments (k,) in which something moves, and the dwells around them.
 
     at (k + 1, 4): places, in output units; ends (k,): the point of the batch at which each ends;
-    T (k,): how long it is to last, s; dwell (k,): samples of standstill before it; still: samples
-    of standstill after the last. missed: squares of what the places are off the samples in x and y,
+    T (k,): how long it is to last, s; dwell (k,): samples of dwell before it; still: samples
+    of dwell after the last. missed: squares of what the places are off the samples in x and y,
     mm², summed; 0 where nothing bounds the lines in a second.
     """
 
@@ -176,7 +176,7 @@ class Segments(NamedTuple):
 def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: Units) -> Segments:
     """Return the segments of a batch that its firmware asks for.
 
-    start: where the machine stands; still: for how many samples it has. A segment that moves
+    start: where the machine is; still: for how many samples it has. A segment that moves
     nothing, when rounded, takes no line: its time joins the next segment, or is a dwell.
     """
     forced = batch.forced
@@ -210,7 +210,7 @@ def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> No
     """Raise HframeError unless the filament at every line of the file is that of the path.
 
     ends (k,): see ``rows_before``; e (k + 1,): filament where segments begin, and at these ends,
-    mm; still: samples of standstill before the batch. The filament out by a line must be what the
+    mm; still: samples of dwell before the batch. The filament out by a line must be what the
     path has at its point, or at most a segment earlier. The first segment begins before the batch:
     there the path is taken to feed as fast as at its beginning.
     """

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
-from functools import partial
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
-from hframe_post.firmware.motion import Dwelling, MotionRules, Stroke, Way
+from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
 from hframe_post.writers.stream.machine import (
-    Command,
+    LimitChange,
     Motion,
-    Settings,
-    StandingMove,
-    Stop,
+    MotionEnd,
+    OutputCommand,
+    PlacedMove,
     Text,
 )
 from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
-REVERSED = -0.999  # cosine between ways from which every firmware stands between them
+REVERSED = -0.999  # cosine between ways from which every firmware stops between them
 LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
@@ -37,14 +37,30 @@ class TimedMotion(NamedTuple):
 class TimedMove(NamedTuple):
     """A retraction or a lift, and how it is asked for."""
 
-    move: StandingMove
+    move: PlacedMove
     stroke: Stroke
 
 
-TimedCommand = Text | TimedMotion | TimedMove | Settings
+@dataclass(slots=True)
+class _Lift:
+    """A lift that waits for the speed of the next motion, and the lines between both.
+
+    way: of the lift; seconds: that it should last; entry: speed, mm/s, from which it begins;
+    stroke: into the greatest speed.
+    """
+
+    move: PlacedMove
+    way: Way
+    seconds: float
+    entry: float
+    stroke: Stroke
+    lines: list[Text] = field(default_factory=list)
 
 
-class Pace:
+TimedCommand = Text | TimedMotion | TimedMove | LimitChange
+
+
+class Timing:
     """Feed rates and dwells of one machine.
 
     steady: segments over which time is kept inside a motion, too; 0: over a batch. It takes an F
@@ -55,17 +71,15 @@ class Pace:
     def __init__(self, rules: MotionRules, units: Units, steady: int = 0) -> None:
         self._rules, self._units, self._steady = rules, units, steady or rules.steady
         self._per_feed = units.per_feed
-        self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it stands
+        self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it rests
         self.lag = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
         # last segment of a batch: places, speed, whether from rest, speed of the one before it
         self._ending: tuple[Array, Array, bool, float] | None = None
         self._may_be_elsewhere = False  # moves may have been left out since the last motion
-        # a lift that waits for the speed of the next motion, and its stroke at a lower one
-        self._lift: tuple[TimedMove, Callable[[float], Stroke]] | None = None
-        self._after_lift: list[Text] = []  # lines between both
+        self._lift: _Lift | None = None
 
-    def timed(self, commands: Iterable[Command]) -> Iterator[TimedCommand]:
+    def timed(self, commands: Iterable[OutputCommand]) -> Iterator[TimedCommand]:
         """Yield the commands with their feed rates."""
         for command in commands:
             match command:
@@ -74,15 +88,15 @@ class Pace:
                     if self._lift is None:
                         yield command
                     else:
-                        self._after_lift.append(command)
+                        self._lift.lines.append(command)
                 case Motion():
                     yield from self._motion(command)
-                case StandingMove():
-                    yield from self._standing_move(command)
-                case Stop():
+                case PlacedMove():
+                    yield from self._placed_move(command)
+                case MotionEnd():
                     yield from self._leave(0.0)
                     yield from self._stop(command.samples)
-                case Settings():
+                case LimitChange():
                     yield command
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
 
@@ -96,7 +110,7 @@ class Pace:
         rest[-1] = motion.stops
         feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
-            before = 0.0 if motion.dwell[0] else self._lift[0].stroke.left
+            before = 0.0 if motion.dwell[0] else self._lift.stroke.left
             v = float(feeds[0] / self._per_feed)
             yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
@@ -119,7 +133,7 @@ class Pace:
         if rejoined is None:
             return motion
         self._before, self._ending = rejoined.speed, None
-        yield Settings(rejoined.text)
+        yield LimitChange(rejoined.text)
         at, T = motion.at.copy(), motion.T.copy()
         at[0] = self._units.rounded(rejoined.at)
         T[0] -= rejoined.seconds
@@ -128,16 +142,16 @@ class Pace:
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
 
-        rest (k + 1,): whether the machine stands at each end, noted here for the first; after:
+        rest (k + 1,): whether the machine rests at each end, noted here for the first; after:
         greatest speed at the last.
         """
         if self._turns_back(at):
-            self._stand()
+            self._come_to_rest()
         rest[0] |= self._before == 0.0
         planned, T = T, self._rules.possible_times(at, T, self._before)
         if self._lift is not None:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
-            T[0] = self._lift[0].stroke.time_of_next(first, float(T[0]))
+            T[0] = self._lift.stroke.time_of_next(first, float(T[0]))
         late, passed = abs(self.lag), T.cumsum()
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
@@ -169,7 +183,7 @@ class Pace:
         sizes = lengths(ways)
         return bool(ways[0] @ ways[1] < REVERSED * sizes[0] * sizes[1])
 
-    def _stand(self) -> None:
+    def _come_to_rest(self) -> None:
         """Add what the last segment of a batch takes longer to come to rest at its end."""
         assert self._ending is not None
         last, v_last, from_rest, entry = self._ending
@@ -195,56 +209,55 @@ class Pace:
         entry = self._before if alone else float(v[0])
         self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
 
-    def _standing_move(self, move: StandingMove) -> Iterator[TimedCommand]:
-        pause, next_to = move.pause, Dwelling.LIFT if move.lifts else Dwelling.RETRACTION
-        way, previous = self._way(move), self._way(self._lift[0].move) if self._lift else None
-        into, out = self._rules.corners(way, move.speed, (pause.entry, pause.leaving), previous)
+    def _placed_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
+        dwell, next_to = move.dwell, NextTo.LIFT if move.lifts else NextTo.RETRACTION
+        way, previous = self._way(move), self._lift.way if self._lift else None
+        into, out = self._rules.corners(way, move.speed, (dwell.entry, dwell.leaving), previous)
         self._before = min(self._before, into)
         yield from self._leave(self._before)
         if self._before == 0.0 and (line := self._dwell(0, next_to)):
             yield Text(line)
-        planned = pause.samples * TS
-        stroke_to = partial(
-            self._rules.stroke, way, move.speed, pause.exact, planned - self.lag, self._before
-        )
-        stroke = stroke_to(out)
+        planned, entry = dwell.samples * TS, self._before
+        seconds = planned - self.lag
+        stroke = self._rules.stroke(way, move.speed, dwell.exact, seconds, entry, out)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
         if out:
-            self._lift = TimedMove(move, stroke), stroke_to
+            self._lift = _Lift(move, way, seconds, entry, stroke)
             return
         yield TimedMove(move, stroke)
         if line := self._dwell(0, next_to):
             yield Text(line)
 
-    def _way(self, move: StandingMove) -> Way:
+    def _way(self, move: PlacedMove) -> Way:
         return self._units.mm(move.start), self._units.mm(move.end)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
         if self._lift is None:
             return
-        (lift, stroke_to), self._lift = self._lift, None
-        if speed != lift.stroke.left:
-            slower = stroke_to(speed)
-            self.lag += slower.seconds - lift.stroke.seconds
-            lift = TimedMove(lift.move, slower)
-        yield lift
-        yield from self._after_lift
-        self._after_lift = []
+        lift, self._lift = self._lift, None
+        move, stroke = lift.move, lift.stroke
+        if speed != stroke.left:
+            stroke = self._rules.stroke(
+                lift.way, move.speed, move.dwell.exact, lift.seconds, lift.entry, speed
+            )
+            self.lag += stroke.seconds - lift.stroke.seconds
+        yield TimedMove(move, stroke)
+        yield from lift.lines
 
     def _stop(self, samples: int) -> Iterator[Text]:
-        """Yield the line for a standstill of this many samples more, if they are not 0."""
+        """Yield the line for a dwell of this many samples more, if they are not 0."""
         line = self._dwell(samples) if samples else None
         if line:
             yield Text(line)
-        if line != b"":  # else the firmware leaves the standstill out
+        if line != b"":  # else the firmware leaves the dwell out
             self._before = 0.0
 
-    def _dwell(self, samples: int, next_to: Dwelling = Dwelling.MOTION) -> bytes | None:
-        """Return the line for a standstill, less what the machine is late; None: it needs none.
+    def _dwell(self, samples: int, next_to: NextTo = NextTo.MOTION) -> bytes | None:
+        """Return the line for a dwell, less what the machine is late; None: it needs none.
 
-        It is empty where the firmware leaves the standstill out.
+        It is empty where the firmware leaves the dwell out.
         """
         dwell = self._rules.dwell(samples * TS - self.lag, next_to)
         if dwell is None:
