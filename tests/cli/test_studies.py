@@ -66,8 +66,8 @@ def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulati
         assert set(figures) == STRATEGIES
         for of_strategy in figures.values():
             assert set(of_strategy) - {"print_time_s"} == {
-                "contour_error_um", "tracking_error_um", "peak_belt_speed",
-                "peak_belt_acceleration",
+                "contour_error_um", "line_width_error_percent", "tracking_error_um",
+                "peak_belt_speed", "peak_belt_acceleration",
             }  # fmt: skip
     times = {name: printed["print_time_s"] for name, printed in simulation["strategies"].items()}
     assert times["none"] < times["fbs"] == times["racking"]
