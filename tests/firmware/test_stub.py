@@ -49,12 +49,12 @@ def command(folder: Path, line: str) -> subprocess.CompletedProcess[bytes]:
 
 FAST = [
     "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
-    "tune {print} --shaper",
     "sweep -o {folder}/sweep.gcode",
     "doctor",
     "setup {folder}/stub.txt -o {folder}/new --bed 220,200",
 ]
 SLOW = [
+    "tune {print} --shaper",
     "batch {folder}/prints -d {folder}/batch",
     "simulate {print}",
     "simulate {print} --shapers",

@@ -62,14 +62,19 @@ def shift(change: float, seed: int) -> ModeShift | None:
     return find_mode_shift(found.G, HERE_HZ, list(zip(PLACES, runs, strict=True)))
 
 
-@pytest.mark.parametrize("change", [0.1, 0.02, -0.05])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "change", [pytest.param(0.1, marks=SLOW), pytest.param(0.02, marks=SLOW), -0.05]
+)
 def test_the_shift_of_a_mode_is_found(change: float) -> None:
     found = shift(change, 1)
     assert found is not None
     assert (found.hz[1] - found.hz[0]) / HERE_HZ == pytest.approx(change, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=SLOW) for k in (1, 2))])
 def test_no_shift_is_found_for_modes_that_stay(seed: int) -> None:
     assert shift(0.0, seed) is None
 

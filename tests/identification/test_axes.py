@@ -38,6 +38,7 @@ def off(found: Fit, true: Complex) -> float:
     return float(np.linalg.norm(error / HZ) / np.linalg.norm(true / HZ))
 
 
+@pytest.mark.slow
 def test_x_and_y_are_taken_to_have_the_same_delay() -> None:
     """Their recordings began 0.1 ms late and 0.1 ms early, which nobody knows."""
     late, bounds = 1e-4, (-1.6e-4, 1.6e-4)

@@ -246,6 +246,7 @@ def test_coupling_of_shared_modes_is_found_with_its_size(angle: float) -> None:
     assert found.as_json()["size"] == found.size
 
 
+@pytest.mark.slow
 def test_a_turned_sensor_is_no_coupling() -> None:
     straight = Coupled(angle=0.0, turned=np.radians(11.0))
     found = coupling(straight, straight)
@@ -259,6 +260,7 @@ def test_a_turned_sensor_is_no_coupling() -> None:
     assert not alone.warnings()
 
 
+@pytest.mark.slow
 def test_a_mode_that_neither_axis_shows_is_found_if_it_repeats() -> None:
     printer = Coupled(own=0.15)
     found = coupling(printer, printer)
@@ -270,6 +272,7 @@ def test_a_mode_that_neither_axis_shows_is_found_if_it_repeats() -> None:
         assert off(compensated(found, near), moves(one, near)) < 0.08
 
 
+@pytest.mark.slow
 def test_coupling_counts_only_if_a_second_recording_shows_it() -> None:
     printer = Coupled()
     single = coupling(printer)

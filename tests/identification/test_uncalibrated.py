@@ -215,6 +215,7 @@ def coupled_run(printer: Coupled, direction: tuple[float, float], seed: int = 1)
     return Run("test", test.command(), recording, calibrated=False, rough_clock=(1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_one_axis_alone_leaves_the_other_exact() -> None:
     result = found(short(X, sweeping_accel=0.0, sweeping_period=0.0))
     check_modes(result, "Gxx", HEAD)
@@ -235,6 +236,7 @@ def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> 
     assert result.model_error == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_a_printer_too_stiff_to_ring_is_taken_as_such() -> None:
     """Its resonance lies above what the test excites."""
     stiff = Machine(Axis((Mode(240.0, 0.1),)), BED, kinematics="corexy")

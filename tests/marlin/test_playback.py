@@ -225,6 +225,7 @@ def naive(command: Array) -> bytes:
     return "\n".join(lines).encode()
 
 
+@pytest.mark.slow
 def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
     """The simulation sees what the segments are chosen for."""
     ours = played(layers_of_cube(1), marlin)
