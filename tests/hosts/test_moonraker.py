@@ -31,7 +31,7 @@ pytestmark = [
 
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 PART = RECTANGLE.read_bytes()
-LIMIT_EXCEEDED = r"line \d+: belt acceleration \(mm/s²\) would be \d+\S*, the .* limit is 4000"
+LIMIT_EXCEEDED = r"line \d+: belt velocity \(mm/s\) would be \d+\S*, the .* limit is 20"
 OUTSIDE = CUBE + b"G1 X9000 Y10 F6000\n"
 
 
@@ -189,7 +189,7 @@ def conversions(printer: Printer) -> list[int]:
 
 def test_the_reason_of_a_limit_that_a_worker_finds_is_shown(printer: Printer) -> None:
     profile = printer.profile.read_text()
-    weak = re.sub("belt_acceleration = .*", "belt_acceleration = 4000.0", profile)
+    weak = re.sub("belt_velocity = .*", "belt_velocity = 20.0", profile)
     assert weak != profile
     try:
         printer.profile.write_text(weak)

@@ -185,7 +185,7 @@ def test_what_a_print_must_not_suffer_from_and_its_owner_must_know(
     profile.unlink()
     with pytest.raises(AssertionError, match=r"printer\.toml: no such profile or file"):
         octoprint.upload("part.gcode", PART, "/api/files/local")
-    profile.write_text(PROFILE.read_text() + "\n[motors]\nbelt_acceleration = 4000.0\n")
-    cause = r"did not convert this file: line \d+: belt acceleration .* limit is 4000; "
+    profile.write_text(PROFILE.read_text() + "\n[motors]\nbelt_velocity = 20.0\n")
+    cause = r"did not convert this file: line \d+: belt velocity .* limit is 20; "
     with pytest.raises(AssertionError, match=cause):
         octoprint.upload("cube.gcode", CUBE, "/api/files/local")
