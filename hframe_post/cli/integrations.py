@@ -162,7 +162,7 @@ def script(program: str, printer: str) -> str:
 
 # ---------------------------------------------------------------------- OctoPrint
 
-PLUGIN = "hframe_post"  # its folder, and the file of an earlier version
+PLUGIN = "hframe_post"  # its folder
 
 
 @click.command("octoprint-plugin")
@@ -190,7 +190,6 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
     plugins = home / "plugins"
-    (plugins / f"{PLUGIN}.py").unlink(missing_ok=True)
     with Outputs() as outputs:
         for name, text in plugin_files(program_words(), anywhere(printer)).items():
             (plugins / PLUGIN / name).parent.mkdir(parents=True, exist_ok=True)

@@ -55,7 +55,7 @@ class GcodeConversion:
     @property
     def duration(self) -> float:
         """Return the print time of what was written so far, s."""
-        return self._motion.time.after
+        return self._motion.duration
 
     def report(self) -> Report:
         """Return the report; it is complete once the output was used up."""

@@ -22,15 +22,9 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.meters import (
-    Clock,
-    ErrorMeter,
-    InputMeter,
-    MotionSummary,
-    PathMeter,
-    PrintTime,
-)
+from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PrintTime
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
@@ -154,7 +148,7 @@ class Stages:
     def summary(self) -> MotionSummary:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
-            self._clock.end, self._clock.resting, self._clock.fed, self._guard.peaks,
+            self._clock.end, self._clock.fed, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture,
         )  # fmt: skip
@@ -201,7 +195,7 @@ class PlannedFile:
             check_prediction(motion.contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
-            PrintTime(self._sliced.seconds, motion.time.after), motion.peaks, motion.clamped,
+            PrintTime(self._sliced.seconds, motion.duration), motion.peaks, motion.clamped,
             motion.contour, motion.width,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,

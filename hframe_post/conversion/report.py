@@ -11,13 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
-from hframe_post.conversion.meters import (
-    InputSummary,
-    Limited,
-    PathSummary,
-    PrintTime,
-    Uncompensated,
-)  # fmt: skip
+from hframe_post.conversion.meters import InputSummary, PrintTime
+from hframe_post.conversion.path_meter import PathSummary, percent
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.line_width import PIECE
 from hframe_post.prediction.statistics import DECIMALS, ContourErrors, ErrorStatistics
@@ -126,24 +121,11 @@ class Report:
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
             "firmware_retractions": self.read.firmware_retractions,
-            "uncompensated": self._uncompensated_as_json(),
-            "limited_by": self._limits_as_json(),
+            "uncompensated": self.path.uncompensated_as_json(),
+            "limited_by": self.path.limits_as_json(),
             "clamped_samples": self.clamped.samples,
             "clamped_mm": round(self.clamped.most, 6),
             **{name: value for name, value in written.items() if value is not None},
-        }
-
-    def _limits_as_json(self) -> dict[str, Any]:
-        path = self.path
-        limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
-        return {
-            name: {
-                "path_percent": round(100.0 * limit.path / path.path, 2),
-                "least": round(limit.least, 3),
-                "greatest": round(limit.greatest, 3),
-            }
-            for name, limit in limits.items()
-            if limit.path
         }
 
     def _errors_as_json(self, name: str) -> dict[str, Any]:
@@ -187,7 +169,7 @@ class Report:
                 f"{on.bed:g} kg, in steps of at most {1e3 * on.step:.2g} g (filament of "
                 f"{on.diameter:g} mm, {on.density:g} g/cm³)"
             )
-        lines += self._path_as_text()
+        lines += self.path.as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
             lines.append(
@@ -239,7 +221,7 @@ class Report:
         if self.clamped.samples:
             found.append(
                 f"clamped {self.clamped.samples} ms of motion "
-                f"({_percent(1e-3 * self.clamped.samples / self.time.after)} of the print), first "
+                f"({percent(1e-3 * self.clamped.samples / self.time.after)} of the print), first "
                 f"at line {self.clamped.line}, by up to {self.clamped.most:.3f} mm: less is "
                 "compensated there, because [travel] or [motors] of the profile allow no more. The "
                 "predicted error includes it. If the motors can do more, raise "
@@ -263,7 +245,7 @@ class Report:
         if not (filament := sum(others.values())):
             return []
         return [
-            f"{_percent(filament / self.path.filament)} of the extrusion is not compensated: the "
+            f"{percent(filament / self.path.filament)} of the extrusion is not compensated: the "
             f"profile has no model of {', '.join(others)} (other_tools in the profile)"
         ]
 
@@ -284,55 +266,6 @@ class Report:
             f"the firmware's whole steps leave {lines:.1f} µm RMS, and without compensation the "
             f"nozzle is {plain:.1f} µm off: this print is better as sliced"
         ]
-
-    # ------------------------------------------------------------------ the path
-
-    def _path_as_text(self) -> list[str]:
-        path, lines = self.path, []
-        if path.uncompensated:
-            causes = [cause for cause, _ in self._largest()]
-            more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
-            lines.append(
-                f"not compensated  {_percent(path.path_share)} of the path, "
-                f"{_percent(path.extrusion_share)} of the extrusion "
-                f"(after {', '.join(causes[:4])}{more})"
-            )
-        whose = "for the allowed error" if path.paced else "in the file"
-        limits = [
-            self._limit(f"acceleration {whose}", path.acceleration, "mm/s²"),
-            self._limit(f"speed at corners {whose}", path.corner, "mm/s"),
-            self._limit("speed in the profile", path.speed, "mm/s"),
-        ]
-        if any(limits):
-            lines.append(f"limited by       {'; '.join(filter(None, limits))}")
-        return lines
-
-    def _limit(self, name: str, limited: Limited, unit: str) -> str:
-        """Return where a limit applies and its range; nothing if it applies nowhere."""
-        if not limited.path:
-            return ""
-        low, high = f"{limited.least:.4g}", f"{limited.greatest:.4g}"
-        share = _percent(limited.path / self.path.path)
-        where = "" if share == "100 %" else f" on {share} of the path"
-        return f"{name} ({low if low == high else f'{low} to {high}'} {unit}{where})"
-
-    def _uncompensated_as_json(self) -> dict[str, Any]:
-        return {
-            "path_percent": round(100.0 * self.path.path_share, 3),
-            "extrusion_percent": round(100.0 * self.path.extrusion_share, 3),
-            "by_cause": {
-                cause: {
-                    "moves": part.moves,
-                    "path_mm": round(part.path, 3),
-                    "filament_mm": round(part.filament, 5),
-                }
-                for cause, part in self._largest()
-            },
-        }
-
-    def _largest(self) -> list[tuple[str, Uncompensated]]:
-        """Return causes of uncompensated motion, the longest path first."""
-        return sorted(self.path.uncompensated.items(), key=lambda item: -item[1].path)
 
 
 def _predicted(contour: ContourErrors, lines: float = 0.0) -> str:
@@ -358,8 +291,3 @@ def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:
         return text
     low, high = (1e3 * math.hypot(end, lines) for end in (known.low, known.high))
     return f"{text} ({low:.1f} to {high:.1f} as the printer changes)"
-
-
-def _percent(share: float) -> str:
-    percent = 100.0 * share
-    return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

@@ -40,7 +40,7 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     following = np.maximum(following, np.arange(n + 1) + apart)
     places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
     turns = [_turns(place, least, stall) for place in places.T]
-    stops = np.unique(np.concatenate([_edges_of_standstill(path), *turns, [n]]))
+    stops = np.unique(np.concatenate([_edges_of_rest(path), *turns, [n]]))
     stop = np.minimum(np.searchsorted(stops, np.arange(n + 1), side="right"), len(stops) - 1)
     ends = _chain(np.minimum(following, stops[stop]))
     while len(drop := _superfluous(ends, places, least, last)):
@@ -48,7 +48,7 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     return ends
 
 
-def _edges_of_standstill(path: Integers) -> Integers:
+def _edges_of_rest(path: Integers) -> Integers:
     changes = np.flatnonzero(np.diff(path)) + 1
     first, after = np.append(0, changes), np.append(changes, len(path))
     idle = after - first > IDLE

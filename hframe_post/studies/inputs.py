@@ -26,7 +26,7 @@ SHARE = 0.03  # of a print to keep; up to twice as much is kept
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Items between two standstills. seconds: by feature, at the file's feed rates."""
+    """Items between two stops. seconds: by feature, at the file's feed rates."""
 
     start: PieceStart
     items: tuple[Item, ...]

@@ -309,12 +309,17 @@ def _table(settings: MarlinSettings) -> dict[str, Known]:
         one, other = (as_float(word("M494", letter, 0.0)) for letter in letters)
         if one or other:
             table[key] = Known((one, other), f"M494 {letters[0]} and {letters[1]}")
+    if as_float(word("M420", "S", 0.0)):
+        table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
+    return table | _build(settings)
+
+
+def _build(settings: MarlinSettings) -> dict[str, Known]:
+    """Return what depends on how the firmware was built."""
+    table = {"planner": settings.planner or Known(ASSUMED, "assumed: M115 shows the version")}
     steps = settings.number("MIN_STEPS_PER_SEGMENT")
     if not math.isnan(steps):
         table["min_steps_per_segment"] = Known(steps, "MIN_STEPS_PER_SEGMENT of the build")
-    table["planner"] = settings.planner or Known(ASSUMED, "assumed: M115 shows the version")
-    if as_float(word("M420", "S", 0.0)):
-        table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
     if settings.defined("S_CURVE_ACCELERATION"):
         table["s_curve_acceleration"] = Known(True, "S_CURVE_ACCELERATION of the build")
     return table

@@ -121,7 +121,7 @@ def _between_stops(command: Array, ends: Sequence[int]) -> slice:
     if best.stop - best.start < SHORTEST:
         raise HframeError(
             f"the print's first {LOOKED_AT * TS:.0f} s have no part of {SHORTEST * TS:.0f} to "
-            f"{LONGEST * TS:.0f} s between two standstills. Choose another print, or leave it out"
+            f"{LONGEST * TS:.0f} s between two stops. Choose another print, or leave it out"
         )
     return best
 

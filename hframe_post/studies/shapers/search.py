@@ -61,7 +61,7 @@ def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
     pieces = excerpt(parsed(lines, printer, options), first_layers=0)
     pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
-    options = Options("none", tolerance=None)  # the path without standstills
+    options = Options("none", tolerance=None)  # the path without rests at stops
     plans = (plan(pieces[k].items, printer.limits) for k in chosen)
     samples = (sampled(items, printer, options, skip_slow=True) for items in plans)
     found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]

@@ -26,7 +26,7 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import judge, quantise
+from hframe_post.prediction.predict import Judgement, judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
@@ -265,17 +265,7 @@ def simulate(
     labels, drawing = Labels(), Lines()
     for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
         layer, feature = labels.number(judgement.chunk)
-        for group, which in _groups(layer[judgement.at], feature[judgement.at], labels, parts):
-            for name, errors in judgement.contour.items():
-                off = judgement.tracking(name)[which]
-                figures = group.setdefault(name, Figures())
-                figures.add_errors(errors[which], off, judgement.extruding[which])
-                if name in judgement.products:
-                    inside = np.zeros(len(errors), bool)
-                    inside[which] = True
-                    some = inside[judgement.doubtful]
-                    extruding = judgement.extruding[judgement.doubtful[some]]
-                    figures.contour.doubt(judgement.products[name][some], extruding)
+        _add_errors(judgement, _groups(layer[judgement.at], feature[judgement.at], labels, parts))
         for name, (at, shares) in drawing.pieces(judgement).items():
             for group, which in _groups(layer[at], feature[at], labels, parts):
                 group.setdefault(name, Figures()).width.add(shares[which])
@@ -290,6 +280,21 @@ def simulate(
         **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
         quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),
     )  # fmt: skip
+
+
+def _add_errors(judgement: Judgement, groups: Iterable[tuple[Group, Integers]]) -> None:
+    """Add a chunk's contour errors to the parts of the print that it belongs to."""
+    for group, which in groups:
+        for name, errors in judgement.contour.items():
+            off = judgement.tracking(name)[which]
+            figures = group.setdefault(name, Figures())
+            figures.add_errors(errors[which], off, judgement.extruding[which])
+            if name in judgement.products:
+                inside = np.zeros(len(errors), bool)
+                inside[which] = True
+                some = inside[judgement.doubtful]
+                extruding = judgement.extruding[judgement.doubtful[some]]
+                figures.contour.doubt(judgement.products[name][some], extruding)
 
 
 def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:

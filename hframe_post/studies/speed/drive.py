@@ -11,15 +11,16 @@ from dataclasses import dataclass, replace
 
 from hframe_post.arrays import Z
 from hframe_post.compensation.stops import StopSolvers
-from hframe_post.conversion.meters import Clock
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Stages, continued, parsed, prepared, sampled
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
+from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Pace, Paces, pace
+from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
@@ -157,15 +158,16 @@ class Drive:
         return layers
 
     def original(self) -> Original:
-        printer, clock = self._printer, Clock()
-        options = replace(self._options, strategy="none")
+        """Return what the file is without this tool, at its own speeds."""
+        printer, options = self._printer, replace(self._options, strategy="none")
+        sliced = SlicedTime(firmware(printer).limits(printer))
 
         def uncompensated(items: Iterable[Planned]) -> Iterator[Samples]:
             for chunk in sampled(items, printer, options):
                 yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
 
-        spans = Spans(plan(self._items(), printer.limits))
-        commands = clock.samples(continued(spans, uncompensated, printer))
+        spans = Spans(plan(sliced.items(self._items()), printer.limits))
+        commands = continued(spans, uncompensated, printer)
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
         for judgement in judge(commands, printer.plant, JUDGED_EVERY):
@@ -175,7 +177,7 @@ class Drive:
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
         found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
-        return Original(clock.time.before, layers, found)
+        return Original(sliced.seconds, layers, found)
 
     def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
         """Return the commands of the whole print, and the stages that compute them."""
