@@ -56,8 +56,7 @@ def calibrate_marlin(output: Path, printer: str) -> None:
     Example:
       hframe-post calibrate-marlin -p my.toml -o calibrate.gcode
     """
-    profile = load(printer)
-    found = calibration(profile)
+    found = calibration(load(printer))
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).writelines(found.lines)
     say(" " * 44 + "".join(f"{part:>10s}" for part in found.parts))
@@ -67,11 +66,12 @@ def calibrate_marlin(output: Path, printer: str) -> None:
         "If the steady part is shorter than in every row, the board smooths steps: set "
         "firmware.marlin.adaptive_step_smoothing."
     )
-    if (table := profile.firmware.marlin) is not None and table.classic_jerk:
+    if found.table.classic_jerk:
         say("Built with CLASSIC_JERK, only the steady part is as in the table: it shows the timer.")
     sent = " or ".join(f"{LINES * LINE_BITS / baud:.1f} at {baud} baud" for baud in BAUDS)
+    usual = LINES / found.table.lines_per_second
     say(
-        f"The part 'lines' is {LINES} lines. From SD: if it takes more than {LINES / 250:.0f} s, "
+        f"The part 'lines' is {LINES} lines. From SD: if it takes more than {usual:.0f} s, "
         f"set lines_per_second to {LINES} / its seconds. Over a serial line: set latency to "
         f"(its seconds - {sent}) / {LINES}."
     )

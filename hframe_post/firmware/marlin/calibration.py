@@ -22,6 +22,7 @@ from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_plann
 from hframe_post.native.block_times import Timer
 from hframe_post.native.blocks import Blocks
 from hframe_post.native.whole_steps import most_steps, motor_steps
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
@@ -43,11 +44,15 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The lines of the file, and for each kind of board the seconds of each part."""
+    """The lines of the file, and for each kind of board the seconds of each part.
+
+    table: the profile's own, to which the durations are compared.
+    """
 
     lines: list[bytes]
     parts: tuple[str, ...]
     durations: dict[str, tuple[float, ...]]
+    table: MarlinTable
 
 
 def calibration(printer: Printer) -> Calibration:
@@ -64,7 +69,8 @@ def calibration(printer: Printer) -> Calibration:
         name: tuple(_duration(part, printer, marlin, planner) for part in parts)
         for name, planner in _boards(marlin)
     }
-    return Calibration(_lines(printer, marlin, parts), tuple(p.name for p in parts), durations)
+    names = tuple(part.name for part in parts)
+    return Calibration(_lines(printer, marlin, parts), names, durations, marlin.table)
 
 
 def _boards(marlin: MarlinCode) -> list[tuple[str, Planner]]:
