@@ -166,7 +166,7 @@ class MarlinCode(Code):
         a, v, each = plain(acceleration, 0), plain(velocity, 0), plain(corner, 2)
         deviation = corner**2 / (RIGHT_ANGLE * acceleration)
         corners = f"X{each} Y{each}" if self.table.classic_jerk else f"J{plain(deviation, 4)}"
-        return ["M400", "M593 F0", "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
+        return ["M400", "M593 F0", TRAPEZOIDS, "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
                 f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
 
     def set_acceleration(self, acceleration: float) -> str:
