@@ -209,6 +209,15 @@ def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, plann
     below(off[:100].max(), 0.06, "distance in the first 0.1 s, mm")
 
 
+def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin: Printer) -> None:
+    """With the acceleration of z it dips by 21 steps, and snaps back as x sets out."""
+    run = played(laps(1), with_own(marlin, planner="ft-motion"), planner="ft-motion").run
+    assert isinstance(run, FixedTimeRun)
+    z = run.frames[:, Z] - run.frames[0, Z]
+    assert -0.5 < z.min() and 5.5 < z.max() < 6.5
+    below(run.sets_out, 0.55, "time before x and y move, s")
+
+
 @pytest.mark.parametrize("hz", [3e4, 5e4])
 def test_smoothed_steps_keep_time_more_coarsely(marlin: Printer, hz: float) -> None:
     """Whole ticks of a part of a step are coarse: unmodelled, it is 200 ms a minute and more."""
