@@ -12,12 +12,12 @@ from pathlib import Path
 from hframe_post.cli.integrations import program
 from hframe_post.errors import HframeError
 from hframe_post.hosts import moonraker
+from hframe_post.hosts.moonraker.disk import NAME
 from hframe_post.writers.files import Outputs
 
 CONFIG = "moonraker.conf"
-LINK = f"{moonraker.NAME}.py"
 PLACES = ("moonraker/moonraker", "moonraker-env/lib/python3*/site-packages/moonraker")
-UPDATES = f"update_manager {moonraker.NAME}"
+UPDATES = f"update_manager {NAME}"
 # a header and the lines below it, as far as the next empty line
 SECTIONS = re.compile(
     r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
@@ -51,7 +51,7 @@ class Moonraker:
         text, done = self._text(), [f"{self._link(create=True)}: linked"]
         command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
-        sections = ((moonraker.NAME, f"command: {command}\n"), (UPDATES, update_lines(installed)))
+        sections = ((NAME, f"command: {command}\n"), (UPDATES, update_lines(installed)))
         for name, lines in sections:
             if lines and not re.search(rf"^\[{name}\]", text, re.MULTILINE):
                 text = f"{text.rstrip()}\n\n[{name}]\n{lines}"
@@ -64,7 +64,7 @@ class Moonraker:
         text, done = self._text(), [f"{self._link(create=False)}: removed"]
         self._write(outputs, SECTIONS.sub("\n", text))
         if SECTIONS.search(text):
-            done.append(f"{self.config}: section [{moonraker.NAME}] removed")
+            done.append(f"{self.config}: section [{NAME}] removed")
         return [*done, "", RESTART]
 
     def _text(self) -> str:
@@ -75,16 +75,17 @@ class Moonraker:
             outputs.open(self.config).write(text.encode("utf-8", "surrogateescape"))
 
     def _link(self, create: bool) -> Path:
-        link = self._components / LINK
-        if link.is_symlink():
-            link.unlink()
-        elif link.exists():
-            raise HframeError(f"{link} is not hframe-post's: remove it first")
+        link = self._components / NAME
+        for old in (link, link.with_suffix(".py")):  # a file in earlier versions
+            if old.is_symlink():
+                old.unlink()
+            elif old.exists():
+                raise HframeError(f"{old} is not hframe-post's: remove it first")
         if create:
             component = Path(moonraker.__file__)
             if not component.is_file():
                 raise HframeError("the single-file program has no component: install with pipx")
-            link.symlink_to(component)
+            link.symlink_to(component.parent, target_is_directory=True)
         return link
 
 

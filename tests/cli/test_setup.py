@@ -504,11 +504,11 @@ def test_moonraker_updates_what_pip_took_from_an_index_or_from_git(
 def test_moonraker_is_connected_and_disconnected_without_a_trace(
     config: Path, moonraker: Path
 ) -> None:
-    conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post.py"
+    conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post"
     before = conf.read_text()
     printed = set_up(config, "--moonraker")
     assert "sudo systemctl restart moonraker" in printed
-    assert link.resolve() == ROOT / "hframe_post/hosts/moonraker.py"
+    assert link.resolve() == ROOT / "hframe_post/hosts/moonraker"
     connected = conf.read_text()
     assert connected.startswith(before)
     assert f"[hframe_post]\ncommand: {program()} -p {config.parent}/printer.toml\n" in connected

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker import KEPT, Upload
+from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
 from tests.hosts.moonraker import Printer, processes, until
@@ -218,7 +218,9 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    return os.listdir(printer.gcodes / ".hframe_post")
+    """Return what is in the component's folder but sliced files of converted ones."""
+    names = os.listdir(printer.gcodes / ".hframe_post")
+    return [name for name in names if not name.endswith(".original")]
 
 
 @pytest.mark.parametrize(("room", "fits_twice"), [("1600k", True), ("600k", False)])
@@ -254,6 +256,6 @@ def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
     assert printer.config.read_text() == before
     assert "removed" in printer.set_up("--no-moonraker")
     assert "hframe_post" not in printer.config.read_text()
-    assert not (printer.components / "hframe_post.py").is_symlink()
+    assert not (printer.components / "hframe_post").is_symlink()
     printer.set_up("--moonraker")
     assert printer.config.read_text() == before

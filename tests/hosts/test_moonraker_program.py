@@ -17,16 +17,10 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts import moonraker
-from hframe_post.hosts.moonraker import (
-    CONVERTING,
-    FOLDER,
-    REFUSAL,
-    FailureError,
-    Upload,
-    alone,
-    cause,
-    refuse,
-)
+from hframe_post.hosts.moonraker.disk import FOLDER, FailureError, alone, cause
+from hframe_post.hosts.moonraker.originals import Originals
+from hframe_post.hosts.moonraker.settings import Settings
+from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.hosts.moonraker import WAIT, until
@@ -52,8 +46,25 @@ def kept(part: Path) -> list[str]:
 def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
     """Start the component as a program on a file."""
     gcodes = next(folder for folder in part.parents if (folder / FOLDER).is_dir())
-    words = (sys.executable, moonraker.__file__, part, gcodes, gcodes / "socket")
-    return subprocess.Popen([str(word) for word in (*words, *(command or COMMAND))], cwd=ROOT)
+    return begun("upload", settings(gcodes, *command), part)
+
+
+def settings(gcodes: Path, *command: str, keep: int = 10_000_000) -> Settings:
+    return Settings(str(gcodes), str(gcodes / "socket"), [*(command or COMMAND)], keep, "/nowhere")
+
+
+def begun(duty: str, told: Settings, *words: str | Path) -> subprocess.Popen[bytes]:
+    """Start a duty of the component."""
+    return subprocess.Popen(words_of(duty, told, *words), cwd=ROOT)
+
+
+def words_of(duty: str, told: Settings, *words: str | Path) -> list[str]:
+    folder = Path(moonraker.__file__).parent
+    return [str(word) for word in (sys.executable, folder, duty, told.as_json(), *words)]
+
+
+def stale(told: Settings) -> Any:
+    return json.loads(subprocess.check_output(words_of("stale", told), cwd=ROOT))
 
 
 def processed(part: Path, *command: str) -> int:
@@ -95,7 +106,7 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
     assert processed(part) == 0  # a second pass
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    assert kept(part) == []
+    assert [(part.parents[1] / FOLDER / name).read_bytes() for name in kept(part)] == [PART]
     texts = [each["text"] for each in reports]
     assert len(texts) == 2
     assert texts[0].startswith("hframe-post: part.gcode: converted\n")
@@ -119,6 +130,80 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+OTHER = ("--tolerance", "0.008")  # an option that changes the output, as another profile does
+
+
+def converted_by(options: tuple[str, ...], folder: Path) -> bytes:
+    (folder / "in.gcode").write_bytes(PART)
+    done = run(folder / "in.gcode", "-o", "-", "-p", ROOT / "tests/measured.toml", *options)
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_a_converted_file_is_converted_again_whatever_became_of_its_name(
+    part: Path, reports: list[Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    gcodes, newer = part.parents[1], settings(part.parents[1], *COMMAND, *OTHER)
+    assert processed(part) == 0
+    renamed = gcodes / "renamed.gcode"
+    part.rename(renamed)
+    by_hand = gcodes / "by_hand.gcode"  # converted elsewhere: nothing of it is kept
+    by_hand.write_bytes(renamed.read_bytes() + b"; another\n")
+    before = by_hand.read_bytes()
+    assert stale(settings(gcodes)) == {"old": [], "kept": []}
+    assert stale(newer)["kept"] == ["renamed.gcode"]
+    for words in ((), ("renamed.gcode",)):
+        assert begun("again", newer, *words).wait() == 0
+        assert renamed.read_bytes() == converted_by(OTHER, tmp_path_factory.mktemp("by_hand"))
+        assert len(kept(part)) == 1
+    assert begun("again", newer, "by_hand.gcode").wait() == 1
+    assert by_hand.read_bytes() == before
+    assert reports[-1]["text"].endswith("its sliced file is not kept: upload it again")
+    renamed.unlink()
+    assert begun("tidy", newer).wait() == 0
+    assert kept(part) == []
+
+
+@pytest.mark.slow
+def test_a_file_that_cannot_be_converted_again_stays(part: Path, reports: list[Any]) -> None:
+    gcodes = part.parents[1]
+    assert processed(part) == 0
+    before, held = part.read_bytes(), kept(part)
+    told = settings(gcodes, *COMMAND, "--on-limit", "error", "--max-error", "0.001%")
+    assert begun("again", told, "sub/part.gcode").wait() == 1
+    assert reports[-1]["failed"]
+    assert "left as it was converted before" in reports[-1]["text"]
+    with begun("again", settings(gcodes, *COMMAND, *OTHER), "sub/part.gcode") as killed:
+        killed.kill()
+    assert begun("tidy", settings(gcodes)).wait() == 0
+    assert part.read_bytes() == before
+    assert kept(part) == held
+
+
+@pytest.mark.slow
+def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -> None:
+    gcodes, room = part.parents[1], 3 * len(PART) // 2
+    paths = [part, part.with_name("second.gcode")]
+    for path in paths:
+        path.write_bytes(PART)
+        assert begun("upload", settings(gcodes, keep=room), path).wait() == 0
+    originals = Originals(gcodes, room)
+    assert [originals.of(path).exists() for path in paths] == [False, True]
+    assert begun("again", settings(gcodes, keep=0), "sub/second.gcode").wait() == 0
+    assert kept(part) == []
+    assert all(path.read_bytes().startswith(b"; processed by") for path in paths)
+
+
+def test_before_the_printer_is_measured_a_file_stays_as_sliced(
+    part: Path, reports: list[Any]
+) -> None:
+    assert processed(part, *COMMAND[:-1], "example-voron") == 1
+    assert part.read_bytes() == PART
+    assert kept(part) == []
+    assert "left as sliced: " in reports[0]["text"]
+    assert "was not measured on your printer" in reports[0]["text"]
 
 
 @pytest.mark.slow
@@ -178,7 +263,7 @@ def test_after_an_interruption_every_name_gets_its_own_file_back(tmp_path: Path)
         again = Upload(tmp_path / name, tmp_path)
         again.take()
         assert again.work.read_bytes() == PART + b"; part %d\n" % number, name
-        again.give_back()
+        again.give_back(None, Originals(tmp_path, 0))
     assert os.listdir(tmp_path / FOLDER) == []
 
 
@@ -194,7 +279,7 @@ def test_an_interrupted_file_is_found_under_its_new_name_and_as_copies(tmp_path:
     for path, expected in ((new, PART), (old, PART + b"; another\n"), (copied, PART)):
         again = Upload(path, tmp_path)
         again.take()
-        again.give_back()
+        again.give_back(None, Originals(tmp_path, 0))
         assert path.read_bytes() == expected, path.name
     assert os.listdir(tmp_path / FOLDER) == []
 
@@ -257,7 +342,7 @@ def test_a_conversion_ends_when_its_file_is_gone(
     if fate == "renamed":
         assert processed(renamed) == 0
         assert renamed.read_bytes().startswith(b"; processed by hframe-post")
-    assert kept(part) == []
+    assert [Path(name).suffix for name in kept(part)] == [".original"] * (fate != "deleted")
 
 
 def test_a_file_that_is_deleted_while_it_waits_is_no_failure(
