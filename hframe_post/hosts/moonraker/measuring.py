@@ -70,7 +70,7 @@ class Measuring:
         while True:
             stats = (await klippy.query_objects({"print_stats": None}))["print_stats"]
             if stats["filename"] != job:
-                return "replaced by another job"
+                return "cancelled"  # and forgotten, or another file was begun
             if stats["state"] not in ("standby", "printing", "paused"):
                 return str(stats["state"])
             await asyncio.sleep(LOOK)
