@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -49,8 +50,11 @@ def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
     return begun("upload", settings(gcodes, *command), part)
 
 
-def settings(gcodes: Path, *command: str, keep: int = 10_000_000) -> Settings:
-    return Settings(str(gcodes), str(gcodes / "socket"), [*(command or COMMAND)], keep, "/nowhere")
+def settings(
+    gcodes: Path, *command: str, keep: int = 10_000_000, recordings: str = "/nowhere"
+) -> Settings:
+    address = str(gcodes / "socket")
+    return Settings(str(gcodes), address, [*(command or COMMAND)], keep, recordings)
 
 
 def begun(duty: str, told: Settings, *words: str | Path) -> subprocess.Popen[bytes]:
@@ -385,3 +389,27 @@ def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:
     refuse(Upload(part, part.parents[1]), "cannot be read")
     assert part.read_bytes() == PART
     assert [path.name for path in part.parent.iterdir()] == ["part.gcode"]
+
+
+@pytest.mark.slow
+def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports: list[Any]) -> None:
+    gcodes, recordings = part.parents[1], part.parent
+    told = settings(gcodes, *COMMAND[:-1], "example-cartesian", recordings=str(recordings))
+    job = prepared(told)
+    assert job == ".hframe_post/calibration/measure-x.gcode"
+    (run_name,) = set(re.findall("NAME=(measure-x-.*)", (gcodes / job).read_text()))
+    for ended in (1000, 2000):
+        (recordings / f"adxl345-{run_name}-t{ended}.csv").write_text("0,0,0,0\n")
+    assert begun("conclude", told, "calibration", job, "0").wait() == 1
+    assert reports[-1]["text"].endswith("the bed, then type HFRAME_CALIBRATE AXIS=Y")
+    assert prepared(told, "Y") == ".hframe_post/calibration/measure-y.gcode"
+    folder = gcodes / FOLDER / "calibration"
+    assert len([*folder.glob("adxl345-measure-x-*")]) == 2
+    assert prepared(told, "X") == job
+    assert [*folder.glob("adxl345-*")] == []
+
+
+def prepared(told: Settings, axis: str = "") -> str:
+    command = words_of("prepare", told, "calibration", axis)
+    job: str = json.loads(subprocess.check_output(command, cwd=ROOT))["job"]
+    return job
