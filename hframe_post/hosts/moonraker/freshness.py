@@ -27,10 +27,12 @@ class Freshness:
             return
         async with self._one_at_a_time:
             if self._is_due():
+                component.say(f"the printer is checked before {name} prints")
                 await component.measuring.measure("check")
             self._begun = name
             old, kept = await self._age(name)
             if kept and self._stale == "convert":
+                component.say(f"{name} is of an older model: it is converted again, then printed")
                 await component.convert(name)
             elif old:
                 self._warn(name, kept)

@@ -77,15 +77,17 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
                 return 1
         inputs = [str(path) for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
         summary = folder / "summary.json"
-        name = {"calibration": "identify", "check": "check"}[kind]
+        page = profile.with_suffix(".html")
+        words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
         result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
-        said([*program, name, *result, *inputs], MINUTES)
+        said([*program, *words, *result, *inputs], MINUTES)
         found = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         interface.report(f"the model stays as it was: {cause(error)}", failed=True)
         return 1
     told = {"calibration": _identified, "check": _checked}[kind](found)
-    for line in (*told, f"the model is written into {profile}"):
+    plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
+    for line in (*told, f"the model is written into {profile}{plots}"):
         interface.report(line)
     return 0
 
