@@ -223,6 +223,55 @@ def left_over(printer: Printer) -> list[str]:
     return [name for name in names if not name.endswith(".original")]
 
 
+def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
+    printer: Printer,
+) -> None:
+    """A kill in mid-conversion, two uploads at once, names that are no files of Moonraker's."""
+    printer.upload("part.gcode", PART)
+    path, profile = printer.gcodes / "part.gcode", printer.profile.read_text()
+    before = path.read_bytes()
+    newer = re.sub("belt_velocity = .*", "belt_velocity = 691.0", profile)
+    assert newer != profile
+    try:
+        printer.profile.write_text(newer)
+        assert "part.gcode" in printer.get("/server/hframe_post/status")["stale"]
+        printer.gate.touch()
+        answer = printer.post("/server/hframe_post/convert?filename=part.gcode")
+        assert answer == {"converting": ["part.gcode"]}
+        until(lambda: conversions(printer) != [])
+        printer.kill("moonraker")
+        assert path.read_bytes() == before
+        printer.gate.unlink()
+        printer.start_moonraker()
+        until(lambda: printer.get("/server/info")["klippy_state"] == "ready")
+        parts = {f"{k}.gcode": PART + b"; %d\n" % k for k in range(2)}
+        uploads = [threading.Thread(target=printer.upload, args=each) for each in parts.items()]
+        for upload in uploads:
+            upload.start()
+        printer.post("/server/hframe_post/convert")
+        for upload in uploads:
+            upload.join()
+        until(lambda: printer.get("/server/hframe_post/status")["stale"] == [])
+        for name, content in {**parts, "part.gcode": PART}.items():
+            assert (printer.gcodes / name).read_bytes() == printer.converted(content), name
+        assert path.read_bytes() != before
+        for name in ("../config/printer.toml", "/etc/passwd", "none.gcode"):
+            with pytest.raises(AssertionError, match="there is no file"):
+                printer.post(f"/server/hframe_post/convert?filename={name}")
+    finally:
+        printer.profile.write_text(profile)
+    # by its macro, and before it prints
+    printer.type("HFRAME_CONVERT FILENAME=part.gcode")
+    until(lambda: path.read_bytes() == printer.converted(PART))
+    printer.post("/printer/print/start?filename=0.gcode")
+    until(lambda: printer.print_stats()["state"] == "complete")
+    assert (printer.gcodes / "0.gcode").read_bytes() == printer.converted(parts["0.gcode"])
+    printer.request("DELETE", "/server/files/gcodes/0.gcode")
+    kept = printer.gcodes / ".hframe_post"
+    count = len([*kept.glob("*.original")])
+    until(lambda: len([*kept.glob("*.original")]) < count)
+
+
 @pytest.mark.parametrize(("room", "fits_twice"), [("1600k", True), ("600k", False)])
 def test_a_full_disk_leaves_nothing_that_could_be_printed(
     tmp_path: Path, room: str, fits_twice: bool

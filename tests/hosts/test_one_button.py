@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from hframe_post.hosts.moonraker.originals import SETTINGS, settings_of
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.hosts.accelerometer import machine_of
-from tests.hosts.moonraker import Printer, processes, until
+from tests.hosts.moonraker import Printer, until
 from tests.quantities import below
 from tests.random_printers import judged, with_plant
 
@@ -108,37 +107,3 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     printed(printer, "part.gcode")
     assert printer.console()[-1] == "Done printing file"
     assert printer.profile.read_bytes() == profile
-    interrupted_and_at_once(printer)
-
-
-def interrupted_and_at_once(printer: Printer) -> None:
-    """Convert again with another setting: killed, then by hand; meanwhile upload two files."""
-    path, before = printer.gcodes / "part.gcode", (printer.gcodes / "part.gcode").read_bytes()
-    printer.profile.write_text(printer.profile.read_text() + "\n[speed]\nmodel_error = 0.04\n")
-    assert printer.get("/server/hframe_post/status")["stale"] == ["part.gcode"]
-    printer.gate.touch()
-    printer.post("/server/hframe_post/convert?filename=part.gcode")
-    until(lambda: len(processes(str(printer.gcodes / ".hframe_post"))) > 0)
-    printer.kill("moonraker")
-    assert path.read_bytes() == before
-    printer.gate.unlink()
-    printer.start_moonraker()
-    uploads = [
-        threading.Thread(target=printer.upload, args=(f"{k}.gcode", PART + b"; %d\n" % k))
-        for k in range(2)
-    ]
-    for upload in uploads:
-        upload.start()
-    printer.type("HFRAME_CONVERT")
-    for upload in uploads:
-        upload.join()
-    until(lambda: path.read_bytes() != before)
-    assert path.read_bytes() == printer.converted(PART)
-    for k in range(2):
-        expected = printer.converted(PART + b"; %d\n" % k)
-        assert (printer.gcodes / f"{k}.gcode").read_bytes() == expected
-    assert printer.get("/server/hframe_post/status")["stale"] == []
-    for name in ("../config/printer.toml", "/etc/passwd", "none.gcode"):
-        with pytest.raises(AssertionError, match="there is no file"):
-            printer.post(f"/server/hframe_post/convert?filename={name}")
-    print("\n".join(printer.console()))

@@ -211,6 +211,11 @@ class HframePost:
                 self.say(f"{len(stale)} files here were converted with an older model: {when}")
 
     async def _check(self) -> None:
+        if self.prints():
+            self.say(
+                f"no check during a print: fresh in [{NAME}] of moonraker.conf makes one before"
+            )
+            return
         await self.measuring.measure("check")
 
     async def _convert_typed(self, filename: str = "") -> None:
