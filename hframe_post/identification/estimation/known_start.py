@@ -139,6 +139,8 @@ class _Linear:
         self._H, self._gain, self._lag_sd = measured.H, gain, lag_sd
         self._velocity = 1.0 - 1.0 / self._z
         self._acceleration = self._z - 2.0 + 1.0 / self._z
+        q = self._acceleration[:, None] * self._z[:, None] ** -self._k
+        self._columns = np.column_stack([np.ones(len(self._z)), -self._velocity, q])
 
     def data(self, weight: Array, gain_sd: float, tail: float = 0.0) -> Data:
         """Return the data of a regression, for 1 / noise (k,). tail: of a slow pole, or 0."""
@@ -152,23 +154,22 @@ class _Linear:
 
         sds = [gain_sd, self._lag_sd, *([TAIL_SD] if tail else [])]
         return Data(
-            rows(self._columns(tail)), rows(self._H - self._gain), self._k,
+            rows(self._with_tail(tail)), rows(self._H - self._gain), self._k,
             np.array(sds) ** -2.0, by_modes, tail,
         )  # fmt: skip
 
     def modelled(self, found: Posterior) -> Complex:
         """Return the mean of the response (k,)."""
         ringing = self._ringing(found.prior.modes, found.prior.onset)
-        columns = np.hstack([self._columns(found.tail), ringing])
+        columns = np.hstack([self._with_tail(found.tail), ringing])
         return np.asarray(self._gain + columns @ found.mean.astype(complex))
 
-    def _columns(self, tail: float) -> Complex:
-        pole = []
-        if tail:  # of one that is late by one sample, besides its q
-            q = self._acceleration / (np.exp(tail) * self._z - 1.0)
-            pole = [q - self._velocity]
-        q = self._acceleration[:, None] * self._z[:, None] ** -self._k
-        return np.column_stack([np.ones(len(self._z)), -self._velocity, *pole, q])
+    def _with_tail(self, tail: float) -> Complex:
+        """Return the columns with that of a slow pole which is late by one sample, besides its q."""
+        if not tail:
+            return self._columns
+        q = self._acceleration / (np.exp(tail) * self._z - 1.0)
+        return np.insert(self._columns, 2, q - self._velocity, axis=1)
 
     def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
