@@ -246,8 +246,9 @@ def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
         until(lambda: printer.get("/server/info")["klippy_state"] == "ready")
         parts = {f"{k}.gcode": PART + b"; %d\n" % k for k in range(2)}
         uploads = [threading.Thread(target=printer.upload, args=each) for each in parts.items()]
-        for upload in uploads:
+        for name, upload in zip(parts, uploads, strict=True):
             upload.start()
+            until((printer.gcodes / name).exists)  # within a second, Moonraker confuses them
         printer.post("/server/hframe_post/convert")
         for upload in uploads:
             upload.join()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -133,7 +134,7 @@ def stale(settings: Settings, *names: str) -> int:
 
 def tidy(settings: Settings) -> int:
     """Remove what is kept for files that are gone."""
-    with alone(settings.folder):
+    with alone(settings.folder), contextlib.suppress(OSError):  # a file is deleted meanwhile
         settings.originals.tidy()
     return 0
 

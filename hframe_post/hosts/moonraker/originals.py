@@ -56,8 +56,9 @@ class Originals:
             original.replace(kept)
         elif original.suffix != SUFFIX:  # else it may be a copy's, too
             original.unlink()
-        os.utime(kept)
-        self.tidy()
+        with contextlib.suppress(OSError):  # such as of a file that is deleted meanwhile
+            os.utime(kept)
+            self.tidy()
 
     def stale(self, settings: str) -> Iterator[Path]:
         """Yield the files that were converted with other settings and can be converted again."""

@@ -7,6 +7,7 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import time
@@ -43,12 +44,14 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
     folder, interface = settings.folder / kind, Interface(settings.socket)
     try:
         program, profile = settings.program_and_profile()
-        if axis != "Y":
+        if kind == "calibration" and axis != "Y":
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
-        command, *words = WRITING[kind]
-        target = str(folder / f"{command}.gcode")
-        said([*program, command, "-p", str(profile), *words, target], MINUTES)
+        os.utime(folder)  # the time of the last check
+        if kind == "calibration" or not _is_written(folder, profile):
+            command, *words = WRITING[kind]
+            target = str(folder / f"{command}.gcode")
+            said([*program, command, "-p", str(profile), *words, target], MINUTES)
     except (FailureError, OSError) as error:
         interface.report(f"nothing is measured: {cause(error)}", failed=True)
         return 1
@@ -92,6 +95,12 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
     return 0
 
 
+def _is_written(folder: Path, profile: Path) -> bool:
+    """Return whether the G-code in a folder is of the present profile."""
+    times = [path.stat().st_mtime for path in folder.glob("*.gcode")]
+    return bool(times) and min(times) > profile.stat().st_mtime
+
+
 def _commands(folder: Path) -> dict[str, Path]:
     """Return the commands of a folder by the name of their run, such as measure-x-at-110."""
     return {path.stem.partition(".")[2]: path for path in folder.glob("*.*.csv")}
@@ -105,7 +114,7 @@ def _recordings(folder: Path, run: str) -> list[Path]:
 
 def _fetch(settings: Settings, job: Path, began: float) -> None:
     """Copy what Klipper recorded of a job, once it is complete. Raises FailureError, OSError."""
-    expected = Counter(ENDS_RECORDING.findall(job.read_text()))
+    expected = Counter(ENDS_RECORDING.findall(job.read_text("utf-8")))
     source, deadline = Path(settings.recordings), time.monotonic() + PATIENCE
     before: dict[Path, int] = {}
     changed = time.monotonic()
