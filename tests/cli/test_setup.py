@@ -510,8 +510,11 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     config: Path, moonraker: Path
 ) -> None:
     conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post"
+    former = moonraker / "hframe_post.py"  # of earlier versions
+    former.symlink_to("/gone/moonraker.py")
     before = conf.read_text()
     printed = set_up(config, "--moonraker")
+    assert not former.is_symlink()
     assert "sudo systemctl restart klipper moonraker" in printed
     assert link.resolve() == ROOT / "hframe_post/hosts/moonraker"
     connected = conf.read_text()

@@ -227,6 +227,8 @@ def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
     printer: Printer,
 ) -> None:
     """A kill in mid-conversion, two uploads at once, names that are no files of Moonraker's."""
+    for path in printer.gcodes.glob("*.gcode"):  # of other tests, which would be stale, too
+        path.unlink()
     printer.upload("part.gcode", PART)
     path, profile = printer.gcodes / "part.gcode", printer.profile.read_text()
     before = path.read_bytes()
@@ -238,6 +240,11 @@ def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
         printer.gate.touch()
         answer = printer.post("/server/hframe_post/convert?filename=part.gcode")
         assert answer == {"converting": ["part.gcode"]}
+        until(lambda: conversions(printer) != [])
+        printer.post("/server/hframe_post/cancel")
+        until(lambda: conversions(printer) == [])
+        assert path.read_bytes() == before
+        printer.post("/server/hframe_post/convert?filename=part.gcode")
         until(lambda: conversions(printer) != [])
         printer.kill("moonraker")
         assert path.read_bytes() == before

@@ -83,9 +83,10 @@ gcode:
     {{% endif %}}
 
 [gcode_macro HFRAME_CONVERT]
-description: Convert the files of an older model again, or FILENAME
+description: Convert the files of an older model again, or FILENAME; CANCEL=1 ends that
 gcode:
-    {{action_call_remote_method("hframe_convert", filename=params.FILENAME|default(""))}}
+    {{action_call_remote_method("hframe_convert", filename=params.FILENAME|default(""), \
+cancel=params.CANCEL|default(""))}}
 
 [gcode_macro _HFRAME_RECORD]
 description: Home if needed, ask the accelerometers for a reading, and print FILENAME

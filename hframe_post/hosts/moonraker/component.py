@@ -21,7 +21,7 @@ from .originals import STAMP
 from .settings import Settings
 
 PROGRAM = str(Path(__file__).resolve().parent)
-CONVERT, STATUS = "/server/hframe_post/convert", "/server/hframe_post/status"
+CONVERT, CANCEL, STATUS = (f"/server/{NAME}/{word}" for word in ("convert", "cancel", "status"))
 TIMEOUT = 4 * 3600.0  # s, for a process
 METADATA = 60.0  # s, in which Moonraker reads those of a file
 MEGABYTE = 1_000_000
@@ -45,7 +45,7 @@ class HframePost:
         self._gcodes, self._command = gcodes, [sys.executable, PROGRAM]
         self.checked = gcodes / FOLDER / "check"  # changed by each check
         self._words = settings.as_json()
-        self._processes: set[asyncio.subprocess.Process] = set()
+        self._processes: dict[asyncio.subprocess.Process, str] = {}  # with their duties
         self._tidying = False
         self.measuring = Measuring(self.server, self.run, self.say)
         self._freshness = Freshness(
@@ -71,6 +71,7 @@ class HframePost:
         kinds = import_module("moonraker.common").RequestType
         server.register_endpoint(ENDPOINT, kinds.POST, self._report)
         server.register_endpoint(CONVERT, kinds.POST, self._convert_requested)
+        server.register_endpoint(CANCEL, kinds.POST, self._cancel_requested)
         server.register_endpoint(STATUS, kinds.GET, self._status_requested)
         server.register_remote_method("hframe_calibrate", self._calibrate)
         server.register_remote_method("hframe_check", self._check)
@@ -93,12 +94,12 @@ class HframePost:
             *self._command, duty, self._words, *words,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
-        self._processes.add(process)
+        self._processes[process] = duty
         try:
             output, _ = await asyncio.wait_for(process.communicate(), TIMEOUT)
             return process.returncode or 0, output.decode()
         finally:
-            self._processes.discard(process)
+            del self._processes[process]
             if process.returncode is None:
                 process.kill()
 
@@ -121,14 +122,25 @@ class HframePost:
         """Return whether Moonraker lists a file: no other name is ever made a path."""
         return self._storage.get(name) is not None
 
-    async def convert(self, *names: str) -> None:
-        """Convert files again, and let Moonraker read them. Names are Moonraker's own."""
-        await self.run("again", *names)
+    async def convert(self, *names: str) -> bool:
+        """Convert files again, and let Moonraker read them. Names are Moonraker's own.
+
+        Returns whether all were converted.
+        """
+        status, _ = await self.run("again", *names)
         for name in names:
             with contextlib.suppress(OSError, asyncio.TimeoutError):
                 info = self._files.get_path_info(self._gcodes / name, "gcodes")
                 read = self._storage.parse_metadata(name, info)
                 await asyncio.wait_for(read.wait(), METADATA)
+        return status == 0
+
+    def cancel(self) -> None:
+        """End conversions of files that were converted before. These stay as they are."""
+        again = [process for process, duty in self._processes.items() if duty == "again"]
+        for process in again:
+            process.kill()  # hframe-post ends with it
+        self.say("cancelled; files stay as they are" if again else "no file is converted again")
 
     # ------------------------------------------------------------------ for Moonraker
 
@@ -166,6 +178,10 @@ class HframePost:
         if names:
             self.server.get_event_loop().register_callback(self.convert, *names)
         return {"converting": names}
+
+    async def _cancel_requested(self, _: Any) -> str:
+        self.cancel()
+        return "ok"
 
     async def _status_requested(self, _: Any) -> dict[str, Any]:
         """Return which files are stale, and whether the printer is being measured."""
@@ -218,7 +234,10 @@ class HframePost:
             return
         await self.measuring.measure("check")
 
-    async def _convert_typed(self, filename: str = "") -> None:
+    async def _convert_typed(self, filename: str = "", cancel: str = "") -> None:
+        if cancel:
+            self.cancel()
+            return
         try:
             names = await self._to_convert(filename)
         except self.server.error as error:

@@ -33,8 +33,8 @@ class Freshness:
             old, kept = await self._age(name)
             if kept and self._stale == "convert":
                 component.say(f"{name} is of an older model: it is converted again, then printed")
-                await component.convert(name)
-            elif old:
+                old = not await component.convert(name)
+            if old:
                 self._warn(name, kept)
 
     async def job_changed(self, event: Any, _: dict[str, Any], now: dict[str, Any]) -> None:
