@@ -165,25 +165,17 @@ def test_a_converted_file_is_converted_again_whatever_became_of_its_name(
     assert begun("again", newer, "by_hand.gcode").wait() == 1
     assert by_hand.read_bytes() == before
     assert reports[-1]["text"].endswith("its sliced file is not kept: upload it again")
+    # what fails or is killed leaves the file as it is
+    before, held = renamed.read_bytes(), kept(part)
+    assert begun("again", settings(gcodes, *COMMAND, "--jobs", "0"), "renamed.gcode").wait() == 1
+    assert "renamed.gcode: left as it was converted before: " in reports[-1]["text"]
+    with begun("again", settings(gcodes), "renamed.gcode") as killed:
+        killed.kill()
+    assert begun("tidy", newer).wait() == 0
+    assert (renamed.read_bytes(), kept(part)) == (before, held)
     renamed.unlink()
     assert begun("tidy", newer).wait() == 0
     assert kept(part) == []
-
-
-@pytest.mark.slow
-def test_a_file_that_cannot_be_converted_again_stays(part: Path, reports: list[Any]) -> None:
-    gcodes = part.parents[1]
-    assert processed(part) == 0
-    before, held = part.read_bytes(), kept(part)
-    told = settings(gcodes, *COMMAND, "--on-limit", "error", "--max-error", "0.001%")
-    assert begun("again", told, "sub/part.gcode").wait() == 1
-    assert reports[-1]["failed"]
-    assert "left as it was converted before" in reports[-1]["text"]
-    with begun("again", settings(gcodes, *COMMAND, *OTHER), "sub/part.gcode") as killed:
-        killed.kill()
-    assert begun("tidy", settings(gcodes)).wait() == 0
-    assert part.read_bytes() == before
-    assert kept(part) == held
 
 
 @pytest.mark.slow
@@ -393,20 +385,28 @@ def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:
 
 @pytest.mark.slow
 def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports: list[Any]) -> None:
-    gcodes, recordings = part.parents[1], part.parent
-    told = settings(gcodes, *COMMAND[:-1], "example-cartesian", recordings=str(recordings))
+    gcodes, profile = part.parents[1], part.with_name("mine.toml")
+    profile.write_text('extends = "example-cartesian"\n')
+    told = settings(gcodes, *COMMAND[:-1], str(profile), recordings=str(part.parent))
     job = prepared(told)
     assert job == ".hframe_post/calibration/measure-x.gcode"
-    (run_name,) = set(re.findall("NAME=(measure-x-.*)", (gcodes / job).read_text()))
-    for ended in (1000, 2000):
-        (recordings / f"adxl345-{run_name}-t{ended}.csv").write_text("0,0,0,0\n")
-    assert begun("conclude", told, "calibration", job, "0").wait() == 1
+    recorded(told, job)
     assert reports[-1]["text"].endswith("the bed, then type HFRAME_CALIBRATE AXIS=Y")
-    assert prepared(told, "Y") == ".hframe_post/calibration/measure-y.gcode"
-    folder = gcodes / FOLDER / "calibration"
-    assert len([*folder.glob("adxl345-measure-x-*")]) == 2
-    assert prepared(told, "X") == job
-    assert [*folder.glob("adxl345-*")] == []
+    job = prepared(told, "Y")
+    assert job == ".hframe_post/calibration/measure-y.gcode"
+    assert len([*(gcodes / FOLDER / "calibration").glob("adxl345-measure-x-*")]) == 2
+    recorded(told, job)  # nothing that could be identified
+    assert reports[-1]["failed"]
+    assert "the model stays as it was: " in reports[-1]["text"]
+    assert profile.read_text() == 'extends = "example-cartesian"\n'
+
+
+def recorded(told: Settings, job: str) -> None:
+    """Write what passes for recordings of a job, and draw the conclusions."""
+    (name,) = set(re.findall("NAME=(measure-[xy]-.*)", Path(told.gcodes, job).read_text()))
+    for ended in (1000, 2000):
+        Path(told.recordings, f"adxl345-{name}-t{ended}.csv").write_text("0,0,0,0\n")
+    assert begun("conclude", told, "calibration", job, "0").wait() == 1
 
 
 def prepared(told: Settings, axis: str = "") -> str:

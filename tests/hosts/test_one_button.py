@@ -78,8 +78,6 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     # before it is measured, a file prints as it was sliced
     printer.upload("part.gcode", PART)
     assert path.read_bytes() == PART
-    printer.type("HFRAME_CALIBRATE")
-    until(lambda: said(printer, "nothing is measured: No accelerometer measurements found"))
     machine_becomes(printer, MODES)
     printer.type("HFRAME_CALIBRATE")
     until(lambda: said(printer, "the model is written into"))
@@ -106,4 +104,5 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     profile = printer.profile.read_bytes()
     printed(printer, "part.gcode")
     assert printer.console()[-1] == "Done printing file"
+    assert said(printer, "nothing is measured: No accelerometer measurements found")
     assert printer.profile.read_bytes() == profile
