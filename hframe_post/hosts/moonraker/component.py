@@ -145,7 +145,10 @@ class HframePost:
     # ------------------------------------------------------------------ for Moonraker
 
     async def _start_fresh(self, filename: str, *arguments: Any, **named: Any) -> Any:
-        await self._freshness.before(filename.lstrip("/"))
+        try:
+            await self._freshness.before(filename.lstrip("/"))
+        except (OSError, ValueError, asyncio.TimeoutError) as error:  # of a process
+            self.say(f"{filename} is printed as it is: {error}", True)
         return await self._start_print(filename, *arguments, **named)
 
     async def _stop_and_delete(self, path: str) -> Any:
