@@ -147,7 +147,7 @@ class HframePost:
     async def _start_fresh(self, filename: str, *arguments: Any, **named: Any) -> Any:
         try:
             await self._freshness.before(filename.lstrip("/"))
-        except (OSError, ValueError, asyncio.TimeoutError) as error:  # of a process
+        except (OSError, ValueError, asyncio.TimeoutError) as error:  # noqa: UP041  Python 3.9
             self.say(f"{filename} is printed as it is: {error}", True)
         return await self._start_print(filename, *arguments, **named)
 
