@@ -25,6 +25,7 @@ OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of 
 def upload(settings: Settings, path: str) -> int:
     """Convert a new file. If it fails, it cannot be printed, unless the profile is the cause."""
     with alone(settings.folder):
+        settings.originals.make_room()
         while stamp(Path(path)):  # otherwise it was deleted while it waited
             status = _uploaded(settings, Path(path))
             if status is not None:

@@ -67,24 +67,27 @@ class Originals:
                 yield path
 
     def tidy(self) -> None:
-        """Remove kept files without their converted file, then the oldest beyond the limits.
+        """Remove kept files without their converted file, and those beyond the limits.
 
         Nothing else may convert meanwhile.
         """
         for left in (*self._folder.glob("*.converted"), *self._folder.glob("*.new")):
             left.unlink(missing_ok=True)  # by a process that was killed
+        kept = [*self._folder.glob(f"*{SUFFIX}")]
+        if kept:
+            needed = {self.of(path) for path in gcode_files(self._gcodes) if settings_of(path)}
+            for path in kept:
+                if path not in needed:
+                    path.unlink()
+        self.make_room()
+
+    def make_room(self) -> None:
+        """Remove the oldest kept files, as long as there are too many or the disk is too full."""
         kept = sorted(self._folder.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime)
-        if not kept:
-            return
-        needed = {self.of(path) for path in gcode_files(self._gcodes) if settings_of(path)}
-        for path in [path for path in kept if path not in needed]:
-            path.unlink()
-            kept.remove(path)
         size = sum(path.stat().st_size for path in kept)
-        disk = shutil.disk_usage(self._folder)
         for path in kept:
-            full = shutil.disk_usage(self._folder).free < LEAST_FREE * disk.total
-            if size <= self._most and not full:
+            disk = shutil.disk_usage(self._folder)
+            if size <= self._most and disk.free >= LEAST_FREE * disk.total:
                 return
             size -= path.stat().st_size
             path.unlink()
