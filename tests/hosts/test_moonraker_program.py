@@ -192,6 +192,7 @@ def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -
     assert all(path.read_bytes().startswith(b"; processed by") for path in paths)
 
 
+@pytest.mark.slow
 def test_before_the_printer_is_measured_a_file_stays_as_sliced(
     part: Path, reports: list[Any]
 ) -> None:
