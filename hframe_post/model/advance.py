@@ -1,0 +1,87 @@
+"""Pressure advance: by how much an extruder is ahead of the path, A = K · dE/dt.
+
+========= ================================================================
+E         filament along the path, mm, at samples TS apart
+K         time by which flow follows the extruder late, s
+A         mm by which the extruder is ahead of E
+========= ================================================================
+
+Two rules make A:
+
+* ``smoothed`` is Klipper's: E + A is the mean of E + K · dE/dt, with weights that fall from the
+  middle to the ends of the smoothing time.
+* ``bounded`` is ours, where E itself must contain A. A is 0 at both ends of a line, so that no
+  filament is moved into travel or a retraction, and in between within the extruder's limits.
+
+A line is an unbroken row of samples in which x or y moves and filament is fed. Sums are those of
+whole numbers, picometres, so that they do not depend on where they begin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.native.plant import sliding_sums
+
+PICO = 1e9  # of a mm
+REACH = 250  # samples from which a faster change may come; see ``bounded``
+NEAR = 2  # samples before and after one between which its speed is measured
+MARGIN = 0.98  # of what fits into REACH
+
+
+def extruding(path: Array) -> Flags:
+    """Return which steps (n − 1,) of a path (n, 4) are part of a line."""
+    dx, dy, _, fed = np.diff(path, axis=0).T
+    return np.asarray((fed > 0.0) & ((dx != 0.0) | (dy != 0.0)))
+
+
+def smoothed(path: Array, K: Array, half: int) -> Array:
+    """Return A (n,) by Klipper's rule, averaged over ``half`` samples before and after each.
+
+    path (n, 4); K (n,): s. It is 0 where the neighbours are not known.
+    """
+    n, A = len(path), np.zeros(len(path))
+    if n <= 2 * half:
+        return A
+    fed = np.where(extruding(path), np.diff(path[:, E]), 0.0)
+    fed = np.append(0.0, fed)  # up to each sample
+    j = np.arange(-half, half + 1)
+    weight = (half + 1.0 - np.abs(j)) / (half + 1.0) ** 2
+    later = np.cumsum(weight[::-1])[::-1]  # weights of samples that have a step behind them
+    shift = np.where(j > 0, later, later - 1.0)
+    A[half : n - half] = sliding_sums(shift, fed) + sliding_sums(weight, K * fed / TS)
+    return A
+
+
+def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: int) -> Array:
+    """Return A (n,) by our rule, averaged over ``half`` samples before and after each.
+
+    path (n, 4); K (n,): s. The extruder stays below velocity (mm/s), and A below acceleration
+    (mm/s²): around changes of speed that are too sudden, A is lower. It is exact from
+    REACH + half + NEAR samples on from the ends of the path.
+    """
+    n, width = len(path), 2 * half + 1
+    A = np.zeros(n)
+    if n < width:
+        return A
+    steps, speed = extruding(path), np.zeros(n)
+    inside = np.append(False, steps) & np.append(steps, False)
+    speed[NEAR:-NEAR] = (path[2 * NEAR :, E] - path[: -2 * NEAR, E]) / (2 * NEAR * TS)
+    speed[:half] = speed[n - half :] = 0.0
+    speed[half : n - half][_sums(inside, width) < width] = 0.0  # so that A begins and ends at 0
+    speed = np.maximum(speed, 0.0)
+    steepest = min(velocity, acceleration * half * TS)  # mm/s
+    wanted = np.minimum(K * speed, MARGIN * steepest * TS * REACH)
+    slope = np.minimum(steepest, np.maximum(velocity - np.maximum(speed[1:], speed[:-1]), 0.0))
+    way = np.append(0, np.cumsum(np.rint(PICO * TS * slope).astype(np.int64)))
+    rising = np.minimum.accumulate(np.rint(PICO * wanted).astype(np.int64) - way) + way
+    both = np.minimum.accumulate((rising + way)[::-1])[::-1] - way
+    A[half : n - half] = _sums(both, width) / (PICO * width)
+    return A
+
+
+def _sums(x: Flags | Integers, width: int) -> Integers:
+    """Return the sums of as many neighbours, from each item that has them; whole numbers."""
+    total = np.append(0, np.cumsum(x, dtype=np.int64))
+    return np.asarray(total[width:] - total[:-width])
