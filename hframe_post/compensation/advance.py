@@ -72,7 +72,8 @@ class Advancing:
         else:
             found = bounded(path, K, limits.velocity, limits.acceleration, half)
         ahead = found[start : start + len(chunk)]
-        return replace(chunk, advance=frozen(np.column_stack([ahead, own])))
+        table = frozen(np.column_stack([ahead, own]))
+        return replace(chunk, advance=table, in_e=limits is not None)
 
     def _seconds(self, first: int, count: int) -> Array:
         """Return K (count,) from a sample on, s."""

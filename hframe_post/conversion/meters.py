@@ -172,16 +172,15 @@ class FilamentMeter:
 class ErrorMeter:
     """Predicts the errors of the nozzle's path and line, by strategy: ``contour`` and ``width``.
 
-    doubts: what is not known of the plant. picture: also collects them, if given. exact:
-    see ``Lines``.
+    doubts: what is not known of the plant. picture: also collects them, if given.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
-        picture: Picture | None = None, exact: tuple[str, ...] = (),
+        picture: Picture | None = None,
     ) -> None:  # fmt: skip
         self._plant, self._every, self._doubts = plant, every, doubts
-        self.picture, self._lines = picture, Lines(exact)
+        self.picture, self._lines = picture, Lines()
         self.contour: dict[str, ContourErrors] = {}
         self.width: dict[str, ErrorStatistics] = {}
 

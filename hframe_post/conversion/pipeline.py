@@ -22,7 +22,6 @@ from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
-from hframe_post.compensation.shape import SHAPER
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PrintTime
 from hframe_post.conversion.options import Options
@@ -105,8 +104,7 @@ class Stages:
         own = firmware(printer)
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
-        exact = () if limits is None else ("none", SHAPER)
-        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture, exact=exact)
+        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
@@ -146,7 +144,7 @@ class Stages:
             commands = prefetch(commands)
         if self._options.predict:
             if self._options.shaping is not None:
-                from hframe_post.compensation.shape import shape
+                from hframe_post.compensation.shape import SHAPER, shape
 
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self.times.timed("predict", self._errors.samples(commands))

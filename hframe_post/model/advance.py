@@ -28,6 +28,9 @@ PICO = 1e9  # of a mm
 REACH = 250  # samples from which a faster change may come; see ``bounded``
 NEAR = 2  # samples before and after one between which its speed is measured
 MARGIN = 0.98  # of what fits into REACH
+SHARE = (
+    0.8  # of the acceleration; the rest is needed at the ends of a line, where A sets out at once
+)
 
 
 def extruding(path: Array) -> Flags:
@@ -58,30 +61,43 @@ def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: i
     """Return A (n,) by our rule, averaged over ``half`` samples before and after each.
 
     path (n, 4); K (n,): s. The extruder stays below velocity (mm/s), and A below acceleration
-    (mm/s²): around changes of speed that are too sudden, A is lower. It is exact from
-    REACH + half + NEAR samples on from the ends of the path.
+    (mm/s²), from one few ms to the next: A is lower around changes of speed that are too sudden,
+    and 0 on lines of less than 2 half samples. It is exact from REACH + half + NEAR samples on from
+    the ends of the path.
     """
-    n, width = len(path), 2 * half + 1
-    A = np.zeros(n)
-    if n < width:
-        return A
-    steps, speed = extruding(path), np.zeros(n)
-    inside = np.append(False, steps) & np.append(steps, False)
+    inside, before, after = _places(path)
+    inside &= before + after >= 2 * half
+    speed = np.zeros(len(path))
     speed[NEAR:-NEAR] = (path[2 * NEAR :, E] - path[: -2 * NEAR, E]) / (2 * NEAR * TS)
-    speed[:half] = speed[n - half :] = 0.0
-    speed[half : n - half][_sums(inside, width) < width] = 0.0  # so that A begins and ends at 0
-    speed = np.maximum(speed, 0.0)
-    steepest = min(velocity, acceleration * half * TS)  # mm/s
-    wanted = np.minimum(K * speed, MARGIN * steepest * TS * REACH)
-    slope = np.minimum(steepest, np.maximum(velocity - np.maximum(speed[1:], speed[:-1]), 0.0))
-    way = np.append(0, np.cumsum(np.rint(PICO * TS * slope).astype(np.int64)))
+    speed = np.where(inside, np.maximum(speed, 0.0), 0.0)
+    steepest = min(velocity, SHARE * acceleration * half * TS)  # mm/s
+    wanted = np.minimum(K * speed, MARGIN * steepest * TS * (REACH - half))
+    room = np.minimum(np.minimum(before, after) / half, 1.0)  # sets out gently
+    room = np.minimum(steepest * room, np.maximum(velocity - speed, 0.0))
+    slope = np.rint(PICO * TS * np.minimum(room[:-1], room[1:])).astype(np.int64)
+    way = np.append(0, np.cumsum(slope))
     rising = np.minimum.accumulate(np.rint(PICO * wanted).astype(np.int64) - way) + way
     both = np.minimum.accumulate((rising + way)[::-1])[::-1] - way
-    A[half : n - half] = _sums(both, width) / (PICO * width)
-    return A
+    return np.where(inside, _means(both, before, after, half) / PICO, 0.0)
 
 
-def _sums(x: Flags | Integers, width: int) -> Integers:
-    """Return the sums of as many neighbours, from each item that has them; whole numbers."""
-    total = np.append(0, np.cumsum(x, dtype=np.int64))
-    return np.asarray(total[width:] - total[:-width])
+def _places(path: Array) -> tuple[Flags, Integers, Integers]:
+    """Return which samples (n,) are inside a line, and how far they are from its ends."""
+    at, steps = np.arange(len(path)), extruding(path)
+    inside = np.append(False, steps) & np.append(steps, False)
+    begin = np.maximum.accumulate(np.where(inside, 0, at))
+    end = np.minimum.accumulate(np.where(inside, at[-1], at)[::-1])[::-1]
+    return inside, at - begin, end - at
+
+
+def _means(x: Integers, before: Integers, after: Integers, half: int) -> Array:
+    """Return the mean (n,) of x and ``half`` neighbours on either side.
+
+    Beyond its ends a line goes on as its reflection, with the sign changed, so that the mean is 0
+    at both.
+    """
+    total, at, last = np.append(0, np.cumsum(x)), np.arange(len(x)), len(x) - 1
+    low = at - half + np.where(before < half, 2 * (half - before) + 1, 0)
+    high = at + half - np.where(after < half, 2 * (half - after) + 1, 0)
+    low, high = np.clip(low, 0, last), np.clip(high, 0, last)
+    return np.asarray((total[high + 1] - total[low]) / (2.0 * half + 1.0))

@@ -15,21 +15,24 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, E, Integers
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.native.line_width import line_pieces
 from hframe_post.prediction.melt import Melt
 from hframe_post.prediction.predict import Judgement
 
 PIECE = 0.4  # mm, the width of a usual line
+COMPENSATING = STRATEGIES.keys() - {"none"}
 
 
 class Lines:
     """The lines that the nozzle draws with each strategy.
 
-    exact: strategies whose advance is the firmware's own, which makes up for all pressure.
+    Where E contains the advance, it does so for a strategy that compensates. The advance of the
+    firmware, with which others are played there, is taken to make up for all pressure.
     """
 
-    def __init__(self, exact: tuple[str, ...] = ()) -> None:
-        self._exact, self._melt = exact, Melt()
+    def __init__(self) -> None:
+        self._melt = Melt()
         self._path: Array | None = None  # at the last sample, (1, 4)
         self._open: dict[str, tuple[Array, Array]] = {}  # the nozzle there (1, 2); its piece
 
@@ -41,9 +44,10 @@ class Lines:
             path = np.concatenate([before, chunk.xyze])
             planned = np.diff(path[:, E], prepend=path[0, E])
             laid = np.append(0.0, self._melt.laid(path, chunk.advance))
+            ours = COMPENSATING if chunk.in_e else judgement.motion.keys()
             for name, nozzle in judgement.motion.items():
                 last, begun = self._open.get(name, (nozzle[:1], np.zeros(4)))
-                out = planned if name in self._exact else laid
+                out = laid if name in ours else planned
                 drawn = path, np.concatenate([last, nozzle]), out
                 at, errors, begun = line_pieces(*drawn, PIECE, begun)
                 found[name] = np.maximum(at - 2, 0), errors  # the last sample of each

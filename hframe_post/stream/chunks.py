@@ -132,6 +132,7 @@ def join(chunks: list[Samples]) -> Samples:
         },
         chunks[-1].ends_stretch,
         _advance(chunks),
+        any(c.in_e for c in chunks),
     )
 
 
@@ -152,7 +153,7 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
     ends = chunk.ends_stretch and high >= chunk.end
     advance = None if chunk.advance is None else chunk.advance[start:stop]
     xyze, line = chunk.xyze[start:stop], chunk.line[start:stop]
-    return Samples(low, xyze, line, events, commands, ends, advance)
+    return Samples(low, xyze, line, events, commands, ends, advance, chunk.in_e)
 
 
 def shifted(chunk: Samples, samples: int) -> Samples:

@@ -215,7 +215,8 @@ class Samples:
     strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
     ends_stretch: the machine may move on its own after these samples, or a ``SlowStraight`` or a
     long ``Dwell`` leaves out samples between these and the next. advance (n, 2): mm by which the
-    extruder is ahead of e, and the s of pressure advance for which it is; None: both are 0.
+    extruder is ahead of e, and the s of pressure advance for which it is; None: both are
+    0. in_e: what is written for E must contain that; otherwise the firmware adds it.
     """
 
     first: int
@@ -225,6 +226,7 @@ class Samples:
     commands: dict[str, Array] = field(default_factory=dict)
     ends_stretch: bool = False
     advance: Array | None = None
+    in_e: bool = False
 
     def __len__(self) -> int:
         return len(self.xyze)

@@ -102,7 +102,6 @@ class Machine:
     ) -> None:
         self._strategy, self._units = strategy, units
         self._rules, self._code = rules, code
-        self._advances = rules.extruder is not None  # else the firmware adds its own advance
         self._at, self._offset = at, offset
         self._inside = at is not None  # the stream's limits and modes hold
         self._buffer = SampleBuffer()
@@ -173,7 +172,7 @@ class Machine:
             if len(self._buffer) == SAMPLES_AT_ONCE and (batch := self._buffer.batch(last=False)):
                 yield from self._motion(batch)
             rows = slice(start, stop)
-            ahead = chunk.advance[rows, 0] if chunk.advance is not None and self._advances else None
+            ahead = chunk.advance[rows, 0] if chunk.advance is not None and chunk.in_e else None
             start += self._buffer.add(xy[rows], xyze[rows], ahead, chunk.first + start, here)
 
     def _stop(self, speed: float = 0.0) -> Iterator[OutputCommand]:
