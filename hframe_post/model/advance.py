@@ -54,7 +54,7 @@ def smoothed(path: Array, K: Array, half: int) -> Array:
     later = np.cumsum(weight[::-1])[::-1]  # weights of samples that have a step behind them
     shift = np.where(j > 0, later, later - 1.0)
     A[half : n - half] = sliding_sums(shift, fed) + sliding_sums(weight, K * fed / TS)
-    return A
+    return np.where(K > 0.0, A, 0.0)  # without advance Klipper does not average either
 
 
 def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: int) -> Array:

@@ -344,6 +344,7 @@ def test_squares_are_compared_and_the_best_is_picked(tmp_path: Path) -> None:
     assert frequencies(own) == pytest.approx([0.94 * before[0], before[1]], rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sets"), [("paper", b"SET_PRESSURE_ADVANCE ADVANCE="), ("example-ender", b"M900 K")]
 )

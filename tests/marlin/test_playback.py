@@ -379,9 +379,8 @@ def asked_of_the_extruder(lines: list[bytes], printer: Printer) -> tuple[Array, 
     return np.concatenate([b.xyze[:, E] for b in found]), np.concatenate(ahead)[:, 0]
 
 
-@pytest.mark.parametrize(
-    "planner", ["2.1", *(pytest.param(p, marks=pytest.mark.slow) for p in ("2.1-dev", "ft-motion"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_the_extruder_is_ahead_as_computed_and_no_time_is_lost(
     marlin: Printer, planner: str
 ) -> None:
