@@ -12,11 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS, Array, Integers
 from hframe_post.firmware.advance import Advance, ExtruderLimits
 from hframe_post.model.advance import NEAR, REACH, bounded, smoothed
+from hframe_post.printer.settings import LONGEST_SMOOTHING
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples, frozen
+
+AROUND = REACH + NEAR + round(LONGEST_SMOOTHING / TS / 2.0)  # samples on which advance depends
 
 
 class Advancing:
@@ -27,19 +30,15 @@ class Advancing:
     """
 
     def __init__(self, advance: Advance, limits: ExtruderLimits | None) -> None:
-        self._advance, self._limits = advance, limits
+        self._limits = limits
         self._since = [(0, advance)]  # in force from these samples on, as far as they are needed
         self.least, self.most = math.inf, 0.0
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the chunks with their advance."""
         for stretch in stretches(self._noted(chunks)):
-            for before, chunk, after in neighbours(stretch, self._reach, self._reach):
+            for before, chunk, after in neighbours(stretch, AROUND, AROUND):
                 yield self._advanced(before, chunk, after) if len(chunk) else chunk
-
-    @property
-    def _reach(self) -> int:
-        return REACH + NEAR + _half(self._advance, self._limits)
 
     def _noted(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the chunks; note what their lines set."""
@@ -54,35 +53,36 @@ class Advancing:
     def _read(self, index: int, text: bytes) -> None:
         latest = self._since[-1][1]
         if (changed := latest.after(text)) is not latest:
-            # the rule, and so its smoothing time, is that of the beginning
-            self._since.append((index, replace(changed, smooth_time=latest.smooth_time)))
+            self._since.append((index, changed))
 
     def _advanced(self, before: list[Samples], chunk: Samples, after: list[Samples]) -> Samples:
-        around = [*before, chunk, *after]
-        first, start = chunk.first - sum(map(len, before)), sum(map(len, before))
-        K = self._seconds(first, sum(map(len, around)))
-        own = K[start : start + len(chunk)]
-        self.least, self.most = min(self.least, float(own.min())), max(self.most, float(own.max()))
+        around, start = [*before, chunk, *after], sum(map(len, before))
+        K, half = self._in_force(chunk.first - start, sum(map(len, around)))
+        own = slice(start, start + len(chunk))
+        self.least = min(self.least, float(K[own].min()))
+        self.most = max(self.most, float(K[own].max()))
         if not K.any():
             return chunk
-        path = np.concatenate([each.xyze for each in around])
-        half, limits = _half(self._advance, self._limits), self._limits
-        if limits is None:
-            found = smoothed(path, K, half)
-        else:
-            found = bounded(path, K, limits.velocity, limits.acceleration, half)
-        ahead = found[start : start + len(chunk)]
-        table = frozen(np.column_stack([ahead, own]))
-        return replace(chunk, advance=table, in_e=limits is not None)
+        path, found = np.concatenate([each.xyze for each in around]), np.zeros((len(chunk), 2))
+        found[:, 1] = K[own]
+        for width in np.unique(half[own]).tolist():  # one, unless the file changes it here
+            np.copyto(found[:, 0], self._ahead(path, K, width)[own], where=half[own] == width)
+        return replace(chunk, advance=frozen(found), in_e=self._limits is not None)
 
-    def _seconds(self, first: int, count: int) -> Array:
-        """Return K (count,) from a sample on, s."""
-        K = np.empty(count)
+    def _ahead(self, path: Array, K: Array, half: int) -> Array:
+        if (limits := self._limits) is None:
+            return smoothed(path, K, half)
+        return bounded(path, K, limits.velocity, limits.acceleration, half)
+
+    def _in_force(self, first: int, count: int) -> tuple[Array, Integers]:
+        """Return K (count,) from a sample on, s, and over how many samples it is averaged."""
+        K, half = np.empty(count), np.empty(count, np.int64)
         for index, advance in self._since:
-            K[max(index - first, 0) :] = advance.seconds
+            at = max(index - first, 0)
+            K[at:], half[at:] = advance.seconds, _half(advance, self._limits)
         while len(self._since) > 1 and self._since[1][0] <= first:
             del self._since[0]
-        return K
+        return K, half
 
 
 def _half(advance: Advance, limits: ExtruderLimits | None) -> int:

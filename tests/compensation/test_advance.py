@@ -33,7 +33,7 @@ def chunks() -> list[Samples]:
     lines = sample("cube.gcode")
     lines = lines[: lines.index(b";LAYER:1\n")][:160]
     for at, text in (
-        (80, b"M900 K0.09\n"), (80, b"SET_PRESSURE_ADVANCE ADVANCE=0.09\n"),
+        (80, b"M900 K0.09\n"), (80, b"SET_PRESSURE_ADVANCE ADVANCE=0.09 SMOOTH_TIME=0.02\n"),
         (120, b"M900 K0\n"), (120, b"SET_PRESSURE_ADVANCE ADVANCE=0\n"),
     ):  # fmt: skip
         lines.insert(at, text)
