@@ -18,6 +18,7 @@ from hframe_post.cli.moonraker import SECTIONS, update_lines
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Extruder
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.printers import M503, REAL
@@ -169,6 +170,13 @@ def test_a_marlin_with_two_carriages_compensates_the_first(tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert b"DUAL_X_CARRIAGE: a profile has the model of one carriage" in done.stdout
     assert load(str(tmp_path / "printer.toml")).firmware.other_tools == ("T1",)
+
+
+def test_pressure_advance_is_taken_over(config: Path) -> None:
+    edited(config, "[extruder]", "[extruder]\npressure_advance: 0.042")
+    set_up(config)
+    has = load(str(config.parent / "printer.toml"))
+    assert has.extruder == Extruder(0.042, 0.04)
 
 
 def test_what_the_printer_has_no_more_goes(config: Path) -> None:
