@@ -54,7 +54,7 @@ class Data:
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
     by_modes: gives Ψ (r, 2·modes) of modes and their onset. tail: decay per sample of the
-    last scalar, if it is the size of a slow pole; else 0.
+    last scalar, if it is the size of a slow pole; else 0. X_X, X_y: XᵀX and Xᵀy.
     """
 
     X: Array
@@ -62,7 +62,27 @@ class Data:
     k: Array
     precision: Array
     by_modes: Callable[[Sequence[Mode], int], Array]
+    X_X: Array
+    X_y: Array
     tail: float = 0.0
+
+    @classmethod
+    def of(
+        cls, X: Array, y: Array, k: Array, precision: Array,
+        by_modes: Callable[[Sequence[Mode], int], Array],
+    ) -> Data:  # fmt: skip
+        return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
+
+    def with_tail(self, column: Array, precision: float, tail: float) -> Data:
+        """Return the data with one more scalar, the size of a slow pole: its column (r,) of X."""
+        n, beside = len(self.precision), column @ self.X
+        X_X = np.insert(self.X_X, n, beside, axis=0)
+        X_X = np.insert(X_X, n, np.insert(beside, n, column @ column), axis=1)
+        return replace(
+            self, X=np.insert(self.X, n, column, axis=1), X_X=X_X,
+            X_y=np.insert(self.X_y, n, column @ self.y),
+            precision=np.append(self.precision, precision), tail=tail,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,11 +281,12 @@ class _Normal:
 
     @classmethod
     def of(cls, data: Data, Psi: Array) -> _Normal:
-        columns = np.hstack([data.X, Psi])
-        A = columns.T @ columns
+        beside = data.X.T @ Psi
+        A = np.block([[data.X_X, beside], [beside.T, Psi.T @ Psi]])
         # rounding must leave A positive definite, where low noise makes columns nearly alike
         A[np.diag_indices_from(A)] *= 1.0 + ROUNDING
-        return cls(A, columns.T @ data.y, float(data.y @ data.y), data.k, data.precision)
+        b = np.concatenate([data.X_y, Psi.T @ data.y])
+        return cls(A, b, float(data.y @ data.y), data.k, data.precision)
 
     def solved(self, decay: Decay) -> tuple[Array, Array, float]:
         """Return L of P = L Lᵀ, the mean of θ, and −log evidence.
