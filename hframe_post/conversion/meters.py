@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -82,7 +83,7 @@ class MotionSummary:
     """What the stages saw of one span or of several.
 
     fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for.
+    asked for. advance: least and most s of pressure advance.
     """
 
     samples: int = 0
@@ -93,6 +94,7 @@ class MotionSummary:
     width: dict[str, ErrorStatistics] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     picture: Picture | None = None
+    advance: tuple[float, float] = (math.inf, 0.0)
 
     @property
     def duration(self) -> float:
@@ -115,6 +117,8 @@ class MotionSummary:
         for name, shares in later.width.items():
             self.width.setdefault(name, ErrorStatistics()).join(shares)
         self.seconds = joined(self.seconds, later.seconds)
+        (least, most), (other_least, other_most) = self.advance, later.advance
+        self.advance = min(least, other_least), max(most, other_most)
         if self.picture is None:
             self.picture = later.picture
         elif later.picture is not None:
