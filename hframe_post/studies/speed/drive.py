@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 from hframe_post.arrays import Z
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Stages, continued, parsed, prepared, sampled
+from hframe_post.conversion.pipeline import (
+    Stages,
+    continued,
+    parsed,
+    prepared,
+    sampled,
+    scheduled,
+)
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
@@ -124,7 +131,7 @@ class Drive:
         try:
             for piece in pieces:
                 items = pace(piece.items, options.paces, piece.start)
-                commands = stages.commands(plan(items, printer.limits))
+                commands = stages.commands(scheduled(items, printer, piece.start))
                 meter.add(commands, Labels(replace(piece.start.place), by_name=False), together)
         except HframeError as error:
             refused = str(error)
@@ -151,7 +158,7 @@ class Drive:
         """Return the seconds of each layer by its number, planned without compensation."""
         printer, options = self.configured(settings)
         options = replace(options, retract="standing")
-        items = plan(self._items(options.paces), printer.limits)
+        items = scheduled(self._items(options.paces), printer)
         labels, layers = Labels(by_name=False), dict[int, float]()
         for chunk in sampled(items, printer, options):
             add_layer_times(layers, labels.number(chunk)[0])
@@ -182,7 +189,7 @@ class Drive:
     def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
         """Return the commands of the whole print, and the stages that compute them."""
         stages = Stages(printer, options, self._compensator)
-        spans = Spans(plan(self._items(options.paces), printer.limits))
+        spans = Spans(scheduled(self._items(options.paces), printer))
         return stages, stages.predicted(stages.whole(spans), threads=True)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
