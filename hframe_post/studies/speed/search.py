@@ -15,6 +15,7 @@ The result is a whole print, so its error is a prediction, not an extrapolation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -24,10 +25,10 @@ from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
+from hframe_post.studies.speed.drive import Drive, LayerTimes, Original, Source
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     CAUSES,
@@ -71,12 +72,12 @@ class Fastest:
     original: Original
 
 
-def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
+def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
     """Return the fastest print within the error that ``options.speed`` allows.
 
     Raises HframeError if no print is within it.
     """
-    speed, limits = options.speed, printer.limits
+    speed = options.speed
     assert speed is not None
     errors = speed.max_error
     bound = Bound(
@@ -84,19 +85,29 @@ def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
         {name: error for name, error in errors.items() if name},
         cast(Measure, speed.error_measure),
     )
-    freedom = Freedom(
-        speed.speed_up, limits.filament_velocity, limits.min_layer_time,
-        speed.filament_acceleration or math.inf,
-    )  # fmt: skip
-    near = draws(printer.plant, speed.model_error, 40 if speed.model_error else 0, seed=0)
-    found = search(lines, printer, options, bound, freedom, tuple(near))
+    freedom, near = freedom_of(speed, printer), random_plants(speed, printer)
+    found = search(lines, printer, options, bound, freedom, near)
     release_memory()
     return found
 
 
+def freedom_of(speed: Speed, printer: Printer) -> Freedom:
+    """Return what the search may change, by the profile."""
+    limits = printer.limits
+    return Freedom(
+        speed.speed_up, limits.filament_velocity, limits.min_layer_time,
+        speed.filament_acceleration or math.inf,
+    )  # fmt: skip
+
+
+def random_plants(speed: Speed, printer: Printer) -> tuple[Plant, ...]:
+    """Return the plants in addition to the printer's on which bounds must hold."""
+    return tuple(draws(printer.plant, speed.model_error, 40 if speed.model_error else 0, seed=0))
+
+
 @one_blas_thread()
 def search(
-    lines: Lines, printer: Printer, options: Options, bound: Bound,
+    lines: Source, printer: Printer, options: Options, bound: Bound,
     freedom: Freedom | None = None, near: tuple[Plant, ...] = (),
 ) -> Fastest:  # fmt: skip
     """Return the fastest print within the bound, or raise HframeError.
@@ -120,7 +131,7 @@ def _fastest_whole(
     least: LayerTimes, may_clamp: bool,
 ) -> TrialPrint:  # fmt: skip
     """Return the first print of the whole file within the bound, or raise HframeError."""
-    searches = _Searches(bound, drive.max_acceleration)
+    searches = Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
         settings = least.planned(drive, settings)
         trial = drive.try_whole(settings, plants, may_clamp or limit == 1.0)
@@ -147,7 +158,7 @@ def _fastest_pieces(
     drive: Drive, bound: Bound, near: tuple[Plant, ...], speed_up: float
 ) -> tuple[SpeedSettings, tuple[Plant, ...]]:
     """Return settings to begin with, and the plants with the greatest errors."""
-    pieces, searches = drive.excerpt(), _Searches(bound, drive.max_acceleration)
+    pieces, searches = drive.excerpt(), Searches(bound, drive.max_acceleration)
     useful = drive.useful_feeds(pieces)
     feed = {name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED}
 
@@ -174,12 +185,14 @@ def _fastest_pieces(
     return searches.corrected(feed), plants
 
 
-class _Searches:
+class Searches:
     """The searches of all kinds of features. trials: their steps so far."""
 
-    def __init__(self, bound: Bound, max_acceleration: float) -> None:
+    def __init__(
+        self, bound: Bound, max_acceleration: float, trials: Iterable[TrialPrint] = ()
+    ) -> None:
         self._bound, self._max_acceleration = bound, max_acceleration
-        self.trials: list[TrialPrint] = []
+        self.trials = list(trials)
 
     def corrected(self, feed: dict[str, float]) -> SpeedSettings:
         """Return the last settings with accelerations at which features use up their bounds.
