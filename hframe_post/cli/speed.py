@@ -49,5 +49,5 @@ def speed(
         write_json({**choice.as_json(), **curve_as_json(found)})
         if html is not None:
             html.write(speed_page(found, profile, source.name))
-    text = "\n".join([choice.as_text(), curve_as_text(found, profile)])
+    text = "\n".join([choice.as_text(), curve_as_text(found)])
     click.echo(text, err=str(json_file) == "-")

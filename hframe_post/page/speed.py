@@ -40,7 +40,7 @@ def speed_page(found: speeds.Curve, printer: Printer, name: str) -> bytes:
     return page(
         name, "What the print would take within each error.", cards,
         [Section("Time against error", charts)],
-        [f"advice  {text}" for text in advice(found, printer)],
+        [f"advice  {text}" for text in advice(found)],
         [("profile", printer.name), *(_row(step) for step in found.steps)],
     )  # fmt: skip
 

@@ -24,13 +24,21 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import Piece
 from hframe_post.studies.shapers.search import good, paths
 from hframe_post.studies.speed.drive import Drive, LayerTimes, Original, Source
-from hframe_post.studies.speed.search import LIMIT, NEAR, Bound, Searches, freedom_of, random_plants
+from hframe_post.studies.speed.search import (
+    LIMIT,
+    NEAR,
+    Bound,
+    Searches,
+    freedom_of,
+    random_plants,
+    with_slicer_limits,
+)
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     JUDGED_EVERY,
@@ -88,13 +96,14 @@ class Curve:
     """Prints from the file's own speed to what the limits allow.
 
     original: not compensated. shaping: of the best input shaper, if anything is printed. own: at
-    the file's speed, compensated.
+    the file's speed, compensated. limits: of the profile and the file.
     """
 
     original: Original
     measure: Measure
     shaping: Shaping | None
     own: Point
+    limits: Limits
     steps: tuple[Step, ...]
 
 
@@ -110,7 +119,8 @@ class _Tracer:
     """What all points of the curve share."""
 
     def __init__(self, lines: Source, printer: Printer, options: Options) -> None:
-        speed = printer.known_speed
+        speed, printer = printer.known_speed, with_slicer_limits(printer, lines())
+        self.limits = printer.limits
         self._measure = cast(Measure, speed.error_measure)
         self._strategy, self._plant = options.strategy, printer.plant
         freedom = freedom_of(speed, printer)
@@ -149,7 +159,7 @@ class _Tracer:
             if steps and _same(steps[-1], step):
                 continue
             steps.append(step)
-        return Curve(self.original, self._measure, self._shaping, own, tuple(steps))
+        return Curve(self.original, self._measure, self._shaping, own, self.limits, tuple(steps))
 
     def _worst(self, plants: tuple[Plant, ...]) -> tuple[Plant, ...]:
         """Return the model and the plants with the greatest errors. Raises HframeError."""

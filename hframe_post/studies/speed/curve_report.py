@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from hframe_post.printer.settings import Printer
 from hframe_post.studies.speed.curve import Curve, Point, Step
 from hframe_post.studies.speed.report import CAUSES, MEASURES
 from hframe_post.writers.stream.print_time import duration
@@ -67,7 +66,7 @@ def shown_feature(found: Curve) -> str:
     return WALL if WALL in errors else max(errors, key=lambda name: errors[name])
 
 
-def curve_as_text(found: Curve, printer: Printer) -> str:
+def curve_as_text(found: Curve) -> str:
     """Return the table, and what to do about that which binds."""
     name, before = shown_feature(found), found.original
     heads = (
@@ -97,20 +96,20 @@ def curve_as_text(found: Curve, printer: Printer) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in (heads, *rows)
     ]
-    measure = MEASURES[found.measure]
+    shaper = f" ({found.shaping.x.name})" if found.shaping else ""
     return "\n".join([
         *lines,
         "",
-        f"permitted: by 'hframe-post convert --max-error', for all features and with model uncertainty. {name}, shaper: "
-        f"predicted error ({measure}) at that speed, compensated and with the best input shaper"
-        + (f" ({found.shaping.x.name})" if found.shaping else "") + ". width: of the line, off RMS",
-        *advice(found, printer),
+        "permitted: by 'hframe-post convert --max-error', for all features and with model "
+        f"uncertainty. {name}, shaper: predicted error ({MEASURES[found.measure]}) at that speed, "
+        f"compensated and with the best input shaper{shaper}. width: of the line, off RMS",
+        *advice(found),
     ])  # fmt: skip
 
 
-def advice(found: Curve, printer: Printer) -> list[str]:
+def advice(found: Curve) -> list[str]:
     """Return what binds at the fastest prints, and the command for a print as exact as today."""
-    limits, last = printer.limits, found.steps[-1]
+    limits, last = found.limits, found.steps[-1]
     lines = list[str]()
     for point, done in ((last.kept, ()), (last.raised, ("feed",))):
         causes = [cause for cause in _binding(point) if cause in ADVICE and cause not in done]

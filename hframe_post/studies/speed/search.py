@@ -23,6 +23,7 @@ import numpy as np
 
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
+from hframe_post.gcode.slicer_settings import slicer_settings
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer, Speed
@@ -77,7 +78,7 @@ def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
 
     Raises HframeError if no print is within it.
     """
-    speed = options.speed
+    speed, printer = options.speed, with_slicer_limits(printer, lines())
     assert speed is not None
     errors = speed.max_error
     bound = Bound(
@@ -89,6 +90,17 @@ def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
     found = search(lines, printer, options, bound, freedom, near)
     release_memory()
     return found
+
+
+def with_slicer_limits(printer: Printer, lines: Iterable[bytes]) -> Printer:
+    """Return the printer with what the slicer knows of the filament in this file.
+
+    The hot end melts no more than the profile says; a layer takes as long as the slicer says.
+    """
+    said, limits = slicer_settings(lines), printer.limits
+    flow = min(limits.flow, max(said.flow or math.inf, 0.1))
+    layer_time = limits.min_layer_time if said.layer_time is None else min(said.layer_time, 600.0)
+    return replace(printer, limits=replace(limits, flow=flow, min_layer_time=layer_time))
 
 
 def freedom_of(speed: Speed, printer: Printer) -> Freedom:
