@@ -66,6 +66,7 @@ def page(
             "acceleration": [round(belts.belt_acceleration), motors.belt_acceleration],
         },
         "bands": _bands(report),
+        "matrix": printer.kinematics.matrix.tolist(),
         "features": picture.labels.features,
         "layers": _layers(picture, pieces, columns),
         "byFeature": _by_feature(picture, columns),
