@@ -14,6 +14,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
 
 import hframe_post as hp
 from hframe_post.paper import results
@@ -24,6 +26,8 @@ STYLES = {  # of strategies: label and colour
     "racking": ("ringing and racking", "#2060a0"),
 }
 BLUE = STYLES["racking"][1]
+LINE, PIECE = 0.45, 0.4  # mm: width of the line as sliced, and of nozzle's way that filament fills
+CORNER = (114.4, 122.4), (-1.0, 4.6)  # mm of x and y
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
 FOLDER.mkdir(parents=True, exist_ok=True)
 # equal drawings give equal files
@@ -47,6 +51,29 @@ def bode(axes, hz, response, unit, title):
     axes[0].set(ylabel=f"magnitude, dB ({unit})", title=title)
     axes[1].semilogx(hz, np.degrees(np.unwrap(np.angle(response))), color=BLUE)
     axes[1].set(ylabel="phase, °", xlabel="frequency, Hz")
+
+
+def along(points):
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+
+
+def printed(path, nozzle, colour):
+    """Return the line that a nozzle lays near the corner. Filament comes out with the path."""
+    p, s = along(path), along(nozzle)
+    at = np.arange(0.0, s[-1], 0.1)
+    middle, before, after = (
+        np.column_stack([np.interp(place, s, each) for each in (*nozzle.T, p)])
+        for place in (at, at - PIECE / 2.0, at + PIECE / 2.0)
+    )
+    x, y, filled = (after - before).T / PIECE
+    side = 0.5 * LINE * (filled / np.hypot(x, y))[:, None] * np.column_stack([-y, x])
+    left, right = middle[:, :2] + side, middle[:, :2] - side
+    pieces = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
+    (low_x, high_x), (low_y, high_y) = CORNER
+    low, high = np.array([low_x, low_y]) - 1.0, np.array([high_x, high_y]) + 1.0
+    seen = pieces[((pieces > low) & (pieces < high)).all(axis=(1, 2))]
+    outlines = [Outline(piece, closed=True) for piece in np.pad(seen, ((0, 0), (0, 1), (0, 0)))]
+    return PathPatch(Outline.make_compound_path(*outlines), color=colour, lw=0.2)
 
 
 printer = hp.load_printer("paper")
@@ -78,25 +105,26 @@ save(figure, "fig08")
 # Fig. 9: the nozzle at the first corner, and contour error along the path
 controls = results.time_responses(plant, xy)
 figure, axes = canvas(1, 2, 9.0, 3.4)
-large, corner = canvas(1, 1, 7.0, 3.6)
-corner = corner[0, 0]
-corner.plot(*(xy - xy[0]).T, color="#e0dccf", lw=7.0, solid_capstyle="round", label="the path")
 for control in controls:
     (label, colour), nozzle = STYLES[control.name], control.nozzle - control.nozzle[0]
     axes[0, 0].plot(*nozzle.T, color=colour, lw=1.0, label=label)
     axes[0, 1].plot(control.along, control.error * 1e3, color=colour, lw=1.0)
-    corner.plot(*nozzle.T, color=colour, lw=1.6, label=f"{label}: {control.rms * 1e3:.0f} µm RMS")
 axes[0, 0].set(xlim=(112, 122), ylim=(-1.5, 6), xlabel="x, mm", ylabel="y, mm")
 axes[0, 0].set_title("(a) first corner, n = 125")
 axes[0, 0].legend(loc="upper left")
 axes[0, 1].set(xlabel="along the path, mm", ylabel="contour error, µm", title="(b)")
 save(figure, "fig09")
-corner.set(xlim=(112.5, 121.6), ylim=(-0.9, 3.3), xlabel="x, mm", ylabel="y, mm", aspect="equal")
-corner.set_title(
-    "the nozzle at a corner, to the right and then up, 150 mm/s, simulated", loc="left"
-)
-corner.legend(loc="upper left")
-save(large, "corner")
+# the line as it is printed at that corner, over the line as it was sliced
+figure, axes = canvas(1, 3, 7.6, 2.6)
+for axis, control in zip(axes[0], controls, strict=True):
+    (label, colour), path = STYLES[control.name], xy - xy[0]
+    axis.add_patch(printed(path, path, "#e0dccf"))
+    axis.add_patch(printed(path, control.nozzle - control.nozzle[0], colour))
+    axis.set(xlim=CORNER[0], ylim=CORNER[1], aspect="equal", xlabel="x, mm")
+    axis.set_title(f"{label}: {control.rms * 1e3:.0f} µm RMS", loc="left", fontsize=8.5)
+    axis.grid(visible=False)
+axes[0, 0].set_ylabel("y, mm")
+save(figure, "corner")
 
 # Fig. 11: |Δw| as boxes (median in the box), its RMS as a diamond
 if len(sys.argv) > 2:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
@@ -48,14 +46,6 @@ def _columns(text: str) -> tuple[str, ...]:
 def _offset(text: str) -> tuple[float, ...]:
     x, y, *z = text.split(",")[:3] if text.count(",") in (1, 2) else (text, "")
     return (*position(f"{x},{y}"), *(position(f"0,{height}")[1] for height in z))
-
-
-def _reading(text: str) -> tuple[float, float, float]:
-    numbers = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
-    if len(numbers) < 3:
-        raise click.BadParameter(f"{text!r} is not three numbers, of x, y and z")
-    x, y, z = (float(number) for number in numbers[-3:])
-    return x, y, z
 
 
 @click.command()
@@ -96,11 +86,6 @@ def _reading(text: str) -> tuple[float, float, float]:
     help="Frequencies that the model must explain.",
 )  # fmt: skip
 @click.option(
-    "--at-rest", "readings", type=_reading, multiple=True, metavar="X,Y,Z",
-    help="A reading of ACCELEROMETER_QUERY. Give at least six, each axis of the sensor pointing up "
-    "once and down once: gravity then calibrates the sensor.",
-)  # fmt: skip
-@click.option(
     "--sensor-offset", "offset", type=_offset, default="0,0", show_default=True, metavar="X,Y[,Z]",
     help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
     "another lever arm.",
@@ -115,8 +100,7 @@ def _reading(text: str) -> tuple[float, float, float]:
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], axes: str | None, columns: tuple[str, ...] | None,
-    band: tuple[float, float], readings: tuple[tuple[float, float, float], ...],
-    offset: tuple[float, ...], report_file: Path | None,
+    band: tuple[float, float], offset: tuple[float, ...], report_file: Path | None,
     json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from recordings of its accelerometer.
@@ -153,8 +137,6 @@ def identify(
             gathered = gather(recordings, nozzle, config, profile.travel, columns)
             gathered = along_printer(gathered, axes)
             settings = _settings(profile, config if text else None, band, offset)
-            if readings:
-                settings = replace(settings, sensor=_sensor(readings, axes))
             report = conclude(gathered, profile, settings)
             write_json(report.as_json())
             if html is not None:
@@ -201,16 +183,6 @@ def _settings(
     bed_moves = profile.kinematics.bed_moves
     settings = MeasurementSettings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
     return replace(settings, step=profile.steps.belt) if profile.steps else settings
-
-
-def _sensor(
-    readings: Sequence[tuple[float, float, float]], axes: str | None
-) -> tuple[float, float]:
-    from hframe_post.identification.gather import SAME_AXES
-    from hframe_post.identification.recordings import accelerometer
-
-    gains = accelerometer.gains_at_rest(np.array(readings))
-    return accelerometer.gains_along_printer(gains, axes or SAME_AXES)
 
 
 def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:

@@ -41,10 +41,8 @@ from hframe_post.identification.estimation.axes import (
 )
 from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
 from hframe_post.identification.racking import find_racking
-from hframe_post.identification.recordings.accelerometer import GAIN_SD
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
-    SENSOR,
     Distortion,
     average,
     share_left,
@@ -118,7 +116,7 @@ def _along_x(
     found = {}
     for name in known:
         places = [(x, run.within(settings.band_hz)) for x, run in measured[name].places]
-        found[name] = fit_places(fits[name], places, _sensor(name, settings))
+        found[name] = fit_places(fits[name], places)
     return found
 
 
@@ -175,21 +173,14 @@ def _fit_all(
     fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
     swept = dict[str, Swept]()
     for name, one in measured.items():
-        inside, sensor = one.mean.within(settings.band_hz), _sensor(name, settings)
+        inside = one.mean.within(settings.band_hz)
         if one.known_start:
-            fits[name] = fit_known_start(inside, sensor)
+            fits[name] = fit_known_start(inside)
         elif name not in fits:
             whole = distortions[name].removed_from(inside) if name in distortions else inside
-            swept[name] = Swept(whole, one.delay_bounds, sensor or SENSOR)
+            swept[name] = Swept(whole, one.delay_bounds)
     fits |= fit_swept(swept)
     return {name: fits[name] for name in measured}
-
-
-def _sensor(name: str, settings: MeasurementSettings) -> tuple[float, float] | None:
-    """Return mean and standard deviation of the sensor's gain along an axis, if calibrated."""
-    if settings.sensor is None or name not in AXIS:
-        return None
-    return settings.sensor[tuple(AXIS).index(name)], GAIN_SD
 
 
 def _compared(found: Fit, group: RunGroup) -> Fit:

@@ -23,7 +23,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
 from tests.conftest import SAMPLES
-from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
+from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample, small_rectangle
 from tests.quantities import below
 
 STRICT = Options("racking", clamp=False)
@@ -75,7 +75,7 @@ def test_command_and_path_end_at_the_same_place(cube: tuple[bytes, bytes, Report
 @pytest.mark.parametrize(
     ("lines", "cuts"),
     [
-        (sample("rectangle.gcode"), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
+        (small_rectangle(), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
         (layers("cube.gcode", 2), [(1, 100), (7, 10_000), (100, 1000)]),
     ],
     ids=["rectangle", "cube"],

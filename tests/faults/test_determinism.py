@@ -43,6 +43,7 @@ def converted(source: Path, package: Path, jobs: int = 1, seed: int = 0, blas: s
     return done.stdout
 
 
+@pytest.mark.slow
 def test_neither_processes_nor_hashes_nor_compiled_loops_show(
     tmp_path: Path, without_loops: Path
 ) -> None:

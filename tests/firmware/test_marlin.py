@@ -30,7 +30,7 @@ from hframe_post.stream.types import ModalState, Position
 from tests.command_line import run
 from tests.conftest import SAMPLES
 from tests.fuzz.oracle import check_same_print
-from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample
+from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample, small_rectangle
 from tests.quantities import below
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
@@ -378,7 +378,7 @@ def test_density_follows_the_serial_line(marlin: Printer) -> None:
 @pytest.mark.parametrize(
     ("lines", "cuts"),
     [
-        (sample("rectangle.gcode"), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
+        (small_rectangle(), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
         (layers("cube.gcode", 2), [(1, 100), (7, 10_000)]),
     ],
     ids=["rectangle", "cube"],

@@ -58,7 +58,7 @@ def measured(place: float, change: float, rng: np.random.Generator) -> Frequency
 def shift(change: float, seed: int) -> ModeShift | None:
     rng = np.random.default_rng(seed)
     runs = [measured(place, change, rng) for place in PLACES]
-    found = fit_known_start(average(runs), None)
+    found = fit_known_start(average(runs))
     return find_mode_shift(found.G, HERE_HZ, list(zip(PLACES, runs, strict=True)))
 
 
@@ -116,8 +116,8 @@ def test_each_place_has_its_response_and_its_frequency() -> None:
     true, rng = moving(0.05), np.random.default_rng(0)
     at = (80.0, 140.0, 200.0)
     places = [(x, with_noise(shown(true.at(x).response(OMEGA)), rng)) for x in at]
-    together = fit_known_start(average([one for _, one in places]), None)
-    found = fit_places(together, places, None).G
+    together = fit_known_start(average([one for _, one in places]))
+    found = fit_places(together, places).G
     for x in (80.0, 100.0, 140.0, 180.0, 200.0):
         below(off(found.at(x).response(OMEGA), true.at(x).response(OMEGA)), 0.03, f"error, {x} mm")
         near(factor(found, x), factor(true, x), 0.003, "factor of the frequency")

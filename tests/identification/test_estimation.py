@@ -58,7 +58,7 @@ def test_the_evidence_is_that_of_the_marginal_distribution() -> None:
     rng = np.random.default_rng(1)
     k, precision = np.arange(-2.0, 30.0), np.array([4.0])
     X, y = rng.normal(size=(80, 1 + len(k))), rng.normal(size=80)
-    data = Data(X, y, k, precision, lambda modes, d: X[:, 1:] @ ringing(k, modes, d))
+    data = Data.of(X, y, k, precision, lambda modes, d: X[:, 1:] @ ringing(k, modes, d))
 
     def cost(prior: Prior) -> float:
         Phi = ringing(k, prior.modes, prior.onset)
@@ -90,7 +90,7 @@ def test_what_decays_without_modes_needs_none() -> None:
     X = rng.normal(size=(1000, len(k)))
     y = X @ q + 3.0 * rng.normal(size=1000)
     X, y = X / 3.0, y / 3.0
-    found = regress(Data(X, y, k, np.zeros(0), lambda modes, d: X @ ringing(k, modes, d)))
+    found = regress(Data.of(X, y, k, np.zeros(0), lambda modes, d: X @ ringing(k, modes, d)))
     assert len(found.prior.modes) <= 1
     off = found.response(k) - q
     known = off @ np.linalg.solve(found.known(k), off) / len(k)
@@ -138,7 +138,7 @@ def test_columns_that_low_noise_leaves_nearly_alike_have_a_posterior() -> None:
     rows = 1e6 * (z - 2.0 + 1.0 / z)[:, None] * z[:, None] ** -k
     X, q = np.concatenate([rows.real, rows.imag]), 5.0 * np.exp(-0.02 * np.abs(k))
     found = regress(
-        Data(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
+        Data.of(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
         Prior(Decay(1e3, regression.BETA[0], 1e-2)),
     )
     assert np.abs(X @ (found.response(k) - q)).max() < 1e-3 * np.abs(X @ q).max()

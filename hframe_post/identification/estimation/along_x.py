@@ -34,7 +34,7 @@ LEAST_ARM = 20.0  # mm; nearer to x_c, racking does not tell its size
 Places = Sequence[tuple[float, FrequencyResponse]]
 
 
-def fit_places(found: Fit, places: Places, sensor: tuple[float, float] | None) -> Fit:
+def fit_places(found: Fit, places: Places) -> Fit:
     """Return the fit of the middle place, whose response knows those of the others.
 
     found: the fit of all of them together. places: x (mm) and what was measured there, its start
@@ -43,8 +43,7 @@ def fit_places(found: Fit, places: Places, sensor: tuple[float, float] | None) -
     at = _together(places)
     middle = min(at, key=lambda x: (abs(x - (min(at) + max(at)) / 2.0), x))
     fits = {
-        x: fit_known_start(advanced(response, found.recording_delay), sensor)
-        for x, response in at.items()
+        x: fit_known_start(advanced(response, found.recording_delay)) for x, response in at.items()
     }
     own = fits[middle].G
     elsewhere = [

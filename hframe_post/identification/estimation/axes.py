@@ -67,14 +67,10 @@ class Excited:
 
 @dataclass(frozen=True, slots=True)
 class Swept:
-    """What our own sweeps show of one axis, and bounds of their delay in s.
-
-    sensor: mean and standard deviation of its gain.
-    """
+    """What our own sweeps show of one axis, and bounds of their delay in s."""
 
     whole: FrequencyResponse
     delay_bounds: tuple[float, float]
-    sensor: tuple[float, float] = SENSOR
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +116,12 @@ class Fit:
 # ---------------------------------------------------------------------- a known start
 
 
-def fit_known_start(whole: FrequencyResponse, sensor: tuple[float, float] | None) -> Fit:
+def fit_known_start(whole: FrequencyResponse) -> Fit:
     """Return the response of recordings whose start is known: all delay is the printer's.
 
-    sensor: mean and standard deviation of its gain, if calibrated. Raises IdentificationError.
+    Raises IdentificationError.
     """
-    found = known_start.estimated(whole, sensor or SENSOR)
+    found = known_start.estimated(whole)
     late = found.G.lag * TS
     delays = (late - DESCRIBED_LATE, late + DESCRIBED_LATE)
     return _described(found, whole, delays)
@@ -147,17 +143,17 @@ class _RoughlySwept:
     """An axis whose recordings are taken to start in the middle of their bounds."""
 
     def __init__(self, axis: Swept) -> None:
-        self._axis, (low, high) = axis, axis.delay_bounds
+        low, high = axis.delay_bounds
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
         self._whole = advanced(axis.whole, self._middle)
-        self._found = known_start.estimated(self._whole, axis.sensor, swept=True)
+        self._found = known_start.estimated(self._whole, swept=True)
         modes = self._in_modes(self._found, self._whole)
         left = share_left(modes.response(self._whole.hz), self._whole, self._whole.power)
         self._late = modes.delay if left < LINEAR else None
 
     def _in_modes(self, found: Estimated, whole: FrequencyResponse) -> Modes:
         delays = (-self._half, LONGEST_DELAY)
-        return _in_modes(found, whole, delays, self._axis.sensor, speed=False)
+        return _in_modes(found, whole, delays, SENSOR, speed=False)
 
     @property
     def printer_delay_bounds(self) -> tuple[float, float]:
@@ -175,7 +171,7 @@ class _RoughlySwept:
         whole = advanced(self._whole, start)
         found = self._found
         if start:
-            found = known_start.estimated(whole, self._axis.sensor, found.prior, swept=True)
+            found = known_start.estimated(whole, start=found.prior, swept=True)
         fit = _without_its_frame(found, whole, self._in_modes(found, whole))
         _check_followed(whole, fit)
         return begun(fit, self._middle + start)

@@ -9,9 +9,8 @@ What no linear model explains counts as noise, whose power by frequency is that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy import optimize
@@ -120,9 +119,10 @@ def _regressed(
     left = np.zeros(len(H))
     for noise in (NOISE**2 * least, own, own):
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
-        found = regress(linear.data(weight, sensor[1]), prior)
+        data = linear.data(weight, sensor[1])
+        found = regress(data, prior)
         if swept and left.any() and sensor[1] > EXACT:
-            found = _sure(found, partial(linear.data, weight), float(measured.hz[0]))
+            found = _sure(found, data, linear, weight)
         prior, modelled = found.prior, linear.modelled(found)
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
@@ -137,61 +137,69 @@ class _Linear:
         self._k = np.arange(-BEFORE, AFTER, dtype=float)
         self._z: Complex = np.exp(2j * np.pi * TS * measured.hz)
         self._H, self._gain, self._lag_sd = measured.H, gain, lag_sd
+        self.lowest_hz = float(measured.hz[0])
         self._velocity = 1.0 - 1.0 / self._z
         self._acceleration = self._z - 2.0 + 1.0 / self._z
+        q = self._acceleration[:, None] * self._z[:, None] ** -self._k
+        self._columns = np.column_stack([np.ones(len(self._z)), -self._velocity, q])
 
-    def data(self, weight: Array, gain_sd: float, tail: float = 0.0) -> Data:
-        """Return the data of a regression, for 1 / noise (k,). tail: of a slow pole, or 0."""
-
-        def rows(columns: Complex) -> Array:
-            weighted = (weight * columns.T).T
-            return np.concatenate([weighted.real, weighted.imag])
+    def data(self, weight: Array, gain_sd: float) -> Data:
+        """Return the data of a regression, for 1 / noise (k,)."""
 
         def by_modes(modes: Sequence[Mode], onset: int) -> Array:
-            return rows(self._ringing(modes, onset))
+            return _rows(weight, self._ringing(modes, onset))
 
-        sds = [gain_sd, self._lag_sd, *([TAIL_SD] if tail else [])]
-        return Data(
-            rows(self._columns(tail)), rows(self._H - self._gain), self._k,
-            np.array(sds) ** -2.0, by_modes, tail,
-        )  # fmt: skip
+        X, y = _rows(weight, self._columns), _rows(weight, self._H - self._gain)
+        return Data.of(X, y, self._k, np.array([gain_sd, self._lag_sd]) ** -2.0, by_modes)
+
+    def with_tail(self, data: Data, weight: Array, tail: float) -> Data:
+        """Return the same data with the column of a slow pole."""
+        return data.with_tail(_rows(weight, self._pole(tail)), TAIL_SD**-2.0, tail)
 
     def modelled(self, found: Posterior) -> Complex:
         """Return the mean of the response (k,)."""
+        columns = self._columns
+        if found.tail:
+            columns = np.insert(columns, 2, self._pole(found.tail), axis=1)
         ringing = self._ringing(found.prior.modes, found.prior.onset)
-        columns = np.hstack([self._columns(found.tail), ringing])
+        columns = np.hstack([columns, ringing])
         return np.asarray(self._gain + columns @ found.mean.astype(complex))
 
-    def _columns(self, tail: float) -> Complex:
-        pole = []
-        if tail:  # of one that is late by one sample, besides its q
-            q = self._acceleration / (np.exp(tail) * self._z - 1.0)
-            pole = [q - self._velocity]
-        q = self._acceleration[:, None] * self._z[:, None] ** -self._k
-        return np.column_stack([np.ones(len(self._z)), -self._velocity, *pole, q])
+    def _pole(self, tail: float) -> Complex:
+        """Return what a slow pole adds, besides its q, if it is late by one sample."""
+        q = self._acceleration / (np.exp(tail) * self._z - 1.0)
+        return np.asarray(q - self._velocity)
 
     def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
 
 
-def _sure(found: Posterior, data: Callable[..., Data], lowest_hz: float) -> Posterior:
+def _rows(weight: Array, columns: Complex) -> Array:
+    """Return weighted columns (k, …) as real and imaginary rows, (2k, …)."""
+    weighted = (weight * columns.T).T
+    return np.concatenate([weighted.real, weighted.imag])
+
+
+def _sure(found: Posterior, data: Data, linear: _Linear, weight: Array) -> Posterior:
     """Return the posterior with an exact sensor, if the measurement does not deny that clearly.
 
     A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
     """
     prior, sure = found.prior, found
-    exact = cost(data(EXACT), prior)
-    if exact < found.cost + LEAST_GAIN:
-        sure = regress(data(EXACT), prior)
-    tails = np.log(2.0 * np.pi * TS * lowest_hz * np.array(TAILS))
+    lag = float(data.precision[1])
+    exact, nearly = (replace(data, precision=np.array([sd**-2.0, lag])) for sd in (EXACT, NEARLY))
+    least = cost(exact, prior)
+    if least < found.cost + LEAST_GAIN:
+        sure = regress(exact, prior)
+    tails = np.log(2.0 * np.pi * TS * linear.lowest_hz * np.array(TAILS))
     for _ in range(TAIL_ROUNDS):
         tail = optimize.minimize_scalar(
-            lambda log_tail, prior: cost(data(NEARLY, np.exp(log_tail)), prior), args=(prior,),
-            bounds=tails, method="bounded", options={"xatol": TAIL_STEP},
+            lambda log_tail, prior: cost(linear.with_tail(nearly, weight, np.exp(log_tail)), prior),
+            args=(prior,), bounds=tails, method="bounded", options={"xatol": TAIL_STEP},
         )  # fmt: skip
-        if tail.fun > min(found.cost, exact):
+        if tail.fun > min(found.cost, least):
             return sure
-        late = regress(data(NEARLY, np.exp(tail.x)), prior)
+        late = regress(linear.with_tail(nearly, weight, np.exp(tail.x)), prior)
         prior = late.prior
     return late if late.cost < min(found.cost, sure.cost) - LIKELIER else sure
 

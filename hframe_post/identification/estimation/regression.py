@@ -36,6 +36,7 @@ LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
 OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
 STEPS = 1e-3, 0.02  # of log ω and log ζ, that count alike
+SLIGHTLY = 1e-4  # of these steps, for slopes
 DAMPING = (0.01, 0.9)
 TRIED = tuple(
     Mode(2.0 * np.pi * TS * hz, zeta)
@@ -54,7 +55,7 @@ class Data:
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
     by_modes: gives Ψ (r, 2·modes) of modes and their onset. tail: decay per sample of the
-    last scalar, if it is the size of a slow pole; else 0.
+    last scalar, if it is the size of a slow pole; else 0. X_X, X_y: XᵀX and Xᵀy.
     """
 
     X: Array
@@ -62,7 +63,27 @@ class Data:
     k: Array
     precision: Array
     by_modes: Callable[[Sequence[Mode], int], Array]
+    X_X: Array
+    X_y: Array
     tail: float = 0.0
+
+    @classmethod
+    def of(
+        cls, X: Array, y: Array, k: Array, precision: Array,
+        by_modes: Callable[[Sequence[Mode], int], Array],
+    ) -> Data:  # fmt: skip
+        return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
+
+    def with_tail(self, column: Array, precision: float, tail: float) -> Data:
+        """Return the data with one more scalar, the size of a slow pole: its column (r,) of X."""
+        n, beside = len(self.precision), column @ self.X
+        X_X = np.insert(self.X_X, n, beside, axis=0)
+        X_X = np.insert(X_X, n, np.insert(beside, n, column @ column), axis=1)
+        return replace(
+            self, X=np.insert(self.X, n, column, axis=1), X_X=X_X,
+            X_y=np.insert(self.X_y, n, column @ self.y),
+            precision=np.append(self.precision, precision), tail=tail,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +161,15 @@ class _Search:
         self._Z = linalg.solve_triangular(L, self._data.X.T, lower=True, check_finite=False)
         self._v = self._data.y - self._data.X @ mean
 
-    def _by_modes(self, modes: Sequence[Mode], onset: int) -> float:
-        """Return by how much modes change −log evidence."""
-        return _integrated(*self._seen(modes, onset))
+    def _costs(
+        self, tried: Sequence[Mode], choices: Sequence[Sequence[int]], onset: int
+    ) -> list[float]:
+        """Return by how much each choice of the tried modes changes −log evidence."""
+        M, v = self._seen(tried, onset)
+        columns = [
+            np.array([[2 * j, 2 * j + 1] for j in chosen], int).ravel() for chosen in choices
+        ]
+        return [_integrated(M[np.ix_(own, own)], v[own]) for own in columns]
 
     def _seen(self, modes: Sequence[Mode], onset: int) -> tuple[Array, Array]:
         """Return Ψᵀ M Ψ and Ψᵀ v."""
@@ -178,16 +205,11 @@ class _Search:
 
     def _likeliest(self, tried: Sequence[Mode]) -> Mode:
         """Return the mode that adds most to those that there are."""
-        modes, onset = self.prior.modes, self.prior.onset
-        M, v = self._seen((*modes, *tried), onset)
-        before = np.arange(2 * len(modes))
-
-        def cost(j: int) -> float:
-            own = np.concatenate([before, len(before) + 2 * j + np.arange(2)])
-            return _integrated(M[np.ix_(own, own)], v[own])
-
-        apart = [j for j, one in enumerate(tried) if _apart((*modes, one))]
-        return tried[min(apart, key=cost)]
+        modes = self.prior.modes
+        apart = [one for one in tried if _apart((*modes, one))]
+        choices = [(*range(len(modes)), len(modes) + j) for j in range(len(apart))]
+        costs = self._costs((*modes, *apart), choices, self.prior.onset)
+        return apart[int(np.argmin(costs))]
 
     def improve(self) -> None:
         """Move K_D and the modes in turn, as long as the evidence grows."""
@@ -203,24 +225,30 @@ class _Search:
         if not self.prior.modes:
             return
         start = np.log([[mode.omega, mode.zeta] for mode in self.prior.modes]).ravel()
-        steps = np.tile(STEPS, len(self.prior.modes))
+        n, steps = len(start), np.tile(STEPS, len(self.prior.modes))
         bounds = np.log([OMEGA, DAMPING] * len(self.prior.modes))
 
-        def modes(x: Array) -> tuple[Mode, ...]:
-            return tuple(Mode(float(w), float(z)) for w, z in np.exp(x).reshape(-1, 2))
+        def modes(steps_away: Array) -> tuple[Mode, ...]:
+            x = np.exp(start + steps * steps_away)
+            return tuple(Mode(float(w), float(z)) for w, z in x.reshape(-1, 2))
 
-        def cost(steps_away: Array) -> float:
-            return self._by_modes(modes(start + steps * steps_away), self.prior.onset)
+        def cost(x: Array) -> tuple[float, Array]:
+            """Return the cost and its slope. One product with Z serves all differences."""
+            moved = [modes(each)[j // 2] for j, each in enumerate(x + SLIGHTLY * np.eye(n))]
+            usual = range(n // 2)
+            instead = [[n // 2 + j if k == j // 2 else k for k in usual] for j in range(n)]
+            here, *there = self._costs((*modes(x), *moved), [usual, *instead], self.prior.onset)
+            return here, (np.array(there) - here) / SLIGHTLY
 
         found = optimize.minimize(
-            cost, np.zeros(len(start)), method="L-BFGS-B", options={"maxiter": 30, "ftol": 1e-7},
+            cost, np.zeros(n), jac=True, method="L-BFGS-B", options={"maxiter": 30, "ftol": 1e-7},
             bounds=(bounds - start[:, None]) / steps[:, None],
-        )  # fmt: skip
-        x = start + steps * found.x
-        if not _apart(modes(x)):
+        ).x  # fmt: skip
+        if not _apart(modes(found)):
             return
-        onset = min(range(LATEST), key=lambda d: self._by_modes(modes(x), d))
-        self.prior = replace(self.prior, modes=modes(x), onset=onset)
+        usual = range(n // 2)
+        onset = min(range(LATEST), key=lambda d: self._costs(modes(found), [usual], d)[0])
+        self.prior = replace(self.prior, modes=modes(found), onset=onset)
 
     def fit_decay(self) -> None:
         """Move K_D to greater evidence."""
@@ -261,11 +289,12 @@ class _Normal:
 
     @classmethod
     def of(cls, data: Data, Psi: Array) -> _Normal:
-        columns = np.hstack([data.X, Psi])
-        A = columns.T @ columns
+        beside = data.X.T @ Psi
+        A = np.block([[data.X_X, beside], [beside.T, Psi.T @ Psi]])
         # rounding must leave A positive definite, where low noise makes columns nearly alike
         A[np.diag_indices_from(A)] *= 1.0 + ROUNDING
-        return cls(A, columns.T @ data.y, float(data.y @ data.y), data.k, data.precision)
+        b = np.concatenate([data.X_y, Psi.T @ data.y])
+        return cls(A, b, float(data.y @ data.y), data.k, data.precision)
 
     def solved(self, decay: Decay) -> tuple[Array, Array, float]:
         """Return L of P = L Lᵀ, the mean of θ, and −log evidence.

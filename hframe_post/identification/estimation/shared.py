@@ -131,7 +131,7 @@ def _regressed(run: Crossed, along: Estimated) -> tuple[float, ImpulseResponse]:
         [late, late * (1.0 / z - 1.0), acceleration[:, None] * z[:, None] ** -k]
     )
     precision = np.array([TURN_SD**-2.0, LAG_SD**-2.0])
-    found = regress(Data(rows(columns), rows(C), k, precision, by_modes), most=MOST_MODES)
+    found = regress(Data.of(rows(columns), rows(C), k, precision, by_modes), most=MOST_MODES)
     # what does not vanish at rest is the turned sensor's, and so is its share of what D rings
     turn, lag = float(found.mean[0]), float(found.mean[1]) - float(found.mean[0]) * along.G.lag
     at = np.arange(-BEFORE, LONGEST, dtype=float)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy import optimize
 
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.errors import IdentificationError
@@ -28,7 +27,6 @@ PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
 LONGEST_GAP, MOST_LOST = 0.1, 0.01  # s, and share of a recording, that may be missing
 MANY_LEVELS = 20  # of a signal that is not just noise
 OFTEN, OFTEN_THAN_NEAR = 10, 4  # samples at an extreme value; times as many as near it
-GAIN_SD = 0.005  # of a gain from readings at rest, relative: each is one noisy, rounded sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,42 +238,3 @@ def _upright(up: Array) -> Array:
     x, y, z = up
     k = 1.0 / (1.0 + z)
     return np.array([[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], up])
-
-
-def gains_at_rest(readings: Array) -> Array:
-    """Return the sensor's gain along each of its axes, (3,), from readings at rest (n, 3), mm/s².
-
-    Axis i shows r_i = g_i·a_i + b_i, and at rest |a| is gravity G in any position:
-
-        Σ ((r_i − b_i) / g_i)² = G²
-
-    Raises IdentificationError unless each axis was turned up and down.
-    """
-    spans = np.ptp(readings, axis=0)
-    if len(readings) < 6 or (spans < 1.6 * GRAVITY).any():
-        which = AXES[int(np.argmin(spans))]
-        raise IdentificationError(
-            f"the {len(readings)} --at-rest readings do not show the sensor's gains: {which} "
-            f"spans {spans.min():.0f} mm/s² instead of about {2.0 * GRAVITY:.0f}. Point each axis "
-            "of the sensor up once and down once"
-        )
-    middle = (readings.max(axis=0) + readings.min(axis=0)) / 2.0
-    start = np.concatenate([spans / (2.0 * GRAVITY), middle / GRAVITY])
-
-    def residuals(x: Array) -> Array:
-        a = (readings / GRAVITY - x[3:]) / x[:3]
-        return np.asarray((a * a).sum(axis=1) - 1.0)
-
-    gains = np.asarray(optimize.least_squares(residuals, start).x[:3])
-    if (np.abs(gains - 1.0) > 0.15).any():
-        raise IdentificationError(
-            "by its --at-rest readings the sensor is more than 15 % off. Check that it stood "
-            "still and that the readings are in mm/s²"
-        )
-    return gains
-
-
-def gains_along_printer(gains: Array, axes: str) -> tuple[float, float]:
-    """Return the gains along the printer's x and y from those along the sensor's axes (3,)."""
-    x, y, _ = np.abs(axis_map(axes)) @ gains
-    return float(x), float(y)

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import signal
@@ -186,11 +187,16 @@ def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:
 def share_left(H: Complex, response: FrequencyResponse, weight: Array) -> float:
     """Return the share of a measured response that H (k,) leaves, whatever their gain and delay."""
     cross = weight * response.H * H.conj()
-    late = np.linspace(-5e-3, 5e-3, 201)
-    turned = np.exp(2j * np.pi * np.outer(late, response.hz))
-    most = float(np.abs((turned @ cross).real).max())
+    most = float(np.abs((_turned(response.hz.tobytes()) @ cross).real).max())
     sizes = (weight * np.abs(H) ** 2).sum() * (weight * np.abs(response.H) ** 2).sum()
     return float(np.sqrt(max(1.0 - most**2 / float(sizes), 0.0)))
+
+
+@lru_cache(maxsize=1)
+def _turned(hz: bytes) -> Complex:
+    """Return what delays (d,) of ± 5 ms turn frequencies (k,) by, (d, k): often the same ones."""
+    late = np.linspace(-5e-3, 5e-3, 201)
+    return np.asarray(np.exp(2j * np.pi * np.outer(late, np.frombuffer(hz))))
 
 
 def lowest(x: Array, costs: Sequence[float]) -> float:

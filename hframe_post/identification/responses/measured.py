@@ -112,8 +112,7 @@ class MeasurementSettings:
 
     racks: whether the kinematics can rack. offset: from the nozzle to its sensor in x and y, mm.
     height: of the sensor above the nozzle, mm, if known. step: mm of belt for one motor step.
-    bed_moves: whether y moves the bed, with its sensor. sensor: gains of the sensor along x and y
-    if they were measured with gravity.
+    bed_moves: whether y moves the bed, with its sensor.
     """
 
     band_hz: tuple[float, float]
@@ -122,7 +121,6 @@ class MeasurementSettings:
     height: float | None = None
     step: float = 0.02
     bed_moves: bool = False
-    sensor: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
