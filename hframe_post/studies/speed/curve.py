@@ -36,6 +36,7 @@ from hframe_post.studies.speed.search import (
     Bound,
     Searches,
     freedom_of,
+    gentler,
     random_plants,
     with_slicer_limits,
 )
@@ -135,6 +136,9 @@ class _Tracer:
         })  # fmt: skip
         self._pieces = self._kept.excerpt()
         self._shaping = good(printer.plant, paths(lines(), printer, options), firmware(printer))
+        self._points: dict[Drive, list[tuple[SpeedSettings, Point]]] = {
+            self._kept: [], self._raised: [],
+        }  # fmt: skip
         self._plants = self._worst((printer.plant, *random_plants(speed, printer)))
 
     def curve(self) -> Curve:
@@ -167,9 +171,7 @@ class _Tracer:
             dict.fromkeys(ADJUSTED, min(START, self._kept.max_acceleration)),
             dict.fromkeys(ADJUSTED, 1.0),
         )
-        trial = self._kept.try_pieces(self._pieces, settings, plants)
-        if trial.refused:
-            raise HframeError(trial.refused)
+        trial = self._tried(self._kept, settings, plants)
         worst = (np.argsort(errors)[-2:].tolist() for errors in trial.errors.values())
         return tuple(plants[k] for k in sorted({0}.union(*worst)))
 
@@ -203,17 +205,41 @@ class _Tracer:
             shares = bound.shares(trial)
             return abs(float(np.log(max(max(shares.values(), default=0.0), 1e-9))))
 
-        for _ in range(2):
+        trial: TrialPrint | None = None
+        feeds: dict[str, float] = {}
+        for _ in range(5):
             # the nearest one last, since that counts where several have the same feed rate
             ordered = sorted(trials, key=distance, reverse=True)
             searches = Searches(bound, drive.max_acceleration, ordered)
-            settings = searches.corrected(searches.best_feeds())
-            trial = drive.try_pieces(self._pieces, settings, self._plants)
-            if trial.refused:
+            feeds = feeds or searches.best_feeds()
+            settings = searches.corrected(feeds)
+            if known := next((p for s, p in self._points[drive] if s == settings), None):
+                return known
+            if trial is not None and settings == trial.settings:
                 break
+            trial = self._tried(drive, settings, self._plants)
             trials.append(trial)
             if NEAR * within <= _worst_error(trial) <= LIMIT * within:
                 break
+        assert trial is not None
+        point = self._printed(drive, trial)
+        self._points[drive].append((trial.settings, point))
+        return point
+
+    def _tried(
+        self, drive: Drive, settings: SpeedSettings, plants: tuple[Plant, ...]
+    ) -> TrialPrint:
+        """Return a trial of the excerpt, gentler if need be. Raises HframeError."""
+        for _ in range(6):
+            trial = drive.try_pieces(self._pieces, settings, plants)
+            if not trial.refused:
+                return trial
+            settings = gentler(settings)
+        raise HframeError(trial.refused)
+
+    def _printed(self, drive: Drive, trial: TrialPrint) -> Point:
+        """Return the whole print at the settings of a trial, its layers given time to cool."""
+        settings = trial.settings
         whole = drive.timed(settings)
         for _ in range(2):
             slowed = self._least.slowed(settings, whole.layers)

@@ -11,7 +11,7 @@ from hframe_post.writers.stream.print_time import duration
 WALL = "outer-wall"
 NAMED = 0.15  # share of the time from which a cause is named
 ADVICE = {
-    "feed": "The file's feed rates bind: 'hframe-post convert --speed-up' raises them",
+    "feed": "The file's feed rates bind: 'hframe-post convert --speed-up max' raises them",
     "cooling": "The layer time binds ({layer:g} s, limits.min_layer_time): print several parts at "
     "once, or lower it if the part cools faster",
     "flow": "The hot end binds ({flow:g} mm³/s, limits.flow)",

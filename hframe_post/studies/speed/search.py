@@ -149,7 +149,7 @@ def _fastest_whole(
         trial = drive.try_whole(settings, plants, may_clamp or limit == 1.0)
         shares = bound.shares(trial)
         if trial.refused:
-            settings = _gentler(settings)
+            settings = gentler(settings)
             continue
         short = least.short(settings, trial.layers)
         if max(shares.values(), default=0.0) <= limit and not short:
@@ -182,7 +182,7 @@ def _fastest_pieces(
                 searches.trials.append(trial)
                 worst = (np.argsort(errors)[-2:].tolist() for errors in trial.errors.values())
                 return tuple(plants[k] for k in sorted({0}.union(*worst)))
-            settings = _gentler(settings)
+            settings = gentler(settings)
         raise HframeError(trial.refused)
 
     acceleration = dict.fromkeys(ADJUSTED, min(8e3, drive.max_acceleration))
@@ -275,6 +275,7 @@ def _root(points: list[tuple[float, float]]) -> float:
     return x - min(max(y / slope, -1.2), 1.2)
 
 
-def _gentler(settings: SpeedSettings) -> SpeedSettings:
+def gentler(settings: SpeedSettings) -> SpeedSettings:
+    """Return settings with accelerations that are lower by 15 %."""
     acceleration = {name: 0.85 * value for name, value in settings.acceleration.items()}
     return replace(settings, acceleration=acceleration)
